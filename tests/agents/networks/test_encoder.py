@@ -291,6 +291,20 @@ def test_wrong_names_are_explained(name, says, tmp_path, monkeypatch):
         registry.find_network(name)
 
 
+class NotFinite(nn.Module):
+    def __init__(self, image_shape, vector_size):
+        super().__init__()
+
+    def forward(self, image, vector):
+        return torch.log(vector.abs())
+
+
+def test_a_network_that_gives_no_finite_numbers_is_refused_before_it_learns(monkeypatch):
+    monkeypatch.setitem(registry.NETWORKS, "not_finite", NotFinite)
+    with pytest.raises(PolicyError, match=r"'not_finite' returned numbers that are not finite.*logarithm of 0"):
+        q_net(network="not_finite")
+
+
 class Flat(nn.Module):
     def __init__(self, image_shape, vector_size):
         super().__init__()

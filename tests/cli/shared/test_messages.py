@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -182,8 +183,13 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
 
 
 def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
-    trained = wcsim("train", "--out", "run", "--town", corner, *SMALL)
+    trained = wcsim("train", "--out", "run", "--town", corner, *SMALL, "--set", "learn.episode_steps=3")
     assert trained.out.rstrip().endswith("test it: wcsim test run --town monaco")
+    assert "note:" not in trained.err
+    (last,) = re.findall("phase 2: 8/8 steps, [1-9] episodes", trained.err)
+    again = wcsim("train", "--out", "run", "--resume")
+    assert again.code == 0 and last in again.err
+    assert "note: run is finished: all of its 8 steps are done; more in all: --steps N" in again.err
 
 
 def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):

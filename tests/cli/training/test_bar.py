@@ -6,7 +6,8 @@ import errno
 
 import pytest
 
-from wcsim.cli.training.bar import gone_if_nothing_came_of_it
+from wcsim.agents.learning.callbacks import TrainProgress
+from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.errors import ConfigError, DiskFullError, WorkersError
 
 CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on device"), WorkersError("head is dead")]
@@ -34,3 +35,9 @@ def test_work_stays_whatever_has_ended_it(tmp_path, kept):
         (run / kept).mkdir(parents=True)
         raise KeyboardInterrupt
     assert (run / kept).exists()
+
+
+def test_no_more_steps_are_told_than_there_are_to_do(capsys):
+    with TrainBar(50) as bar:
+        bar.show(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
+    assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episodes, 0 crashes\n"

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.rounds.train_rounds import RoundProgress
+from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.rounds.train_rounds import RoundProgress, RoundTeller
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.training import rounds
@@ -68,6 +69,19 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
     driven, learned = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
+
+
+def test_what_a_run_that_goes_on_finds_there_is_told_as_one():
+    told: list[int] = []
+    teller = RoundTeller(lambda now: told.append(now.segments), RoundProgress(round=0, rounds=2, segments=0, of=5))
+    key = SegmentKey(run=0, round=0, index=0)
+    for _ in range(3):
+        teller.back(key)
+    assert told == [], "they took no time, which is no pace for the rest"
+    teller.watch(())
+    teller.back(key)
+    teller.watch(())
+    assert told == [3, 4, 4]
 
 
 def test_the_work_of_rounds_adds_up():

@@ -107,10 +107,12 @@ class JamWatch(SeqCallback):
 class EpisodeMetrics(SeqCallback):
     """Writes a row of metrics.csv at the end of each episode, and to TensorBoard where that is wanted."""
 
-    def __init__(self, metrics: MetricsFile, begun_s: float, crashes: int = 0, board: BoardLog | None = None) -> None:
+    def __init__(
+        self, metrics: MetricsFile, begun_s: float, episodes: int = 0, crashes: int = 0, board: BoardLog | None = None
+    ) -> None:
         super().__init__()
         self.metrics, self.begun_s, self.board = metrics, begun_s, board
-        self.episodes, self.crashes = 0, crashes
+        self.episodes, self.crashes = episodes, crashes  # of what was done before
         self.kpi1: float | None = None
         self.sums: list[EpisodeSums] = []
 

@@ -143,7 +143,8 @@ class _Session:
             raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
         metrics = MetricsFile(run.path / METRICS, keep_to_step=model.num_timesteps if resume else None)
         board = BoardLog(run.path, model.num_timesteps if resume else None) if self.learn_config.tensorboard else None
-        self.episodes = EpisodeMetrics(metrics, time.monotonic(), crashes=int(extra.get("crashes", 0)), board=board)
+        crashes = int(extra.get("crashes", 0))
+        self.episodes = EpisodeMetrics(metrics, time.monotonic(), model._episode_num, crashes, board)
         self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
         self.alarmed = bool(extra.get("q_alarm", False))
         if extra.get("owes_updates", False):

@@ -92,7 +92,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
         for number in range(first, total):
             began_s = time.monotonic()
             now = _orders(rounds, number)
-            told = _Told(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
+            told = RoundTeller(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
             came = workers.take(now, told.back, told.watch)
             if number + 1 < total:
                 workers.ask(_orders(rounds, number + 1))
@@ -145,16 +145,20 @@ def _drivers(rounds: Rounds) -> SegmentDrivers:
     return SegmentDrivers(machines=rounds.machines, data=path / DATA, logs=path, config=rounds.config)
 
 
-class _Told:
-    """How far a round has come, for whoever looks on."""
+class RoundTeller:
+    """How far a round has come, for whoever looks on.
+
+    What a run that goes on finds of its first round is told as one: it took no time now, and the rest will.
+    """
 
     def __init__(self, progress: Progress, now: RoundProgress) -> None:
-        self._progress, self._now = progress, now
+        self._progress, self._now, self._begun = progress, now, False
 
     def back(self, key: SegmentKey) -> None:
         """A segment is there."""
         self._now = replace(self._now, segments=self._now.segments + 1)
-        self._progress(self._now)
+        if self._begun:
+            self._progress(self._now)
 
     def learned(self, updates: int) -> None:
         """So many updates of this round are done, and all of its segments came back."""
@@ -163,7 +167,8 @@ class _Told:
     def watch(self, workers: tuple[WorkerNow, ...]) -> None:
         """Who is at what."""
         self._now = replace(self._now, workers=workers)
-        if self._now.segments < self._now.of:
+        if not self._begun or self._now.segments < self._now.of:
+            self._begun = True
             self._progress(self._now)
 
 

@@ -31,7 +31,7 @@ _LOOK_S = 1.0
 Done = Callable[[SegmentKey], object]
 """Told of each segment that has come back."""
 Watch = Callable[[tuple[WorkerNow, ...]], object]
-"""Told every second who drives what."""
+"""Told who drives what: once when all that was there before has been told of, and every second from then on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +91,7 @@ class SegmentCrew:
             else:
                 asked.append(_work(order))
         self._crew.ask(asked)
+        watch(self._crew.now())
         while left:
             for word in sorted(self._crew.come(left, _LOOK_S)):
                 key = left.pop(word)

@@ -57,7 +57,8 @@ class TrainBar:
     def show(self, now: TrainProgress) -> None:
         """Say how far it has come."""
         kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
-        says = f"{now.step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
+        step = min(now.step, now.total_steps)  # the last steps are done together, and may be a few more
+        says = f"{step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
         phase = f"phase {now.phase}"
         self._bar.update(self._task, completed=now.step, description=phase, says=says)
         tenths = 10 * now.step // self._total

@@ -161,12 +161,22 @@ def _resume(options: Options, words: list[str]) -> int:
     if out is None:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
-    config, own = open_run(out).config, "a run goes on as it was made; leave that out"
+    run = open_run(out)
+    config, own = run.config, "a run goes on as it was made; leave that out"
     require_heard(config, {"--steps": options.steps is not None}, own)
     require_rounds(config, _only_in_rounds(options), own)
     resolved, town = resumed(out, typed(options, words))
+    if run.manifest.status == "done" and resolved.config.learn.total_steps == config.learn.total_steps:
+        print(f"note: {_finished(out, config)}", file=sys.stderr)
     train_in(resolved, town, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
+
+
+def _finished(out: Path, config: RunConfig) -> str:
+    """What to say of a run that has nothing left to do."""
+    if learns_in_rounds(config):
+        return f"{out} is finished: all of its {config.collect.rounds} rounds are done"
+    return f"{out} is finished: all of its {config.learn.total_steps} steps are done; more in all: --steps N"
 
 
 def _info_of(options: Options, words: list[str]) -> RunInfo:
