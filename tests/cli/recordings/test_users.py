@@ -40,14 +40,16 @@ def test_a_drive_is_fitted_and_its_profile_taken(wcsim, folder, drive):
 def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
     write_drive(Path("short.drive"), list(plane_drive(profile("competent"), 2.0, 1).ticks))
     Path("notes.txt").write_text("hello")
+    Path("mine.toml").write_text("changed by hand")
     before = sorted(Path().iterdir())
     for words, told in (
         (("short.drive", "--out", "a.toml"), ("no episode of 5 s or more", "drive longer")),
         (("notes.txt", "--out", "a.toml"), ("notes.txt: is not a drive",)),
         (("none.drive", "--out", "a.toml"), ("none.drive: cannot be read",)),
         ((drive, "--out", "a.txt"), ("expected a file name that ends in .toml",)),
+        ((drive, "--out", "mine.toml"), ("--out mine.toml exists; expected the name of a new file",)),
         ((drive, "--out", "a.toml", "--base", "drunk"), ("unknown user profile 'drunk'",)),
         ((drive, "--out", "a.toml", "--without-intents"), ("unknown town 'nowhere'",)),
     ):
         refused(wcsim("users", "fit", *words), *told)
-    assert sorted(Path().iterdir()) == before
+    assert sorted(Path().iterdir()) == before and Path("mine.toml").read_text() == "changed by hand"

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, check_output, write_json, write_whole
+from wcsim.drive.keeping.kept_files import require_new
 from wcsim.errors import ConfigError
 from wcsim.users.profile_file import profile_text
 from wcsim.users.profiles import UserProfile, profile
@@ -33,7 +34,7 @@ class UserFitOptions:
     drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")]
-    """The profile, for --profile of test and video, or env.profile."""
+    """The profile, a new file, for --profile of test and video, or env.profile."""
     base: str = "competent"
     """The profile whose numbers stand for what a drive cannot tell."""
     without_intents: Flag = False
@@ -45,6 +46,7 @@ class UserFitOptions:
 def run(options: UserFitOptions) -> int:
     """Fit, print, write."""
     check_output("--out", options.out, ".toml")
+    require_new(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
     if not options.drives:
         raise ConfigError("users fit got no drive; expected one or more files that were recorded")
