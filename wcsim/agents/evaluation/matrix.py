@@ -218,7 +218,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"({', '.join(other) or 'env.classes'} differ): test it on its own"
         )
     policy.name = name
-    return shielded(path, policy, config, split_level(name)[1])
+    return shielded(path, policy, config, split_level(name)[1], network)
 
 
 def window_for(policies: Sequence[Policy]) -> int:

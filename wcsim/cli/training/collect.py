@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,8 @@ import tyro
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of
-from wcsim.cli.shared.run_config import require_drawn_users, require_trained_users
+from wcsim.cli.shared.named_policies import require_policy
+from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
@@ -34,6 +36,8 @@ class Options:
     """Segments in all, each a fresh world of collect.ticks ticks; those that are there already are kept."""
     policy: str = ""
     """A trained danger network that drives a share of the episodes; without one users and the oracle drive."""
+    network: str = ""
+    """Your own network as module:Class, for a --policy that looks with it."""
     worlds: int = 1
     """Worlds that drive at once, each in a process of its own: the data is the same for any number."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
@@ -49,7 +53,11 @@ class Options:
 def run(words: list[str]) -> int:
     """Drive, and leave a data folder."""
     options = parse(Options, words, "collect")
-    config = load_run_config(options.preset, options.set, options.config)
+    own = (f"learn.network={json.dumps(options.network)}",) if options.network else ()
+    config = load_run_config(options.preset, (*options.set, *own), options.config)
+    if options.policy:
+        require_policy(options.policy, config.learn.network)
+    require_known(options.network)
     require_trained_users(config)
     require_drawn_users(config, options.set, options.config)
     if options.segments < 1 or options.worlds < 1:

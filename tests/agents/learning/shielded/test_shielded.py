@@ -6,6 +6,7 @@ import json
 import shutil
 import stat
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics, EpisodeSums
 from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.shielded import shielded_policy
 from wcsim.agents.learning.shielded.danger_part import PART, codes_of_dangers, dangers_of_codes
 from wcsim.agents.learning.shielded.danger_sense import DangerSense
 from wcsim.agents.learning.shielded.shielded_dqn import ShieldedDQN
@@ -243,6 +245,15 @@ def test_another_danger_network_than_the_one_of_training_is_refused(run: Path, p
         load_policy(run / "policies" / "final")
     told = json.loads((folder / POLICY_JSON).read_text())
     assert told["shield"]["danger_sha256"] == files.sha256(part / WEIGHTS)
+
+
+def test_an_own_eye_of_the_danger_network_is_loaded_when_it_is_named(monkeypatch, tmp_path: Path):
+    asked = []
+    monkeypatch.setattr(shielded_policy, "load_danger", lambda *given: asked.append(given[-1]))
+    values = SimpleNamespace(name="a", file=SimpleNamespace(shield=object()))
+    with pytest.raises(FileNotFoundError):  # there are no weights to compare
+        shielded_policy.shielded(tmp_path, values, danger_config(), None, "own_file:Own")
+    assert asked == ["own_file:Own"]
 
 
 def test_a_head_that_is_not_residual_and_a_policy_of_values_are_refused(run: Path, part: Path, tmp_path: Path):

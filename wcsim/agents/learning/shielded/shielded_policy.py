@@ -75,7 +75,9 @@ class ShieldedPolicy(NetPolicy):
         return allowed_argmax(values, danger, self.level)
 
 
-def shielded(path: Path, values: NetPolicy, config: RunConfig, level: float | None) -> NetPolicy:
+def shielded(
+    path: Path, values: NetPolicy, config: RunConfig, level: float | None, network: str | None = None
+) -> NetPolicy:
     """The policy of a folder with its danger network; `values` as they are where it has none.
 
     Args:
@@ -83,6 +85,7 @@ def shielded(path: Path, values: NetPolicy, config: RunConfig, level: float | No
         values: As `load_policy` has loaded them.
         config: Of the run in which it drives.
         level: Of assistance, a threshold of danger; None for the policy's own.
+        network: Somebody's own class that the danger network may look with, see `load_net`.
 
     Raises:
         PolicyError: The danger network cannot be loaded, is not the one of the training, or sees with another camera.
@@ -90,7 +93,7 @@ def shielded(path: Path, values: NetPolicy, config: RunConfig, level: float | No
     shield, part = values.file.shield, path / PART
     if shield is None:
         return values
-    danger = load_danger(part, values.name, config, level)
+    danger = load_danger(part, values.name, config, level, network)
     if files.sha256(part / WEIGHTS) != shield.danger_sha256:
         raise PolicyError(
             f"{shown(part)} is another danger network than the one that {shown(values.name)!r} learned with; copy the "

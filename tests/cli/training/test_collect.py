@@ -1,0 +1,23 @@
+"""`wcsim collect`: what it refuses before it drives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.agents.danger.export.test_onnx_graph import CONFIG, network
+from tests.cli.conftest import files_in
+from tests.cli.test_bad_input import refused
+from wcsim.agents.danger.rule import DangerRule
+from wcsim.agents.danger.saved import save_danger
+
+
+def test_a_network_with_an_eye_of_somebodys_own_drives_when_that_is_named(wcsim, folder, corner):
+    save_danger(folder / "seeing", network(eye="picture"), DangerRule(), CONFIG)
+    said = json.loads(Path("seeing/policy.json").read_text())
+    Path("seeing/policy.json").write_text(json.dumps({**said, "net": {**said["net"], "network": "own_eye_f:Own"}}))
+    before = files_in(folder)
+    words = ("collect", "--town", corner, "--policy", "seeing", "--out", "data")
+    refused(wcsim(*words), "expected that you name it, if you trust it: --network own_eye_f:Own")
+    refused(wcsim(*words, "--network", "own_eye_f:Own"), "network module 'own_eye_f' was not found")
+    assert files_in(folder) == before
