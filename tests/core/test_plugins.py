@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.plugins import find_class
+from wcsim.core.plugins import find_class, sources_of
 from wcsim.errors import PolicyError
 
 
@@ -35,6 +35,12 @@ def test_a_module_of_the_current_folder_finds_its_neighbours_also_later(folder):
     assert find_class("own_base_net:Base", "network") in found.__mro__
 
 
+def test_several_modules_of_the_current_folder_are_found(folder):
+    for name in ("own_base_net", "own_late_part"):
+        (folder / f"{name}.py").write_text("class Net:\n    pass\n")
+        assert find_class(f"{name}:Net", "network").__module__ == name
+
+
 def test_what_is_nowhere_is_said(folder):
     with pytest.raises(PolicyError, match=r"was not found; expected own_missing\.py in"):
         find_class("own_missing:Net", "network")
@@ -47,3 +53,24 @@ def test_what_is_installed_comes_before_the_current_folder(folder):
     find_class("own_base_net:Base", "network")
     with pytest.raises(PolicyError, match="colorsys has no class 'Net'"):
         find_class("colorsys:Net", "network")
+
+
+def test_the_sources_of_a_class_are_its_file_and_what_it_imports_beside_it(folder):
+    (folder / "own_unused.py").write_text("")
+    (folder / "own_base_net.py").write_text("import numpy, wcsim.errors\nclass Base:\n    size = 3\n")
+    names = ["own_base_net.py", "own_big_net.py", "own_late_part.py"]
+    assert list(sources_of("own_big_net:Bigger", "network")) == names
+    assert sources_of("json.decoder:JSONDecoder", "network").keys() == {"decoder.py"}
+
+
+def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
+    (folder / "own_parts").mkdir()
+    (folder / "own_parts" / "mine.py").write_text("class Net:\n    pass\n")
+    with pytest.raises(PolicyError, match=r"own_parts has no __init__\.py"):
+        find_class("own_parts.mine:Net", "network")
+    (folder / "own_parts" / "__init__.py").touch()
+    for name in ("own_parts", "own_parts.mine"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    assert sources_of("own_parts.mine:Net", "network").keys() == {"own_parts/__init__.py", "own_parts/mine.py"}
+    with pytest.raises(PolicyError, match=r"expected own_parts/yours\.py in"):
+        find_class("own_parts.yours:Net", "network")

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import inspect
 import re
 import sys
+import sysconfig
 from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
+from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import is_file, shown
 from wcsim.errors import PolicyError, WcsimError
 
-_SUFFIX = ".py"
+_SUFFIX, _PACKAGE = ".py", "__init__.py"
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
@@ -46,6 +48,32 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
     return found
 
 
+def sources_of(name: str, what: str) -> dict[str, Path]:
+    """The file of the class that `module:Class` names, and all beside it that it imports, at once or later.
+
+    What is installed is left to its version, and wcsim to its own digest.
+
+    Returns:
+        By their names from the folder on in which the module was found.
+
+    Raises:
+        PolicyError: There is no such class.
+    """
+    module = name.partition(":")[0]
+    own = Path(inspect.getsourcefile(find_class(name, what)) or "").absolute()
+    folder = own.parents[module.count(".") + (own.name == _PACKAGE)]
+    if str(folder) in map(sysconfig.get_path, ("purelib", "platlib", "stdlib")):
+        return {own.name: own}
+    finder = ModuleFinder(path=[str(folder)], excludes=["wcsim"])
+    try:
+        finder.import_hook(module)
+    except (ImportError, SyntaxError):  # a class that its module has from elsewhere
+        return {own.name: own}
+    files = (getattr(each, "__file__", None) for each in finder.modules.values())
+    found = {own, *(Path(file) for file in files if file)}
+    return {path.relative_to(folder).as_posix(): path for path in sorted(found)}
+
+
 def _module(name: str, what: str, error: type[WcsimError]) -> ModuleType:
     """Import a module; a file in the current folder wins over nothing else but a missing module."""
     try:
@@ -53,7 +81,15 @@ def _module(name: str, what: str, error: type[WcsimError]) -> ModuleType:
             return importlib.import_module(name)
     except Exception as fault:  # the user's own file may raise anything
         raise error(f"{what} module {name!r} failed to import: {type(fault).__name__}: {fault}") from fault
-    raise error(f"{what} module {name!r} was not found; expected {name}.py in {Path.cwd()} or on PYTHONPATH")
+    raise error(f"{what} module {name!r} was not found{_cure(Path(name.replace('.', '/') + _SUFFIX))}")
+
+
+def _cure(file: Path) -> str:
+    """What to do about a module that should be in this file."""
+    bare = next((folder for folder in file.parents[-2::-1] if not is_file(folder / _PACKAGE)), None)
+    if is_file(file) and bare is not None:
+        return f": {bare} has no {_PACKAGE}; expected one, an empty file will do"
+    return f"; expected {file} in {Path.cwd()} or on PYTHONPATH"
 
 
 def _is_found(name: str) -> bool:
@@ -72,7 +108,7 @@ def _look_here(name: str) -> bool:
     return _is_found(name)
 
 
-class _CurrentFolder(MetaPathFinder):
+class _CurrentFolder:
     """Finds modules and packages in the current folder, after all other places."""
 
     @classmethod

@@ -18,7 +18,8 @@ _MOST_NAMED: Final = 3
 
 def require_export_place(option: str, folder: Path) -> None:
     """Refuse a folder that holds what no export wrote, for an export takes its whole place. Raises ConfigError."""
-    others = sorted(path.name for path in folder.iterdir() if path.name not in WRITTEN) if is_folder(folder) else []
+    expected = (*WRITTEN, "__pycache__")  # Python's, once the loop was imported
+    others = sorted(path.name for path in folder.iterdir() if path.name not in expected) if is_folder(folder) else []
     if others:
         named = ", ".join(shown(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (len(others) > _MOST_NAMED)
         raise ConfigError(

@@ -21,7 +21,7 @@ from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_l
 from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core.constants import RECORDED
-from wcsim.core.plugins import find_class
+from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import is_file, is_folder
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
@@ -37,13 +37,13 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_onnx(name):
         return ["onnx", preset, _files(Path(name))]
     if is_own_class(name):
-        return ["class", name, preset, file_digest(Path(_source_of(name, "policy")))]
+        return ["class", name, preset, {part: file_digest(path) for part, path in sources_of(name, "policy").items()}]
     level = split_level(name)[1]
     return ["folder", preset, _files(policy_path(name), "**/*"), *([] if level is None else [level])]
 
 
 def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:
-    """The user's own files that settings and a network's name lead to, by the word that names each.
+    """The user's own files that settings and a network's name lead to, by the word or the file's name.
 
     >>> own_files(("world.action_delay_ticks=2",), "fig6")
     {}
@@ -51,7 +51,7 @@ def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:
     values = (word.partition("=")[2].strip("'\"") for setting in settings for word in setting.split())
     paths = {value: Path(value.removeprefix(RECORDED)) for value in values}
     found = {value: path for value, path in paths.items() if is_file(path)}
-    return {**found, network: Path(_source_of(network, "network"))} if ":" in network else found
+    return {**found, **sources_of(network, "network")} if ":" in network else found
 
 
 def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
@@ -130,12 +130,6 @@ def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfi
     config = with_overrides(load_run_config(preset) if plain else config_of(policy, preset, ()), settings)
     action_set(config.env.actions)
     return config
-
-
-def _source_of(name: str, what: str) -> str:
-    import inspect
-
-    return inspect.getsourcefile(find_class(name, what)) or ""
 
 
 def file_digest(path: Path) -> str:
