@@ -69,20 +69,35 @@ def test_a_jam_that_all_policies_meet_is_told_once(caplog):
     assert [record.getMessage() for record in caplog.records] == ["jam: a", "jam: b", "jam: a"]
 
 
-def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_path, capsys):
+def two_streets(corner, tmp_path, vclass):
+    """A scenario of two streets without pavements for vehicles of one class, and such a vehicle."""
     sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs")
     net = sumocfg.with_name("a.net.xml")
-    edges = (
-        '<edge id="e1" from="a" to="b" numLanes="1" speed="13"/><edge id="e2" from="b" to="c" numLanes="1" speed="13"/>'
-    )
+    kind = f'numLanes="1" speed="13" allow="{vclass}"'
+    edges = f'<edge id="e1" from="a" to="b" {kind}/><edge id="e2" from="b" to="c" {kind}/>'
     nodes = '<node id="a" x="0" y="0"/><node id="b" x="90" y="0"/><node id="c" x="180" y="9"/>'
     (tmp_path / "p.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
     (tmp_path / "p.edg.xml").write_text(f"<edges>{edges}</edges>")
     from wcsim.towns.sumo.tools import run_tool
 
     assert run_tool("netconvert", ["-n", "p.nod.xml", "-e", "p.edg.xml", "-o", str(net)], tmp_path).returncode == 0
-    route = '<vehicle id="v" depart="0"><route edges="e1 e2"/></vehicle>'
-    sumocfg.with_name("a.rou.xml").write_text(f"<routes>{route}</routes>")
+    kind, route = f'<vType id="kind" vClass="{vclass}"/>', '<route edges="e1 e2"/>'
+    text = f'<routes>{kind}<vehicle id="v" type="kind" depart="0">{route}</vehicle></routes>'
+    sumocfg.with_name("a.rou.xml").write_text(text)
+    return sumocfg
+
+
+def test_a_net_without_streets_for_cars_is_told_of_no_paved_copy(corner, tmp_path, capsys):
+    sumocfg = two_streets(corner, tmp_path, "bicycle")
+    words = ["town", "run", str(sumocfg), "--seconds", "1", "--chairs", "0", "--out", str(tmp_path / "none")]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "no walking areas; there is no street that cars use, to lay pavements beside; choose" in said
+    assert "paved copy" not in said and "randomTrips.py" not in said
+
+
+def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_path, capsys):
+    sumocfg = two_streets(corner, tmp_path, "passenger")
     words = ["town", "run", str(sumocfg), "--seconds", "2"]
     assert main([*words, "--chairs", "0", "--out", str(tmp_path / "none")]) == 0
     assert "randomTrips.py" in capsys.readouterr().out  # nobody walks, and how to change that

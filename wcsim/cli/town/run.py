@@ -17,7 +17,7 @@ from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.towns.checks.cures import pave_cure, walkers_cure
+from wcsim.towns.checks.cures import pave_cure, slowest_street_mps, walkers_cure
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
 
@@ -184,7 +184,10 @@ def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
 def _no_persons(town: Town) -> str:
     """What makes somebody walk; first of all pavements, in a net that nobody can walk in."""
     told = "nobody walked: the demand has no persons, or none in this time"
-    if read_net(town.net).lanes(LaneKind.WALKINGAREA):
+    net = read_net(town.net)
+    if net.lanes(LaneKind.WALKINGAREA):
         return f"{told}; {walkers_cure(town)}"
     told = f"{told}, and the net has no walking areas"
+    if slowest_street_mps(net) is None:  # there will be no paved copy
+        return f"{told}; {pave_cure(town)}"
     return f"{told}; first {pave_cure(town)}\nthen, for the paved copy, {walkers_cure(town, paved=True)}"
