@@ -46,12 +46,12 @@ _DEMAND = """<routes>
 _PHASES = ((42, 0, "G"), (3, 0, "y"), (42, 1, "G"), (3, 1, "y"))  # seconds, which street, its letter
 
 
-def write_unpaved(folder: Path, *, lefthand: bool = False) -> Path:
+def write_unpaved(folder: Path, *, lefthand: bool = False, signals: str = "static") -> Path:
     """Write the scenario into a folder, and return its .sumocfg."""
     (folder / "signals").mkdir(parents=True)
     options = ["--grid", "--grid.number", "3", "--grid.length", "120", "-j", "traffic_light", "-L", "2"]
     options += ["--default.speed", "13.8", "--no-turnarounds", "--default.junctions.radius", "0.5"]
-    options += ["-o", "u.net.xml", *(["--lefthand"] * lefthand)]
+    options += ["--tls.default-type", signals, "-o", "u.net.xml", *(["--lefthand"] * lefthand)]
     run = run_tool("netgenerate", options, folder)
     assert run.returncode == 0, run.output
     phases = "".join(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -208,11 +209,42 @@ def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
         edited(data, {0: {"e": "2"}}, "x")
 
 
-def test_a_crossing_that_is_never_green_is_told(
-    theirs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("wcsim.towns.pave.pavements.TOLD", 99)  # the net's own signals are told before
+def never_green(told: Paved) -> list[str]:
+    return [note for note in told.notes if "never gives green" in note]
+
+
+def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved], theirs: Path, tmp_path: Path) -> None:
+    _, _, told = paved
+    (note,) = never_green(told)  # B1 has room for walkers, in its additional file
+    assert "program in the net" in note and "at A1" in note and "at B1" not in note and "--tls.rebuild" in note
+    names = [logic.attrib["id"] for logic in elements(theirs.parent, "u.net.xml") if logic.tag == "tlLogic"]
+    logics = "".join(
+        f'<tlLogic id="{name}" type="static" programID="own" offset="0">'
+        f'<phase duration="30" state="{("G" if name == "B1" else "r") * 16}"/></tlLogic>'
+        for name in names
+    )
     signals = theirs.parent / "signals" / "u.tll.xml"
-    signals.write_text(signals.read_text(encoding="utf-8").replace("rrrr", "gggg"), encoding="utf-8")
-    (note,) = (note for note in pave_town(open_town(theirs), tmp_path / "ours").notes if "never gives green" in note)
-    assert "at B1" in note and "netedit" in note
+    signals.write_text(f"<additional>{logics}</additional>", encoding="utf-8")
+    (note,) = never_green(pave_town(open_town(theirs), tmp_path / "ours"))  # no program in the net is in force
+    assert "program in an additional file" in note and re.findall(r"over \w+ at (\w+)", note) == ["B1"] * 4
+    assert "give them a phase there" in note and "--tls.rebuild" not in note
+
+
+def test_no_ring_of_a_nema_controller_lets_walkers_go(tmp_path: Path) -> None:
+    theirs = write_unpaved(tmp_path / "theirs", signals="NEMA")
+    text = theirs.read_text(encoding="utf-8").replace(",signals/u.tll.xml", "")
+    theirs.write_text(text, encoding="utf-8")
+    told = pave_town(open_town(theirs), tmp_path / "ours")
+    old, new = (
+        {logic.get("id"): logic for logic in elements(place, "u.net.xml") if logic.get("type") == "NEMA"}
+        for place in (theirs.parent, tmp_path / "ours")
+    )
+    assert old.keys() == new.keys() and "B1" in old
+    for name, logic in old.items():
+        for before, after in zip(logic.iter("phase"), new[name].iter("phase"), strict=True):
+            was, now = before.attrib["state"], after.attrib["state"]
+            assert now[: len(was)] == was and set(now[len(was) :]) == {"r"}
+    (note,) = never_green(told)
+    assert "NEMA" in note and "--tls.rebuild" in note
+    run = run_tool("sumo", ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 30.0), "--no-step-log"], tmp_path)
+    assert run.returncode == 0 and "Error" not in run.output and "etector" not in run.output, run.output

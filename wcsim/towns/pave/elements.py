@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
 from wcsim.towns.pave.lanes import LaneMap
-from wcsim.towns.pave.signals import SignalLinks, padded
+from wcsim.towns.pave.signals import SignalLinks, padded, shut
 
 SAME_M = 0.01  # as nets are written
 FAR_M = 0.05  # a place that moved farther is told
@@ -24,7 +24,17 @@ _IDS = (("closingLaneReroute", "id"), ("lane", "id"), ("param", "key"))  # attri
 _POSITIONS = ("pos", "startPos", "endPos")
 _VEHICLES = ("vehicle", "trip", "flow")
 _PEOPLE = ("person", "personFlow")
+_RINGS = "NEMA"  # the type of programs that show a phase of each ring at once
 Ends = tuple[str, str]  # the first and the last edge of a way
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NeverGreen:
+    """A crossing that one of its signal's programs never gives green."""
+
+    signal: str
+    edge: str  # one that is crossed
+    in_net: bool  # where the program lies; else in an additional file
 
 
 @dataclass(slots=True, kw_only=True)
@@ -39,7 +49,8 @@ class Paving:
     programs: int = 0
     moved_m: dict[str, float] = field(default_factory=dict)  # element -> how far, where that is farther than FAR_M
     lost: list[str] = field(default_factory=list)  # lanes within junctions that nobody finds again
-    never_green: list[tuple[str, str]] = field(default_factory=list)  # signal, an edge that is crossed
+    never_green: list[NeverGreen] = field(default_factory=list)
+    overridden: set[str] = field(default_factory=set)  # signals of which SUMO loads a program after the net's
     parking: list[str] = field(default_factory=list)  # parking areas beside lanes that have a pavement now
 
 
@@ -62,14 +73,14 @@ def _first_member(distribution: Element) -> str:
     return names[0] if names else next((child.get("refId", "") for child in distribution), "")
 
 
-def edits_of(root: Element, paving: Paving) -> dict[int, dict[str, str]]:
-    """Attributes of a file that get other values: number of the element -> attribute -> value."""
+def edits_of(root: Element, paving: Paving, *, in_net: bool = False) -> dict[int, dict[str, str]]:
+    """Attributes of a file, or of the net, that get other values: number of the element -> attribute -> value."""
     found: dict[int, dict[str, str]] = {}
     number_of = {element: number for number, element in enumerate(root.iter())}
     for element, number in number_of.items():
         tag = _tag(element)
         if tag == "tlLogic":
-            found |= _program(element, number_of, paving)
+            found |= _program(element, number_of, paving, in_net)
         changes = _placed(element, tag, paving) | _travelling(element, tag, paving)
         if changes := {key: value for key, value in changes.items() if value != element.get(key)}:
             found[number] = changes
@@ -176,23 +187,26 @@ def _ends(element: Element, paving: Paving) -> Ends | None:
     return named or ((start or end, end or start) if start or end else None)
 
 
-def _program(logic: Element, number_of: Mapping[Element, int], paving: Paving) -> dict[int, dict[str, str]]:
-    links = paving.signals.get(logic.get("id", ""))
+def _program(
+    logic: Element, number_of: Mapping[Element, int], paving: Paving, in_net: bool
+) -> dict[int, dict[str, str]]:
+    signal = logic.get("id", "")
+    links = paving.signals.get(signal)
     phases = [child for child in logic if _tag(child) == "phase" and child.get("state")]
     if links is None or not phases:
         return {}
     paving.programs += 1
-    states = padded(
-        [phase.get("state", "") for phase in phases],
-        [_number(phase.get("duration")) or 0.0 for phase in phases],
-        links,
-    )
-    never = [link for link in links.crossings if all(state[link] == "r" for state in states)]
-    paving.never_green += [(logic.get("id", ""), min(links.crossings[link])) for link in never]
+    if not in_net:
+        paving.overridden.add(signal)
+    given = [phase.get("state", "") for phase in phases]
+    durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
+    states = shut(given, links) if logic.get("type") == _RINGS else padded(given, durations_s, links)
+    never = [min(links.crossings[link]) for link in links.crossings if all(state[link] == "r" for state in states)]
+    paving.never_green += [NeverGreen(signal=signal, edge=edge, in_net=in_net) for edge in never]
     return {
         number_of[phase]: {"state": state}
-        for phase, state in zip(phases, states, strict=True)
-        if state != phase.get("state")
+        for phase, old, state in zip(phases, given, states, strict=True)
+        if state != old
     }
 
 

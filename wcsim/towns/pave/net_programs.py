@@ -21,7 +21,7 @@ def keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     programs = Element("additional")
     programs.extend(logic for logic in before.iterfind("tlLogic") if logic.get("id") in paving.signals)
     elements = list(programs.iter())
-    for number, changes in edits_of(programs, paving).items():
+    for number, changes in edits_of(programs, paving, in_net=True).items():
         elements[number].attrib.update(changes)
     theirs = {logic.get("id") for logic in programs}
     made = [logic for logic in after.iterfind("tlLogic") if logic.get("id") in theirs]

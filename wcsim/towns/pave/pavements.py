@@ -171,19 +171,27 @@ def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
         notes.append(
             f"parking areas beside a lane lie on its new pavement: {names}; move them in netedit where chairs must pass"
         )
-    if paving.never_green:
-        never = tuple(dict.fromkeys(paving.never_green))
-        told = ", ".join(f"over {edge} at {signal}" for signal, edge in never[:TOLD]) + " and more" * (
-            len(never) > TOLD
-        )
-        notes.append(
-            f"crossings that their signal's program never gives green, for cars come over them in every phase: {told}; "
-            f"give them a phase in netedit, or {signals_cure(net)}"
-        )
+    notes += _never_green(paving, f"give them a phase in netedit, or {signals_cure(net)}", in_net=True)
+    notes += _never_green(paving, "give them a phase there", in_net=False)
     if paving.lost:
         names = ", ".join(paving.lost[:TOLD]) + " and more" * (len(paving.lost) > TOLD)
         notes.append(f"lanes within junctions that are not there any more: {names}; what names them must be moved")
     return tuple(notes)
+
+
+def _never_green(paving: Paving, cure: str, *, in_net: bool) -> list[str]:
+    """Crossings without a phase in the programs in the net that are in force, or in those of additional files."""
+    found = dict.fromkeys(
+        f"over {item.edge} at {item.signal}"
+        for item in paving.never_green
+        if item.in_net == in_net and not (in_net and item.signal in paving.overridden)
+    )
+    if not found:
+        return []
+    told = ", ".join(list(found)[:TOLD]) + " and more" * (len(found) > TOLD)
+    place = "the net" if in_net else "an additional file"
+    why = "for cars may come over them in each of its phases (of which a NEMA controller shows two at once)"
+    return [f"crossings that their signal's program in {place} never gives green, {why}: {told}; {cure}"]
 
 
 def _copy_town_toml(town: Town, work: Path, base: Path) -> None:

@@ -82,6 +82,14 @@ def padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLin
     return tuple(made)
 
 
+def shut(states: Sequence[str], links: SignalLinks) -> tuple[str, ...]:
+    """The states of a program, in their order, with each new crossing at red, and nobody else's letter changed.
+
+    So it is for a NEMA controller: it shows a state of each ring at once, and none of them alone tells who drives.
+    """
+    return tuple("".join(_with_crossings(_moved(state, links), frozenset(), links)) for state in states)
+
+
 def _settled(changing: Sequence[bool], number: int) -> int:
     """The first state from `number` on in which lights do not change; the last one before it where all do."""
     later = number
