@@ -28,6 +28,7 @@ def test_a_served_drive_is_kept_world_by_world(
             page.state(lambda state: state["paused"])
             page.say("pause", on=False)
             page.say("again")
+            page.until(lambda message: message["say"] == "about")  # before, states may be of the old world
             page.drive_off()
             page.say("open", town=str(corner), seed=9)
             page.until(lambda message: message["say"] == "about" and message["place"].endswith("seed 9"))
