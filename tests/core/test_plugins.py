@@ -57,7 +57,10 @@ def test_what_is_installed_comes_before_the_current_folder(folder):
 
 def test_the_sources_of_a_class_are_its_file_and_what_it_imports_beside_it(folder):
     (folder / "own_unused.py").write_text("")
-    (folder / "own_base_net.py").write_text("import numpy, wcsim.errors\nclass Base:\n    size = 3\n")
+    (folder / "runs").mkdir()  # no package, whatever imports one of its name
+    (folder / "own_base_net.py").write_text(
+        "import numpy, wcsim.errors\nclass Base:\n    size = 3\n    def late(self):\n        import runs\n"
+    )
     names = ["own_base_net.py", "own_big_net.py", "own_late_part.py"]
     assert list(sources_of("own_big_net:Bigger", "network")) == names
     assert sources_of("json.decoder:JSONDecoder", "network").keys() == {"decoder.py"}

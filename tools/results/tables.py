@@ -89,11 +89,9 @@ def delay_text(out: Path, runs: Sequence[str]) -> str:
         return ""
     late, prompt = (_scores(path) for path in both)
     lines = ["| network | score with the delay | without | of it |", "|---|---|---|---|"]
-    lines += [
-        f"| {name} | {late[str(out / name)]:.3f} | {prompt[str(out / name)]:.3f} "
-        f"| {100.0 * late[str(out / name)] / prompt[str(out / name)]:.0f} % |"
-        for name in runs
-    ]
+    for name in runs:
+        with_it, without = (scores[str(out / name)] for scores in (late, prompt))
+        lines.append(f"| {name} | {with_it:.3f} | {without:.3f} | {100.0 * with_it / without:.0f} % |")
     return "\n".join([*lines, ""])
 
 

@@ -6,9 +6,9 @@ runs here.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
-import inspect
 import re
 import sys
 import sysconfig
@@ -17,6 +17,7 @@ from importlib.machinery import ModuleSpec, PathFinder
 from modulefinder import ModuleFinder
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from wcsim.core.reading import is_file, shown
 from wcsim.errors import PolicyError, WcsimError
@@ -49,7 +50,7 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
 
 
 def sources_of(name: str, what: str) -> dict[str, Path]:
-    """The file of the class that `module:Class` names, and all beside it that it imports, at once or later.
+    """The file of the module that `module:Class` names, and all beside it that it imports, at once or later.
 
     What is installed is left to its version, and wcsim to its own digest.
 
@@ -60,15 +61,14 @@ def sources_of(name: str, what: str) -> dict[str, Path]:
         PolicyError: There is no such class.
     """
     module = name.partition(":")[0]
-    own = Path(inspect.getsourcefile(find_class(name, what)) or "").absolute()
+    find_class(name, what)
+    own = Path(sys.modules[module].__file__ or "").absolute()
     folder = own.parents[module.count(".") + (own.name == _PACKAGE)]
     if str(folder) in map(sysconfig.get_path, ("purelib", "platlib", "stdlib")):
         return {own.name: own}
-    finder = ModuleFinder(path=[str(folder)], excludes=["wcsim"])
-    try:
+    finder = _Beside(path=[str(folder)], excludes=["wcsim"])
+    with contextlib.suppress(ImportError):  # below a folder that is no package
         finder.import_hook(module)
-    except (ImportError, SyntaxError):  # a class that its module has from elsewhere
-        return {own.name: own}
     files = (getattr(each, "__file__", None) for each in finder.modules.values())
     found = {own, *(Path(file) for file in files if file)}
     return {path.relative_to(folder).as_posix(): path for path in sorted(found)}
@@ -106,6 +106,16 @@ def _look_here(name: str) -> bool:
     if _CurrentFolder not in sys.meta_path:
         sys.meta_path.append(_CurrentFolder)
     return _is_found(name)
+
+
+class _Beside(ModuleFinder):
+    """Finds what a module imports, without running it; a folder alone is no package here, and would end it."""
+
+    def find_module(self, name: str, path: Any, parent: Any = None) -> Any:
+        found = PathFinder.find_spec(name, self.path if path is None else path)
+        if found is None or found.loader is None:
+            raise ImportError(name)
+        return super().find_module(name, path, parent)
 
 
 class _CurrentFolder:
