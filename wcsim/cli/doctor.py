@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
 from wcsim.cli.shared.common import OutFile, parse, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.errors import WcsimError
 
 PACKAGES = (
@@ -67,7 +67,7 @@ def run(words: list[str]) -> int:
     table = Table("check", "", Column("found", overflow="fold"))
     for item in findings:
         table.add_row(item.check, "ok" if item.ok else "FAILS", Text(item.says))
-    Console().print(table)
+    stdout_console().print(table)
     if options.json is not None:
         write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
     return 0 if all(item.ok for item in findings) else 2

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 
 from wcsim.agents.networks.names import NETWORK_NAMES, require_network
 from wcsim.cli.shared.common import OutFile, parse, some_words, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.errors import ConfigError
 
@@ -37,7 +38,6 @@ def run(words: list[str]) -> int:
             f"--width {options.width}, --height {options.height}, --runs {options.runs}; expected 8 to 2048 pixels "
             "each way, and 1 run or more"
         )
-    from rich.console import Console
     from rich.table import Table
 
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, cost_of  # torch is loaded here
@@ -50,7 +50,7 @@ def run(words: list[str]) -> int:
             *(cost.name, str(cost.window), f"{cost.params:,}", f"{cost.macs / 1e6:.1f} M", f"{cost.mb:.1f}"),
             *(f"{cost.p50_ms:.2f}", f"{cost.p99_ms:.2f}", onnx, "yes" if cost.within_100_ms else "no"),
         )
-    Console().print(table)
+    stdout_console().print(table)
     print(
         f"pictures of {options.width}x{options.height}, one core; fits: {LIMIT_MS:g} ms less {RESERVE_MS:g} ms, which "
         "a real chair needs for the classes of its pictures"

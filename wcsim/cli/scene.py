@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from wcsim.cli.shared.common import OutFile, check_output, parse, subcommand, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import shown
@@ -119,7 +119,7 @@ def _list() -> int:
             broken.append(str(error))
             continue
         table.add_row(folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(shown(scene.shows, 2000)))
-    Console().print(table)
+    stdout_console().print(table)
     if broken:
         raise ConfigError("; ".join(broken))
     return 0
@@ -135,7 +135,7 @@ def _run(options: RunOptions) -> int:
     for outcome in outcomes:
         told = "; ".join(outcome.faults) or _words(outcome.facts)
         table.add_row(outcome.name, "FAILS" if outcome.faults else "ok", Text(told))
-    Console().print(table)
+    stdout_console().print(table)
     if options.json is not None:
         write_json(
             options.json,

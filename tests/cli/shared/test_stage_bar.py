@@ -31,7 +31,7 @@ def test_what_was_done_before_takes_no_time_now(capsys):
 def test_a_row_fits_into_80_characters(monkeypatch, capsys):
     made = Console
     monkeypatch.setattr(
-        "wcsim.cli.shared.stage_bar.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
+        "wcsim.cli.shared.consoles.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
     )
     now_s = [0.0]
     with StageBar("learning", clock=lambda: now_s[0]) as bar:
@@ -48,7 +48,7 @@ def test_names_beside_a_bar_are_no_markup(monkeypatch, capsys):
     """A class called Robot was shown as the picture of one, and a folder in brackets not at all."""
     made = Console
     monkeypatch.setattr(
-        "wcsim.cli.shared.stage_bar.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
+        "wcsim.cli.shared.consoles.Console", lambda **asked: made(**asked, force_terminal=True, width=80)
     )
     with StageBar("own:Robot: of [a]") as bar:
         bar.show(0.5, "own:Robot: in [b]")

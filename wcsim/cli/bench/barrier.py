@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import load_run_config
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
@@ -40,7 +40,7 @@ def run(options: BarrierOptions) -> int:
     from wcsim.bench.barrier.barrier_cost import measure_barrier
 
     costs: dict[str, BarrierCost] = {}
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=stderr_console(), transient=True) as bar:
         for name in ("ipc", "tcp"):
             task = bar.add_task(name, total=options.ticks)
 

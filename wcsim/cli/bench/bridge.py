@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rich.console import Console
 from rich.progress import Progress
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import load_run_config
 from wcsim.towns.scenario.town import find_town
 
@@ -37,7 +37,7 @@ def run(options: BridgeOptions) -> int:
 
     from wcsim.bench.tick.bridgeless_world import measure_bridge  # loads the simulators, which --help must not
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=stderr_console(), transient=True) as bar:
         task = bar.add_task("ticks", total=options.ticks)
         cost = measure_bridge(town, config, options.ticks, options.seed, lambda n: bar.update(task, completed=n))
     print(

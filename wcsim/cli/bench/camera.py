@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Column, Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import CameraConfig
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -51,7 +51,7 @@ def run(options: CameraOptions) -> int:
     measured = {name: _measure(towns[name], camera, count, options) for name, count in shares.items()}
     every = pooled([picture for some, _ in measured.values() for picture in some])
     rows = {name: pooled(some) for name, (some, _) in measured.items()}
-    console = Console()
+    console = stdout_console()
     console.print(_table({**rows, "all": every} if len(rows) > 1 else rows))
     for name, (_, six) in measured.items():
         console.print(

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Column, Table
 
 from wcsim.bench.chair.compare import Change, changes
@@ -24,6 +23,7 @@ from wcsim.cli.shared.common import (
     words_of,
     write_json,
 )
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
@@ -97,7 +97,7 @@ def _setup(config: RunConfig, plant: str, options: ChairOptions) -> Setup:
 def _bench(setups: Mapping[str, Setup], options: ChairOptions) -> int:
     found = {plant: _table(plant, setup, options) for plant, setup in setups.items()}
     for plant, rows in found.items():
-        Console().print(_shown(plant, rows))
+        stdout_console().print(_shown(plant, rows))
         for line in _remarks(rows):
             print(line)
     if options.json is not None:
@@ -112,7 +112,7 @@ def _compare(setups: Mapping[str, Setup], options: ChairOptions) -> int:
         for plant, setup in setups.items()
     }
     for plant, rows in found.items():
-        Console().print(_compared(plant, rates, rows))
+        stdout_console().print(_compared(plant, rates, rows))
     if options.json is not None:
         plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
         write_json(options.json, {"hz": rates, "plants": plain})
@@ -132,7 +132,7 @@ def _table(plant: str, setup: Setup, options: ChairOptions) -> list[Row]:
     from wcsim.bench.chair.rows.table import table  # loads the engine, which --help must not
 
     what = f"{plant} at {setup.hz} Hz"
-    with Console(stderr=True).status(what) as status:
+    with stderr_console().status(what) as status:
         return table(setup, words_of(options.rows), options.workers, lambda name: status.update(f"{what}: {name}"))
 
 

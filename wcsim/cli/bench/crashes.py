@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
@@ -23,6 +22,7 @@ from wcsim.cli.shared.common import (
     some_words,
     write_json,
 )
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
@@ -80,13 +80,13 @@ def run(options: CrashesOptions) -> int:
     require_user(options.profile)
     towns = by_name(find_town(name) for name in some_words("--town", options.town))
     drives: list[CrashDrive] = []
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=stderr_console(), transient=True) as bar:
         for town in towns.values():
             for name in names:
                 drives.append(_driven(options, config, town.address, name, bar))
                 if options.out is not None:
                     write_json(options.out / f"{town.name}-{name}.json", as_json(drives[-1]))
-    console = Console()
+    console = stdout_console()
     console.print(_classes(drives), _control(drives))
     for line in _lines(drives):
         console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -56,7 +56,7 @@ def run(options: CurveOptions) -> int:
 
     from wcsim.bench.curve.cost_curve import Grids, over_actors, over_chairs, over_size
 
-    with tempfile.TemporaryDirectory(prefix="wcsim-") as folder, Progress(console=Console(stderr=True)) as bar:
+    with tempfile.TemporaryDirectory(prefix="wcsim-") as folder, Progress(console=stderr_console()) as bar:
 
         def progress(what: str) -> Callable[[int], None]:
             task = bar.add_task(what, total=options.ticks)
@@ -69,7 +69,7 @@ def run(options: CurveOptions) -> int:
             over_size(grids, grid_config, sides_km, ticks, seed, progress("size")),
         )
     for curve in curves:
-        Console().print(_table(curve))
+        stdout_console().print(_table(curve))
     if options.json is not None:
         write_json(options.json, {curve.axis: _row(curve) for curve in curves})
     return int(any(curve.steep for curve in curves))

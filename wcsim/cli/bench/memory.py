@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -63,7 +63,7 @@ def run(options: MemoryOptions) -> int:
 
     from wcsim.bench.memory.roam import RoamingWorld, growth_mb, roam
 
-    with RoamingWorld(town, config, specs, options.seed) as world, Progress(console=Console(stderr=True)) as bar:
+    with RoamingWorld(town, config, specs, options.seed) as world, Progress(console=stderr_console()) as bar:
         task = bar.add_task(f"{options.chairs} chairs in {town.name}", total=options.ticks)
 
         def seen(row: MemoryRow) -> None:
@@ -75,7 +75,7 @@ def run(options: MemoryOptions) -> int:
 
         rows: list[MemoryRow] = []
         roam(world, options.ticks, options.every, options.seed, seen)
-    Console().print(_table(rows, growth_mb(rows)))
+    stdout_console().print(_table(rows, growth_mb(rows)))
     return 0
 
 

@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.clients import client_names
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
@@ -76,7 +77,7 @@ def run(options: ParallelOptions) -> int:
     names, here = client_names(networks), len(os.sched_getaffinity(0))
     sizes = _numbers("--sizes", options.sizes, len(networks)) or (len(networks),)
     cores = _numbers("--cores", options.cores, here) or (here,)
-    console = Console(highlight=False)
+    console = stdout_console()
     with tempfile.TemporaryDirectory(prefix="wcsim-parallel-") as work:
         alone = []
         for number, network in enumerate(networks):

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.towns.scenario.town import find_town
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -49,7 +49,7 @@ def run(options: ReactionOptions) -> int:
 
     from wcsim.bench.reaction.battery import BatteryOrder, run_battery
 
-    console = Console()
+    console = stdout_console()
     order = BatteryOrder(
         town=options.town,
         seed=options.seed,

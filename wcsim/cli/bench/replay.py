@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import load_run_config
 from wcsim.towns.scenario.town import find_town
 
@@ -56,7 +56,7 @@ def run(options: ReplayOptions) -> int:
     costs: dict[str, StateCost] = {}
     with (
         tempfile.TemporaryDirectory(prefix="wcsim-replay-") as work,
-        Progress(console=Console(stderr=True), transient=True) as bar,
+        Progress(console=stderr_console(), transient=True) as bar,
     ):
         for name, config in configs.items():
             task = bar.add_task(name, total=options.states)
@@ -70,13 +70,13 @@ def run(options: ReplayOptions) -> int:
         "write_ms": max(cost.write_ms for cost in costs.values()),
         "read_ms": max(cost.read_ms for cost in costs.values()),
     }
-    Console().print(_table(costs))
+    stdout_console().print(_table(costs))
     if options.json is not None:
         write_json(options.json, found)
     judged = (options.width, options.height) == MOST_OF
     above = [name for name, value in found.items() if judged and value > MOST[name]]
     for name in above:
-        Console(stderr=True).print(f"{name} is {found[name]:.2f}; expected at most {MOST[name]}")
+        stderr_console().print(f"{name} is {found[name]:.2f}; expected at most {MOST[name]}")
     return int(bool(above))
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, WcsimError
@@ -273,13 +273,13 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
         lease_s=3.0 if options.lease is None else options.lease,
         recovery=options.recovery,
     )
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=stderr_console(), transient=True) as bar:
         task = bar.add_task("soaking", total=order.seconds)
         return soak(order, lambda done_s: bar.update(task, completed=done_s))
 
 
 def _print(told: Mapping[str, int | float | str | None], wrong: Sequence[str]) -> None:
-    console = Console(highlight=False)
+    console = stdout_console()
     for key, value in told.items():
         console.print(f"{key:<24}{'-' if value is None else f'{value:.4g}' if isinstance(value, float) else value}")
     console.print("all as it should be" if not wrong else f"not as it should be: {', '.join(wrong)}")

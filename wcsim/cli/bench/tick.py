@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
@@ -66,7 +66,7 @@ def run(options: TickOptions) -> int:
 
     naive = NaiveWorld if options.naive else None
     costs: dict[int, TickCost] = {}
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with Progress(console=stderr_console(), transient=True) as bar:
         for chairs in numbers:
             task = bar.add_task(f"{chairs} chairs", total=options.ticks)
 
@@ -74,7 +74,7 @@ def run(options: TickOptions) -> int:
                 bar.update(task, completed=done)
 
             costs[chairs] = measure_tick(town, config, chairs, options.ticks, options.seed, naive, seen)
-    Console().print(_table(costs))
+    stdout_console().print(_table(costs))
     if options.json is not None:
         rows = {str(chairs): _row(cost) for chairs, cost in costs.items()}
         rss_mb = max(cost.rss_mb for cost in costs.values())
@@ -90,7 +90,7 @@ def _profile(options: TickOptions, town: Town, config: RunConfig, numbers: list[
         table = Table("part", "function", "calls a tick", "ms a tick", "share", title=f"{chairs} wheelchairs")
         for row in rows:
             table.add_row(row.part, escape(row.name), f"{row.calls:.1f}", f"{row.own_ms:.3f}", f"{row.share:.1%}")
-        Console().print(table)
+        stdout_console().print(table)
     if options.json is not None:
         write_json(options.json, {str(chairs): [asdict(row) for row in rows] for chairs, rows in found.items()})
     return 0

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.config import RunConfig, load_run_config
 from wcsim.towns.scenario.town import Town, find_town
@@ -68,7 +68,7 @@ def run(options: UsersOptions) -> int:
     seeds = range(options.seed, options.seed + len(towns))
     driven = _drive(options, towns, config, names, options.seconds, seeds)
     rows = {name: _statistics(routes) for name, routes in driven.items()}
-    console = Console()
+    console = stdout_console()
     console.print(_table(rows))
     result: dict[str, Any] = {name: {key: asdict(row) for key, row in found.items()} for name, found in rows.items()}
     if options.arrivals:
@@ -97,7 +97,7 @@ def _drive(
     """All routes by profile, shared out among the towns."""
     from wcsim.bench.users.drives import drive_routes
 
-    console = Console(stderr=True, highlight=False)
+    console = stderr_console()
     found: dict[str, list[DrivenRoute]] = {name: [] for name in names}
     for number, town in enumerate(towns):
         share = len(range(number, options.routes, len(towns)))
@@ -132,7 +132,7 @@ def _crossings(options: UsersOptions, towns: Sequence[Town], config: RunConfig) 
     """How users came onto crossings with a light, by whether they keep to the law."""
     from wcsim.bench.users.crossings import approach_crossings, colours
 
-    console = Console(stderr=True, highlight=False)
+    console = stderr_console()
 
     def tell(text: str) -> None:
         console.print(text, style="dim")

@@ -15,6 +15,7 @@ from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, said_of
 from wcsim.cli.shared.run_config import require_unset
@@ -92,7 +93,7 @@ def run_suites(words: list[str]) -> int:
 
     added = () if options.only or options.sensitivity else (*NAMES, *UPPER_BOUNDS)
     names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
-    told = Console(stderr=True, highlight=False, emoji=False)
+    told = stderr_console()
     order = replace(_order(options, suite, out), machines=_machines(options, told), look=_look(options, told))
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
     told.print(f"{listed}: {suite.episodes} episodes a policy", markup=False)
@@ -114,7 +115,7 @@ def _judge(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: 
     records = run_suite(order, names, lambda name, done, of: say(f"{name}: {done} of {of} blocks"))
     result = keep_result(order, options.suite, records)
     without = [line for name, found in records.items() for line in undriven(name, found)]
-    show_result(Console(emoji=False), result, order.settings, without)
+    show_result(stdout_console(), result, order.settings, without)
     if options.json is not None:
         write_json(options.json, result)
     return _exit_of(result["pooled"])
@@ -127,7 +128,7 @@ def _disturb(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say
     file = order.suite.file
     moved = sensitivity(order, names, say)
     write_json(order.out / "sensitivity.json", moved)
-    show_sensitivity(Console(emoji=False), f"{file.suite} {file.set}", moved)
+    show_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
     if options.json is not None:
         write_json(options.json, {"suite": file.suite, "set": file.set, "rows": moved})
     return _exit_of(moved)

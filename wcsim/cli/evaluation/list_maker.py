@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.shared.common import MOST_JOBS, check_output, in_bounds, parse
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.stage_bar import told_left
 
 
@@ -64,7 +64,7 @@ def make_list(words: list[str]) -> int:
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
     from wcsim.agents.evaluation.suite.result_files import TOWNS
 
-    told = Console(stderr=True, highlight=False, emoji=False)
+    told = stderr_console()
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
             suite=options.name,
@@ -84,7 +84,7 @@ def make_list(words: list[str]) -> int:
     write_list(file, options.suite_file)
     suite, many = suite_of(file), len(file.blocks)
     counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
-    Console(emoji=False).print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
+    stdout_console().print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
     return 0
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import is_file, shown
 from wcsim.errors import ConfigError
 
@@ -67,7 +68,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
         round(_LAST_S / config.world.tick_s),
         lambda world, steps: film_steps(film, map_of(world, _MAP_PX, _MAP_SPAN_M), steps, config),
     )
-    console = Console(highlight=False, emoji=False)
+    console = stdout_console()
     _tell(console, played, config.world.tick_s)
     twin = next((item for item in kept if (item.record.block, item.record.seat) == (index, seat)), None)
     if twin is not None:

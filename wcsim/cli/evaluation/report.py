@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, FileError
 
@@ -54,7 +54,7 @@ def run(words: list[str]) -> int:
     if find_spec("matplotlib") is None:
         raise ConfigError("figures are drawn by matplotlib, which is not here: python -m pip install 'wcsim[report]'")
     path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
-    Console(highlight=False, emoji=False).print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
+    stdout_console().print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
     return 0
 
 
@@ -78,10 +78,10 @@ def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
     training = read_training(folders)
     page = write_training_page(training, out, (*selections(training), *waitings(training)))
     for name, crossed in crossings(training).items():
-        Console(highlight=False, emoji=False).print(f"{name}: {crossed.told()}", soft_wrap=True, markup=False)
+        stdout_console().print(f"{name}: {crossed.told()}", soft_wrap=True, markup=False)
     for name, rounds in training.rounds.items():
         if rounds:
-            Console(highlight=False, emoji=False).print(f"{name}: {told_of(rounds)}", soft_wrap=True, markup=False)
+            stdout_console().print(f"{name}: {told_of(rounds)}", soft_wrap=True, markup=False)
     return page
 
 
@@ -96,7 +96,7 @@ def _of_test(options: Options, folder: Path) -> Path:
         pictures, why_none = _pictures(options, result, failures), ""
     except FileError as error:  # the numbers stand without pictures
         pictures, why_none = {}, f"No pictures: {error}"
-        Console(stderr=True, highlight=False, emoji=False).print(why_none, soft_wrap=True, markup=False)
+        stderr_console().print(why_none, soft_wrap=True, markup=False)
     return write_suite_page(result, folder, failures, pictures, why_none)
 
 
@@ -106,7 +106,7 @@ def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisod
     wanted = chosen(failures, options.pictures)
     if not wanted:
         return {}
-    told = Console(stderr=True, highlight=False, emoji=False)
+    told = stderr_console()
     return illustrated(
         order_of(result, options.folders[0], options.own),
         wanted,

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 
 from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_plain, open_named, settings_of
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
@@ -20,6 +19,7 @@ from wcsim.agents.runs.run_folder import config_of, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, says, some_words, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
@@ -85,7 +85,7 @@ def run(words: list[str]) -> int:
         return run_suites(words)
     options = parse(Options, words, "test")
     results = test_policies(options)
-    console = Console(emoji=False)
+    console = stdout_console()
     for result in results:
         console.print(*result.tables(console.width))
         if result.uneventful:
@@ -134,7 +134,7 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
 
     for town in towns.values() if overrides else ():
         told = overrides_of(town, config, options.seed)
-        print_overrides(Console(highlight=False, emoji=False), town.name, told, verbose=options.verbose)
+        print_overrides(stdout_console(), town.name, told, verbose=options.verbose)
 
     plan = TestPlan(
         towns=tuple(towns),

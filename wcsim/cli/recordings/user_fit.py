@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, check_output, write_json, write_whole
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.drive.keeping.kept_files import require_new
 from wcsim.errors import ConfigError
 from wcsim.users.profile_file import profile_text
@@ -122,6 +122,6 @@ def _print(fit: UserFit) -> None:
     for name, item in fit.estimates.items():
         told = "" if is_told(name, item) else "not told to 15 %"
         table.add_row(name, f"{item.value:.3g}", f"{item.low:.3g}", f"{item.high:.3g}", told)
-    Console().print(table)
+    stdout_console().print(table)
     for line in fit.warnings:
         print(f"note: {line}", file=sys.stderr)

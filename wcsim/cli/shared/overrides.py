@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import shown
 from wcsim.towns.scenario.overrides import Override
 
@@ -23,7 +24,7 @@ _CALIBRATED = "step-length"  # what drivers were calibrated with: to run otherwi
 
 def beside(live: Console) -> Console:
     """Where to print results while something is drawn anew on a terminal: above it, or to an output that is a file."""
-    out = Console(highlight=False, emoji=False)
+    out = stdout_console()
     return live if live.is_terminal and out.is_terminal else out
 
 

@@ -8,8 +8,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+from wcsim.cli.shared.consoles import stderr_console
 
 _BAR_WIDTH = 16  # with what is said beside it a row has 80 characters
 _TOLD = ("description", "fields[says]", "fields[left]")
@@ -32,7 +33,7 @@ class StageBar:
     """A stage of a command and how far it has come; a context manager."""
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.console = Console(stderr=True, highlight=False, emoji=False)
+        self.console = stderr_console()
         names, *text = (TextColumn(f"{{task.{what}}}", markup=False) for what in _TOLD)  # names are no markup
         columns = (names, BarColumn(_BAR_WIDTH), *text)
         self._bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)

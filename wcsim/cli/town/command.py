@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Column, Table
 
 from wcsim.cli.shared.common import OutFile, parse, subcommand, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.cli.town.import_ import run as run_import
 from wcsim.cli.town.make import TownMakeOptions
@@ -73,7 +73,7 @@ def _list() -> int:
     table = Table("town", "split", Column("folder", overflow="fold"))
     for town in list_towns():
         table.add_row(town.folder.name, town.split, str(town.folder))
-    Console().print(table)
+    stdout_console().print(table)
     return 0
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
+from wcsim.cli.shared.consoles import stderr_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, print_costs
 from wcsim.cli.town.trial import checked
@@ -157,7 +157,7 @@ def _built_in_silence(town: Town) -> Street:
 
 
 def _say(told: str) -> None:
-    Console(stderr=True, highlight=False).print(told, style="dim", markup=False, soft_wrap=True)
+    stderr_console().print(told, style="dim", markup=False, soft_wrap=True)
 
 
 def _needed(box: Box | None) -> Box:

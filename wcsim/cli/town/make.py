@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.cli.town.trial import checked
@@ -65,14 +65,14 @@ def run(options: TownMakeOptions) -> int:
 
     from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
 
-    console = Console(stderr=True, highlight=False)
+    console = stderr_console()
     clock = StageClock(lambda told: console.print(told, style="dim", markup=False, soft_wrap=True))
     town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
     print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
     report = checked(town, told=clock.begin)
     costs = clock.costs()
     code = print_report(report)
-    Console().print(costs_table(costs))
+    stdout_console().print(costs_table(costs))
     if result is not None:
         write_json(result, {**report_json(report, time.monotonic() - started_s), "cpu": costs_json(costs)})
     return code

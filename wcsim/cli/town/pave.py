@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from wcsim.cli.shared.common import OutFile, check_folder, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.trial import try_town
 from wcsim.towns.checks.cures import FASTEST_MPS
@@ -48,13 +48,13 @@ def run(options: PaveOptions) -> int:
     from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
     from wcsim.towns.pave.pavements import pave_town
 
-    told = Console(stderr=True, highlight=False, style="dim")
-    told.print(f"building pavements into {options.out}", markup=False)
+    told = stderr_console()
+    told.print(f"building pavements into {options.out}", style="dim", markup=False)
     paved = pave_town(bare, options.out, options.max_speed)
     town = find_town(str(paved.sumocfg))
-    told.print("letting SUMO run its first steps")
+    told.print("letting SUMO run its first steps", style="dim")
     try_town(town)
-    told.print("building the street of it, and checking it")
+    told.print("building the street of it, and checking it", style="dim")
     report = check_town(town)
     _print(paved)
     print_report(report)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
 from rich.table import Table
+
+from wcsim.cli.shared.consoles import stdout_console
 
 if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
@@ -21,7 +22,7 @@ def print_report(report: TownReport) -> int:
     table.add_row("trips that find no way", str(report.unroutable))
     table.add_row("faults in the mesh", str(report.mesh_faults))
     table.add_row("traffic keeps to the", "left" if report.lefthand else "right")
-    console = Console()
+    console = stdout_console()
     console.print(table)
     for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):
         console.print(line, markup=False, highlight=False, soft_wrap=True)

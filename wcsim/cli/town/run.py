@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, words_of, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import seeding
@@ -71,7 +71,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"--out {out} exists and is not empty; choose another folder, or remove it")
     facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
-    console = Console()
+    console = stdout_console()
     console.print(_table(town.name, facts))
     for line in crash_lines(facts.crashed):
         print(line)
@@ -95,7 +95,7 @@ def _config(options: RunOptions) -> RunConfig:
 def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]) -> TrafficFacts:
     from wcsim.bridge.town_run import RecordOrder, record_town
 
-    console = Console(stderr=True, highlight=False)
+    console = stderr_console()
     if not options.chairs and town.file.warmup_s is not None:
         town = replace(town, file=town.file.model_copy(update={"warmup_s": None}))
     manifest = _manifest(options, town, config, command)
@@ -103,7 +103,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
 
     def opened(scenario: Scenario) -> None:
         print_overrides(
-            Console(highlight=False), town.name, scenario.overrides, scenario.notes, verbose=options.verbose, kept=True
+            stdout_console(), town.name, scenario.overrides, scenario.notes, verbose=options.verbose, kept=True
         )
         manifest.update(
             overrides=[asdict(row) for row in scenario.overrides],

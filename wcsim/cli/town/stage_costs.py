@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Column, Table
 
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import shown
 
 NET_STAGE = "building the net"  # of an import: netconvert is the one child of it
@@ -86,7 +86,7 @@ def costs_table(costs: Sequence[StageCost]) -> Table:
 
 def print_costs(costs: Sequence[StageCost]) -> None:
     """Print the table and, where a net was built, all of the import beside netconvert."""
-    Console().print(costs_table(costs))
+    stdout_console().print(costs_table(costs))
     net_s, whole = netconvert_s(costs), _sum(costs)
     if net_s:
         all_s = whole.own_s + whole.tools_s

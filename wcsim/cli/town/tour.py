@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 from rich.progress import Progress
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
@@ -73,7 +73,7 @@ def _tour(options: TourOptions) -> TourReport:
     lines = walking_lines(read_net(town.net, town.file.origin_m), town.file.chair_ways)[:: options.every]
     with (
         World(town, _config(options.speed), (SeatSpec(max_steps=1_000_000_000),), options.seed) as world,
-        Progress(console=Console(stderr=True), transient=True) as bar,
+        Progress(console=stderr_console(), transient=True) as bar,
     ):
         task = bar.add_task(town.name, total=len(lines))
         return tour(world, lines, lambda done: bar.update(task, completed=done))

@@ -9,10 +9,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
+from wcsim.cli.shared.consoles import stderr_console
 from wcsim.errors import DiskFullError, WorkersError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class TrainBar:
     """A progress bar on a terminal; elsewhere, as in a log file, a line for each tenth of the way."""
 
     def __init__(self, total: int) -> None:
-        self.console = Console(stderr=True, highlight=False, emoji=False)
+        self.console = stderr_console()
         columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[says]}"))
         silent = not self.console.is_terminal
         self._bar = Progress(*columns, TimeRemainingColumn(), console=self.console, disable=silent)

@@ -10,8 +10,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from rich.console import Console
-
 from wcsim.agents.clients.clients_folder import (
     ClientsFolder,
     create_clients_folder,
@@ -26,6 +24,7 @@ from wcsim.agents.networks.names import NETWORK_NAMES, client_name
 from wcsim.agents.policy_api import ODOMETRY_KEY
 from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import in_town, learns_in_rounds, require_user, resolve_config, steps_note
@@ -292,7 +291,7 @@ def _told(
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     report = report_of(folder, run.info.seed, *seen)
-    print_report(Console(highlight=False, emoji=False), report)
+    print_report(stdout_console(), report)
     for kept in folder.kept_torn():
         print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)
     if json is not None:

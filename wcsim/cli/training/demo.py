@@ -14,6 +14,7 @@ from rich.console import Console
 
 from wcsim.cli.evaluation import test
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
     QUICK,
     learning,
@@ -84,7 +85,7 @@ def run(words: list[str]) -> int:
     out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
     check_folder("--out", out)
     town = next(iter(tested.values()))
-    demo = _Demo(options=options, trial=trial, town=town, out=out, console=Console(highlight=False, emoji=False))
+    demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
     require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
     config = learning(load_run_config(QUICK, options.set))
     if learns_in_rounds(config):

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
@@ -20,6 +19,7 @@ from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.networks.names import is_own
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import train_clients
 from wcsim.cli.training.train import Options
@@ -134,7 +134,7 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
-    told = Console(stderr=True, highlight=False, emoji=False)
+    told = stderr_console()
     chooses = f"{suite.file.suite} {suite.file.set} chooses"
     told.print(f"first phase done; {chooses}: {suite.episodes} episodes a client", markup=False)
 
@@ -185,4 +185,4 @@ def _show(judged: Sequence[Judged], best: str, suite: str) -> None:
     for each in judged:
         goes_on = "learns the second phase" if each.client == best else "stops after the first"
         table.add_row(each.client, f"{each.score:.3f}", str(each.crashes_own), goes_on)
-    Console(highlight=False, emoji=False).print(table)
+    stdout_console().print(table)
