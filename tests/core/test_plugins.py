@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.core.plugins import find_class, sources_of
-from wcsim.errors import PolicyError
+from wcsim.core.plugins import find_class, running_own, sources_of
+from wcsim.errors import HookError, PolicyError
 
 
 @pytest.fixture
@@ -77,3 +77,14 @@ def test_a_folder_that_is_no_package_yet_is_named(folder, monkeypatch):
     assert sources_of("own_parts.mine:Net", "network").keys() == {"own_parts/__init__.py", "own_parts/mine.py"}
     with pytest.raises(PolicyError, match=r"expected own_parts/yours\.py in"):
         find_class("own_parts.yours:Net", "network")
+
+
+def test_what_ones_own_code_raises_becomes_one_line_that_says_where():
+    told = r"my hook: ZeroDivisionError: .* \(.*test_plugins\.py, line \d+\); mend it"
+    with pytest.raises(HookError, match=told), running_own("my hook", "mend it", HookError):
+        raise ZeroDivisionError("of mine")
+
+
+def test_errors_of_wcsim_pass_ones_own_code_as_they_are():
+    with pytest.raises(PolicyError, match=r"^no such weights$"), running_own("my hook", "mend it", HookError):
+        raise PolicyError("no such weights")

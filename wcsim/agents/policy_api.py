@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
+from wcsim.core.plugins import running_own
 from wcsim.errors import PolicyError
 from wcsim.types import Bool, Drawn, Truth
 
@@ -43,6 +45,16 @@ class Policy(Protocol):
 
     def act(self, observation: Observation) -> int:
         """The action for this observation."""
+
+
+def calling(policy: Policy, method: str) -> AbstractContextManager[None]:
+    """Around a call of a policy's method: what a user's own code raises in it becomes a PolicyError that says where.
+
+    What raises in wcsim itself is a fault of ours, and comes with its whole traceback.
+    """
+    if type(policy).__module__.partition(".")[0] == __name__.partition(".")[0]:
+        return nullcontext()
+    return running_own(f"policy {policy.name!r} failed in {method}", "correct it, or test the others without it")
 
 
 @runtime_checkable

@@ -12,7 +12,8 @@ import importlib.util
 import re
 import sys
 import sysconfig
-from collections.abc import Sequence
+import traceback
+from collections.abc import Iterator, Sequence
 from importlib.machinery import ModuleSpec, PathFinder
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -23,6 +24,7 @@ from wcsim.core.reading import is_file, shown
 from wcsim.errors import PolicyError, WcsimError
 
 _SUFFIX, _PACKAGE = ".py", "__init__.py"
+_MOST_TOLD = 200  # characters of what it said
 _NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")
 
 
@@ -47,6 +49,28 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
     if not isinstance(found, type):
         raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; correct the name")
     return found
+
+
+@contextlib.contextmanager
+def running_own(what: str, cure: str, error: type[WcsimError] = PolicyError) -> Iterator[None]:
+    """While open, whatever a user's own code raises becomes one line that says where.
+
+    Args:
+        what: Whose code runs, and in what, for the message.
+        cure: What to do about it.
+        error: What to raise.
+
+    Raises:
+        WcsimError: The code raised something; of the kind `error` unless it was one already.
+    """
+    try:
+        yield
+    except WcsimError:
+        raise
+    except Exception as fault:  # the user's own code may raise anything
+        line = traceback.extract_tb(fault.__traceback__)[-1]
+        told = f"{type(fault).__name__}: {str(fault).strip()[:_MOST_TOLD]}"
+        raise error(f"{what}: {told} ({line.filename}, line {line.lineno}); {cure}") from fault
 
 
 def sources_of(name: str, what: str) -> dict[str, Path]:

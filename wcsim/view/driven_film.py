@@ -15,7 +15,7 @@ from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.agents.evaluation.suite.forks import users_alone
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
-from wcsim.agents.policy_api import SeesTruth, Warns, tell_delay
+from wcsim.agents.policy_api import SeesTruth, Warns, calling, tell_delay
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
@@ -86,21 +86,27 @@ class DrivenFilm:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = VideoWriter(path, 1.0 / self.tick_s, (width + film.height_px, film.height_px))
             self._seen, self._info = self._chair.begin(self._world.snapshot.clients[0])
-            self._policy.begin()
-            tell_delay(self._policy, self._info["drawn"])
-            self._policy.reset()
+            with calling(self._policy, "begin"):
+                self._policy.begin()
+            self._begin_episode()
         except BaseException as error:
             self._world.close()
             if isinstance(error, OSError):
                 raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
             raise
 
+    def _begin_episode(self) -> None:
+        tell_delay(self._policy, self._info["drawn"])
+        with calling(self._policy, "reset"):
+            self._policy.reset()
+
     def drive(self) -> _Driven:
         """Drive one tick without a picture."""
         policy = self._policy
         if isinstance(policy, SeesTruth):
             policy.see(self._info["truth"])
-        asked, action = self._seen["joystick"], policy.act(self._seen)
+        with calling(policy, "act"):
+            asked, action = self._seen["joystick"], policy.act(self._seen)
         warning = isinstance(policy, Warns) and policy.warning
         self._chair.send(self._link, action)
         snapshot = self._world.tick(users_alone(self._world.snapshot, self.actions, {0: action}))
@@ -114,8 +120,7 @@ class DrivenFilm:
         speed_mps = float(step.info["speed_mps"])
         if client.first is not None:
             self._seen, self._info = self._chair.begin_next()
-            tell_delay(policy, self._info["drawn"])
-            policy.reset()
+            self._begin_episode()
         return _Driven(client=client, asked=wanted, given=given, warning=warning, speed_mps=speed_mps)
 
     def add(self) -> U8:

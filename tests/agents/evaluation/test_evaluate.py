@@ -216,17 +216,42 @@ def test_a_test_of_several_policies_towns_and_profiles():
     assert [row.policy for row in result.rows] == ["follow", "dwa", "zero"]
 
 
-def test_the_environment_is_closed_when_a_policy_fails():
+class Own:
+    """A policy of the user's own that fails where it is told to."""
+
+    name = "own"
+
+    def __init__(self, fails_in):
+        self.fails_in = fails_in
+
+    def begin(self):
+        self._run("begin")
+
+    def reset(self):
+        self._run("reset")
+
+    def act(self, observation):
+        self._run("act")
+        return 0
+
+    def _run(self, what):
+        if what == self.fails_in:
+            raise RuntimeError("my weights are gone")
+
+
+@pytest.mark.parametrize("method", ["begin", "reset", "act"])
+def test_a_policy_of_ones_own_that_fails_is_told_with_its_line_and_the_environment_closed(method):
     env = Script()
+    with pytest.raises(PolicyError, match=rf"'own' failed in {method}: RuntimeError: my weights are gone .*line \d+"):
+        run_test([Own(method)], lambda *_: env, PLAN)
+    assert env.closed
 
-    class Broken:
-        name = "broken"
 
-        def begin(self):
-            raise RuntimeError("no")
-
-    with pytest.raises(RuntimeError):
-        run_test([Broken()], lambda *_: env, PLAN)
+def test_what_wcsim_itself_does_wrong_comes_with_its_traceback(monkeypatch):
+    env = Script()
+    monkeypatch.setattr(type(FOLLOW), "act", lambda self, observation: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        run_test([FOLLOW], lambda *_: env, PLAN)
     assert env.closed
 
 

@@ -12,7 +12,7 @@ import gymnasium
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.records import TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import Row, row_of
-from wcsim.agents.policy_api import Policy, SeesTruth, tell_delay
+from wcsim.agents.policy_api import Policy, SeesTruth, calling, tell_delay
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
@@ -97,11 +97,13 @@ def evaluate(
         raise ConfigError(f"episodes={episodes}, max_steps={max_steps}; expected at least 1 of each")
     logs: list[StepLog] = []
     records: list[EpisodeRecord] = []
-    policy.begin()
+    with calling(policy, "begin"):
+        policy.begin()
     for episode in range(episodes):
         observation, info = env.reset(seed=seed) if episode == 0 else env.reset()
         tell_delay(policy, info.get("drawn"))
-        policy.reset()
+        with calling(policy, "reset"):
+            policy.reset()
         meter = EpisodeMeter(tick_s, reward or RewardConfig())
         seen = partial(_tell, watch, episode, episodes)
         records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen))
@@ -157,7 +159,9 @@ def _drive(
         truth = info.get("truth")  # of the moment that the agent answers to
         if isinstance(policy, SeesTruth):
             policy.see(truth)
-        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        with calling(policy, "act"):
+            action = policy.act(observation)
+        observation, _, terminated, truncated, info = env.step(action)
         meter.add(info, None if truth is None else not truth.danger)
         if info["events"].crash_reason:
             ended = meter.crash(info)

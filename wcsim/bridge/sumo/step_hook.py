@@ -6,12 +6,11 @@ bring code along.
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
-from wcsim.core.plugins import find_class
+from wcsim.core.plugins import find_class, running_own
 from wcsim.errors import HookError
 
 _METHODS = ("before_step", "after_step")
@@ -47,14 +46,9 @@ class StepHook:
             self._run(method, own, time_s)
 
     def _run(self, what: str, call: Callable[..., Any], argument: object) -> Any:
-        try:
+        what = f"step hook {self.name!r} failed in {what}"
+        with running_own(what, "correct it, or run without --hook", HookError):
             return call(argument)
-        except Exception as error:  # the user's own code may raise anything
-            line = traceback.extract_tb(error.__traceback__)[-1]
-            raise HookError(
-                f"step hook {self.name!r} failed in {what}: {type(error).__name__}: {str(error).strip()[:200]} "
-                f"({line.filename}, line {line.lineno}); correct it, or run without --hook"
-            ) from error
 
 
 def open_hook(name: str, libsumo: ModuleType) -> StepHook | None:
