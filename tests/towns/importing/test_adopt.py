@@ -67,6 +67,16 @@ def test_files_beside_the_scenarios_folder_keep_their_structure(corner_town: Tow
     assert find_town(town.address) == town
 
 
+def test_a_copy_may_go_beside_the_folder_one_is_in(
+    corner_town: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile.scenario(corner_town, tmp_path / "theirs")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    adopt_scenario(Path("../theirs/a.sumocfg"), "mine", Path("../mine"))
+    assert find_town(str(tmp_path / "mine")).name == "mine"
+
+
 @pytest.mark.parametrize("fault", ["absolute", "missing", "in the way", "name", "no such file"])
 def test_what_cannot_be_adopted_is_said_and_leaves_nothing(corner_town: Town, tmp_path: Path, fault: str) -> None:
     sumocfg, out, name = hostile.scenario(corner_town, tmp_path / "theirs"), tmp_path / "mine", "mine"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from wcsim.cli.shared.consoles import stderr_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.trial import try_town
 from wcsim.towns.checks.cures import FASTEST_MPS
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town, open_town
 
 if TYPE_CHECKING:
     from wcsim.towns.pave.pavements import Paved
@@ -51,7 +52,7 @@ def run(options: PaveOptions) -> int:
     told = stderr_console()
     told.print(f"building pavements into {options.out}", style="dim", markup=False)
     paved = pave_town(bare, options.out, options.max_speed)
-    town = find_town(str(paved.sumocfg))
+    town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
     told.print("letting SUMO run its first steps", style="dim")
     try_town(town)
     told.print("building the street of it, and checking it", style="dim")
@@ -62,6 +63,12 @@ def run(options: PaveOptions) -> int:
         done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
         write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
     return 0
+
+
+def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
+    """The copy, opened as the scenario was: by the folder whose town.toml says where it lies, or as it is."""
+    deep = len(Path(os.path.relpath(bare.sumocfg, bare.folder)).parts)
+    return open_town(sumocfg if deep == 1 else sumocfg.parents[deep - 1], outside=outside)
 
 
 def _print(paved: Paved) -> None:

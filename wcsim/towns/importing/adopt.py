@@ -60,29 +60,38 @@ def adopt_scenario(
         work = Path(folder) / out.name
         base, files = copy_scenario(config, border, work)
         (work / "town.toml").write_text(_town_toml(config, name, (split, source), base, files), encoding="utf-8")
-        _stay_inside(read_configuration(work / start.relative_to(base)), work)
         if out.is_dir():
             out.rmdir()
         work.replace(out)
     return open_town(out)
 
 
-def copy_scenario(config: Configuration, border: Path | None, work: Path) -> tuple[Path, tuple[Path, ...]]:
+def copy_scenario(
+    config: Configuration, border: Path | None, work: Path, around: Path | None = None
+) -> tuple[Path, tuple[Path, ...]]:
     """Copy all files of a scenario into the folder `work`, with the licence and the readme beside them.
+
+    Args:
+        config: The scenario.
+        border: As for `files_of`.
+        work: A folder that is not there yet.
+        around: A folder that has a place in the copy too, whatever lies in it.
 
     Returns:
         The folder whose place `work` takes, and the files as they lie below it.
 
     Raises:
-        TownError: as `files_of`.
+        TownError: as `files_of`, or the copy would still name a file elsewhere.
     """
     start = Path(os.path.normpath(config.path.absolute()))
     files = files_of(config, border)
-    base = Path(os.path.commonpath([path.parent for path in files]))
+    whole = (Path(os.path.normpath(around.absolute())),) if around is not None else ()
+    base = Path(os.path.commonpath([*(path.parent for path in files), *whole]))
     for path in files:
         place = work / path.relative_to(base)
         place.parent.mkdir(parents=True, exist_ok=True)
         copy_file(path, place)
+    _stay_inside(read_configuration(work / start.relative_to(base)), work)
     notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
     if not (work / "LICENSE-DATA").exists():
         (work / "LICENSE-DATA").write_text(foreign_license_text(start.name, notices), encoding="utf-8")
@@ -146,7 +155,8 @@ def _toml(path: Path) -> str:
 
 def _stay_inside(config: Configuration, folder: Path) -> None:
     """Raise TownError when the copy still names a file elsewhere: by an absolute path, or through the environment."""
-    elsewhere = [path for path in files_of(config, None) if not path.is_relative_to(folder.absolute())]
+    inside = os.path.normpath(folder.absolute())
+    elsewhere = [path for path in files_of(config, None) if not path.is_relative_to(inside)]
     if elsewhere:
         raise TownError(
             f"{config.path.name}: names {elsewhere[0]} by a path that a copy cannot follow; name it relative to the "

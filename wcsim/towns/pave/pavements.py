@@ -71,7 +71,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
         work = Path(folder) / out.name
-        base, files = copy_scenario(config, town.border, work)
+        declared = town.folder if town.declared else None
+        base, files = copy_scenario(config, town.border, work, declared)
         _copy_town_toml(town, work, base)
         place = work / Path(os.path.normpath(town.net.absolute())).relative_to(base)
         before = _root(place)
@@ -90,7 +91,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
             out.rmdir()
         work.replace(out)
     return Paved(
-        sumocfg=out / config.path.absolute().relative_to(base),
+        sumocfg=out / Path(os.path.normpath(config.path.absolute())).relative_to(base),
         streets=sum(shifts.values()),
         had=paved_streets(net),
         crossings=crossings,
