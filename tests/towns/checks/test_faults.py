@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.towns import tiny_osm
+from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.checks.faults import Findings, faults_of, notes_of
@@ -15,7 +16,7 @@ from wcsim.towns.importing.build_net import CHAIR_WAYS, build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 from wcsim.towns.walking.islands import islands_by_links, share_of, walkable_parts
@@ -60,6 +61,32 @@ def test_streets_over_the_pavements_of_others_are_noted_and_many_are_a_fault(cor
         assert [bool(faults_of(corner_town, net, replace(FINE, overlaps=over)))] == [many]
         told = [note for note in notes_of(corner_town, net, over) if "edge a over b" in note]
         assert bool(told) is not many
+
+
+def test_the_side_of_the_traffic_is_told_behind_a_long_comment(tmp_path: Path) -> None:
+    town = open_town(made(tmp_path / "left", ("--grid", "--grid.number", "2", "--lefthand", *PAVED), persons=False))
+    text = town.net.read_text(encoding="utf-8").replace("<net ", f"<!-- {'x' * 5000} -->\n<net ", 1)
+    town.net.write_text(text, encoding="utf-8")
+    assert check_town(town).lefthand
+
+
+def test_types_that_a_distribution_names_count(tmp_path: Path) -> None:
+    town = open_town(made(tmp_path / "own", ("--grid", "--grid.number", "2"), persons=False))
+    types = '<vType id="slow" vClass="pedestrian"/>\n<vTypeDistribution id="all"><vType refId="slow" probability="1"/>'
+    person = '<person id="p" type="all" depart="0"><walk edges="A0A1"/></person>'
+    text = f"<routes>{types}</vTypeDistribution>{person}</routes>"
+    town.routes[0].write_text(text, encoding="utf-8")
+    assert demand_classes(town) == ("pedestrian",)
+
+
+def test_buildings_of_a_file_of_any_name_are_seen(tmp_path: Path) -> None:
+    town = open_town(made(tmp_path / "own", ("--grid", "--grid.number", "2"), persons=False))
+    net = read_net(town.net, town.file.origin_m)
+    assert [note for note in notes_of(town, net) if "no buildings or trees" in note]
+    shapes = '<poly id="house" type="building" fill="1" shape="10,10 20,10 20,20 10,20 10,10"/></additional>'
+    more = town.additional[0]
+    more.write_text(more.read_text(encoding="utf-8").replace("</additional>", shapes), encoding="utf-8")
+    assert notes_of(town, net) == ()
 
 
 def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
-from wcsim.towns.sumo.xml_io import read_head, read_root
+from wcsim.towns.sumo.xml_io import read_root
 from wcsim.towns.walking.islands import cut_off, share_of, walkable_parts
 from wcsim.towns.walking.overlaps import overlaps_of
 from wcsim.types import F64, ClassId, Street
@@ -40,7 +40,6 @@ _SPOT_M = 0.002
 _DRAWS = 50  # a net of a single street fills a small part of its surroundings
 _ROUNDS = 5  # in which they are drawn: each reads all of the ground's rasters
 _HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
-_HEAD_BYTES = 4096
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
 _STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
 _GROUND = (*_STREET, ClassId.TERRAIN, ClassId.GROUND, ClassId.PARKING)
@@ -99,7 +98,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         classes=found.classes,
         unroutable=found.unroutable,
         mesh_faults=found.mesh_faults,
-        lefthand=b'lefthand="true"' in read_head(town.net, _HEAD_BYTES),
+        lefthand=net.lefthand,
         faults=faults_of(town, net, found),
         notes=notes_of(town, net, found.overlaps),
     )
