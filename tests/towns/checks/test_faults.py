@@ -10,7 +10,7 @@ import pytest
 from tests.cli.towns import tiny_osm
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import check_town
+from wcsim.towns.checks.check import check_town, demand_classes
 from wcsim.towns.checks.faults import Findings, faults_of, notes_of
 from wcsim.towns.importing.build_net import CHAIR_WAYS, build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net

@@ -197,7 +197,7 @@ def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
 
 
 def _members(element: Element) -> tuple[str, ...]:
-    inner = [child.get("id", "") for child in element.iterfind("vType")]
+    inner = [child.get("id", child.get("refId", "")) for child in element.iterfind("vType")]
     return tuple([*inner, *element.get("vTypes", "").split()])
 
 
