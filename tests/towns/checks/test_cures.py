@@ -55,6 +55,16 @@ def _apart(path: Path, tag: str) -> None:
     tree.write(path)
 
 
+def _with_an_island(net: Path) -> None:
+    """Add a street that no other one leads to."""
+    nodes = '<nodes><node id="p" x="900" y="900"/><node id="q" x="950" y="900"/></nodes>'
+    edges = '<edges><edge id="alone" from="p" to="q"/></edges>'
+    for name, text in (("i.nod.xml", nodes), ("i.edg.xml", edges)):
+        net.with_name(name).write_text(text, encoding="utf-8")
+    run = run_tool("netconvert", ["-s", net.name, "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", net.name], net.parent)
+    assert run.returncode == 0, run.output
+
+
 def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
     assert unroutable_trips(theirs) == 1
     (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
@@ -74,6 +84,30 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
 def test_a_demand_is_looked_at_from_its_own_begin(theirs: Town) -> None:
     named(theirs, '"50300"', '"0"')
     assert unroutable_trips(open_town(theirs.sumocfg)) == 0  # nobody departs in those ten minutes
+
+
+def test_who_departs_before_the_begin_is_not_missed(theirs: Town) -> None:
+    _with_an_island(theirs.net)
+    for depart_s, missed in ((BEGIN_S, 1), (100.0, 0)):  # SUMO drops who departs before its begin
+        trip = f'<trip id="late" depart="{depart_s}" from="A0B0" to="alone"/>'
+        theirs.routes[0].write_text(f"<routes>{trip}</routes>", encoding="utf-8")
+        assert unroutable_trips(theirs) == missed
+
+
+def test_trips_between_districts_find_them(theirs: Town, tmp_path: Path) -> None:
+    trips = '<trip id="{}" depart="50400" fromTaz="district" toTaz="{}"/>'
+    text = trips.format("there", "other") + trips.format("nowhere", "island")
+    theirs.routes[0].write_text(f"<routes>{text}</routes>", encoding="utf-8")
+    more = theirs.folder / "u.add.xml"
+    districts = '<tazs><taz id="other" edges="C1B1"/></tazs><taz id="island" edges="alone"/></additional>'
+    more.write_text(more.read_text(encoding="utf-8").replace("</additional>", districts), encoding="utf-8")
+    _with_an_island(theirs.net)
+    assert unroutable_trips(theirs) == 1
+    _apart(more, "calibrator")
+    code, said = typed(routes_cure(theirs).partition(": ")[2], tmp_path)
+    assert code == 0, said
+    text = (theirs.folder / "better.rou.xml").read_text(encoding="utf-8")
+    assert 'id="there"' in text and 'id="nowhere"' not in text
 
 
 def test_steep_streets_are_flattened_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:

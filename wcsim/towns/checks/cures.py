@@ -24,7 +24,7 @@ from wcsim.towns.sumo.xml_io import read_root
 _HOUR_S = 3600.0
 FOR_ROUTES = frozenset(
     (
-        "vType", "vTypeDistribution", "route", "routeDistribution",
+        "vType", "vTypeDistribution", "route", "routeDistribution", "taz", "tazs",
         "busStop", "trainStop", "containerStop", "chargingStation", "parkingArea"
     )
 )  # fmt: skip
