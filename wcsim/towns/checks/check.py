@@ -132,8 +132,9 @@ def unroutable_trips(town: Town) -> int:
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
-        options += ["-a", "needed.add.xml", "-e", f"{own_time(town)[0] + _CHECKED_S:.12g}", "--ignore-errors"]
-        options += ["-o", "out.rou.xml", "--no-step-log", "--xml-validation", "never"]
+        begin_s = own_time(town)[0]  # SUMO drops who departs before
+        options += ["-a", "needed.add.xml", "-b", f"{begin_s:.12g}", "-e", f"{begin_s + _CHECKED_S:.12g}"]
+        options += ["-o", "out.rou.xml", "--ignore-errors", "--no-step-log", "--xml-validation", "never"]
         run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))
     if run.returncode:
         files = ", ".join(path.name for path in (*town.routes, *town.additional, town.net))
