@@ -137,6 +137,22 @@ def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:
         walkers_cure(named(theirs, '"900000"', '"${HOME}"'))
 
 
+def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
+    theirs: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    beside = open_town(Path("..") / theirs.folder.name / "u.sumocfg")
+    assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in walkers_cure(beside, paved=True).replace("'", "")
+    absolute = named(theirs, "u.net.xml", str(theirs.net))
+    (tmp_path / "link").symlink_to(theirs.folder)
+    for folder in (Path("..") / theirs.folder.name, absolute.folder):
+        told = walkers_cure(open_town(folder / "u.sumocfg"), paved=True).replace("'", "")
+        assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in told
+    told = walkers_cure(open_town(tmp_path / "link" / "u.sumocfg"), paved=True)
+    assert told == "make walkers as the check of the copy says"
+
+
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:
     fast = open_town(made(tmp_path / "fast", ("--grid", "--grid.number", "3"), persons=False, speed_mps=25.0))
     (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))

@@ -6,6 +6,7 @@ What is to be done beside is said before the command, which goes on to the end o
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -91,10 +92,10 @@ def walkers_cure(town: Town, *, paved: bool = False) -> str:
     """
     begin_s, end_s = own_time(town)
     if paved:
-        if town.border is None:  # what it shares with others decides how the copy's folders are named
-            return "make walkers as the check of the copy says"
-        own, there = town.folder.absolute(), _copy(town).absolute()
-        sumocfg, net = (there / path.absolute().relative_to(own) for path in (town.sumocfg, town.net))
+        own, *files = (Path(os.path.normpath(p.absolute())) for p in (town.folder, town.sumocfg, town.net))
+        if town.border is None or not all(path.is_relative_to(own) for path in files):
+            return "make walkers as the check of the copy says"  # its folders are named by what it shares with others
+        sumocfg, net = (_copy(town).absolute() / path.relative_to(own) for path in files)
         town = replace(town, sumocfg=sumocfg, net=net)
     tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
     return (
