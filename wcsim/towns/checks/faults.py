@@ -32,6 +32,7 @@ LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
 _MUCH = 0.1  # of the pavement, under carriageways of other levels
+_BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
 _PROJECT = "build it again in metres: netconvert --osm-files EXTRACT --proj.utm -o {net}"
 
@@ -80,7 +81,7 @@ def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str,
         notes.append(f"changed since the import: {name}; traffic takes new ways when it is routed again: {again}")
     if over and not _large(net, over):
         notes.append(_overlap(over))
-    if _polygons(town) is None:
+    if _polygons(town) is None and not _built_up(town, net):
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
 
@@ -123,6 +124,12 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
 def _polygons(town: Town) -> Path | None:
     """The file of buildings and trees, named by the scenario or included."""
     return town.poly or polygons_among(with_included(town.additional, town.border))
+
+
+def _built_up(town: Town, net: Net) -> bool:
+    """Whether a file of another name holds buildings or trees."""
+    files = with_included(town.additional, town.border)
+    return any(item.kind in _BUILT_UP for item in read_items(files, town.file.origin_m, net))
 
 
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:
