@@ -151,6 +151,27 @@ def test_streets_that_are_too_fast_get_none(theirs: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "ours").exists()
 
 
+def test_a_net_without_lanes_within_junctions_gets_crossings_too(theirs: Path, tmp_path: Path) -> None:
+    run = run_tool("netconvert", ["-s", "u.net.xml", "--no-internal-links", "-o", "u.net.xml"], theirs.parent)
+    assert run.returncode == 0, run.output
+    told = pave_town(open_town(theirs), tmp_path / "ours")
+    assert told.crossings > 0 and told.walkingareas > 0
+    assert any("lanes within junctions were added" in note for note in told.notes)
+
+
+def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> None:
+    ways = range(3000)
+    nodes = "".join(f'<node id="p{i}" x="{900 + 20 * i}" y="900"/>' for i in (*ways, len(ways)))
+    edges = "".join(f'<edge id="{"way" * 16}#{i}" from="p{i}" to="p{i + 1}" allow="bicycle"/>' for i in ways)
+    for name, kind, text in (("i.nod.xml", "nodes", nodes), ("i.edg.xml", "edges", edges)):
+        theirs.with_name(name).write_text(f"<{kind}>{text}</{kind}>", encoding="utf-8")
+    options = ["-s", "u.net.xml", "-n", "i.nod.xml", "-e", "i.edg.xml", "-o", "u.net.xml"]
+    run = run_tool("netconvert", options, theirs.parent)
+    assert run.returncode == 0, run.output
+    told = pave_town(open_town(theirs), tmp_path / "ours")
+    assert told.streets == 24
+
+
 def test_a_lane_that_is_not_there_is_refused_by_name(theirs: Path, tmp_path: Path) -> None:
     text = theirs.with_name("u.add.xml").read_text(encoding="utf-8")
     theirs.with_name("u.add.xml").write_text(text.replace('lane="B0A0_0"', 'lane="B0A0_7"'), encoding="utf-8")

@@ -99,7 +99,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
-        notes=_notes(paving, out / place.relative_to(work)),
+        notes=(*_joined_note(net), *_notes(paving, out / place.relative_to(work))),
     )
 
 
@@ -133,7 +133,8 @@ def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
         options = ["-s", given.name, "--sidewalks.guess", "--crossings.guess", "--walkingareas", "-o", made.name]
         options += ["--sidewalks.guess.min-speed", str(_SLOWEST_MPS), "--sidewalks.guess.max-speed", str(fastest_mps)]
         options += ["--crossings.guess.speed-threshold", str(fastest_mps), "--offset.disable-normalization"]
-        options += ["--sidewalks.guess.exclude", ",".join(unpaved)] if unpaved else []
+        options += ["--no-internal-links", "false"]  # crossings lie on such; netconvert gives none to a net without
+        options += by_file("sidewalks.guess.exclude", unpaved, Path(folder) / "unpaved.netccfg") if unpaved else []
         run = run_tool("netconvert", [*options, "--xml-validation", "never"], Path(folder), _LIMITS)
         if run.returncode or not made.is_file():
             raise SumoError(f"{net.name}: cannot be given pavements: {run.reason()}; repair it in netedit")
@@ -163,6 +164,13 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
             raise TownError(f"{path.name}: {error}") from None
         if edits:
             _write(path, edited(data, edits, path.name))
+
+
+def _joined_note(net: Net) -> tuple[str, ...]:
+    """What changes for the traffic of a net without lanes within junctions."""
+    if any(edge.function == "internal" for edge in net.edges):
+        return ()
+    return ("lanes within junctions were added, which crossings need: vehicles jumped over junctions before",)
 
 
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
