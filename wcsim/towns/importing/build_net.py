@@ -13,6 +13,7 @@ from wcsim.towns.osm.bridges import cut_bridges
 from wcsim.towns.osm.clean import filter_osm, strip_orphans
 from wcsim.towns.osm.sidewalk_rules import unpaved_ways, wrongly_paved
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.tools import by_file
 from wcsim.towns.sumo.xml_io import xml_bytes
 from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_links, share_of, walkable_parts
 
@@ -83,8 +84,10 @@ def _converted(order: NetOrder, root: Element, folder: Path, dropped: frozenset[
     (folder / EXTRACT).write_bytes(xml_bytes(root))
     net = _read(convert_net(order, EXTRACT, folder))
     if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
-        more = (*order.more, "--sidewalks.guess.exclude", ",".join(paved))
+        config = folder / "unpaved.netccfg"
+        more = (*order.more, *by_file("sidewalks.guess.exclude", paved, config))
         net = _read(convert_net(replace(order, more=more), EXTRACT, folder))
+        config.unlink()
     if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
         raise TownError("the area has no pavements; choose a larger or another bounding box")
     return net

@@ -20,7 +20,7 @@ from wcsim.towns.pave.signals import links_of
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
-from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.tools import Limits, by_file, run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip, xml_bytes
 
 _SLOWEST_MPS = 1.0  # of streets that get a pavement

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 from wcsim.errors import SumoError
 
@@ -64,6 +65,13 @@ def run_tool(name: str, arguments: Sequence[str], folder: Path, limits: Limits |
     projections = str(home / "data" / "proj")  # without it netconvert says "Cannot find proj.db"
     environment = os.environ | {"SUMO_HOME": str(home), "PROJ_LIB": projections, "PROJ_DATA": projections}
     return run_child(name, [str(home / "bin" / name), *arguments], folder, environment, limits or Limits())
+
+
+def by_file(option: str, names: Sequence[str], config: Path) -> list[str]:
+    """Words that give a tool a list of names by the new file `config`, for a word has room for 128 KiB of them only."""
+    text = f"<configuration><{option} value={quoteattr(','.join(names))}/></configuration>"
+    config.write_text(text, encoding="utf-8")
+    return ["-c", config.name]
 
 
 def run_child(name: str, command: Sequence[str], folder: Path, env: Mapping[str, str], limits: Limits) -> ToolRun:
