@@ -22,7 +22,7 @@ class TownFile(Model):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]  # letters, digits, _ and -
     split: Literal["train", "test", "scene"]  # what it may be used for; train and test refuse each other's towns
-    origin_m: tuple[NetMetre, NetMetre] = (0, 0)  # net coordinates of W's origin
+    origin_m: tuple[NetMetre, NetMetre] = (0, 0)  # net coordinates of W's origin; else that of a far net is its middle
     kerb_height_m: Annotated[float, Field(ge=0.0, le=0.4)] = 0.12  # of pavements above the carriageway
     lowered_kerb_m: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0  # where it is lowered: at crossings, and by the map
     chair_ways: Annotated[tuple[ChairWay, ...], Field(max_length=16)] = (  # where users drive

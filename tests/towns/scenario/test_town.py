@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import shutil
 from pathlib import Path
 
@@ -62,6 +63,19 @@ def test_scenario_of_somebody_else_needs_no_town_toml(corner_town: Town, tmp_pat
     (folder / "town.toml").unlink()
     town = find_town(str(folder))
     assert (town.name, town.file.origin_m, town.poly) == ("my-town", net_middle(town.net), None)
+
+
+@pytest.mark.parametrize("east_m", [4_000, 386_000])
+def test_a_short_town_toml_leaves_the_origin_to_a_far_net(corner_town: Town, tmp_path: Path, east_m: int) -> None:
+    folder = tmp_path / "far"
+    shutil.copytree(corner_town.folder, folder)
+    net = folder / corner_town.net.name
+    text = gzip.decompress(net.read_bytes())
+    net.write_bytes(re.sub(rb'convBoundary="[^"]*"', b'convBoundary="%d,0,%d,100"' % (east_m, east_m + 100), text))
+    (folder / "town.toml").write_text('name = "far"\nsplit = "test"\n', encoding="utf-8")
+    assert open_town(folder).file.origin_m == ((386_050, 50) if east_m > 10_000 else (0, 0))
+    (folder / "town.toml").write_text('name = "far"\nsplit = "test"\norigin_m = [7, 8]\n', encoding="utf-8")
+    assert open_town(folder).file.origin_m == (7, 8)
 
 
 def test_hash_ignores_comments_packing_and_names_but_not_content(corner_town: Town, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ NOT_TOWNS = ("scenes",)
 TOWN_TOML = "town.toml"
 _BOUNDARY = re.compile(rb"""<location\b[^<>]*\bconvBoundary\s*=\s*["']([^"']*)["']""")
 _LOCATION_BYTES = 1 << 20
+_FAR_M = 10_000.0  # from its origin: beyond it a mesh of 32-bit numbers knows no millimetres, and soon no kerbs
 _POLYGONS = re.compile(r"\.poly\.xml(\.gz)?$")
 _TOWN_FILE = FileKind(what="a town.toml", limit_bytes=1 << 20, error=TownError)
 
@@ -181,13 +182,22 @@ def polygons_among(files: tuple[Path, ...]) -> Path | None:
 
 def _town_file(folder: Path, config: Configuration) -> TownFile:
     """`town.toml` of a folder; a scenario made elsewhere has none and gets the middle of its net as origin."""
-    toml = folder / TOWN_TOML
+    toml, net = folder / TOWN_TOML, config.files("net-file")[0]
     if toml.is_file():
-        return read_town_file(toml)
+        return _near(read_town_file(toml), net)
     place, alone = folder.resolve(), len(_configs(folder)) == 1
     words = place.name if alone else f"{place.name}-{config.path.stem}"
     name = re.sub(r"(-|[^A-Za-z0-9_])+", "-", words).strip("-")[:64] or "town"
-    return TownFile(name=name, split="train", origin_m=net_middle(config.files("net-file")[0]))
+    return TownFile(name=name, split="train", origin_m=net_middle(net))
+
+
+def _near(file: TownFile, net: Path) -> TownFile:
+    """With the middle of a far net as origin where the file says none: nets keep UTM's coordinates where asked to."""
+    if "origin_m" in file.model_fields_set:
+        return file
+    middle_m = net_middle(net)
+    far = max(abs(middle_m[0]), abs(middle_m[1])) > _FAR_M
+    return file.model_copy(update={"origin_m": middle_m}) if far else file
 
 
 def read_town_file(toml: Path) -> TownFile:
