@@ -77,6 +77,16 @@ def test_a_copy_may_go_beside_the_folder_one_is_in(
     assert find_town(str(tmp_path / "mine")).name == "mine"
 
 
+def test_names_in_any_letters_are_noted(corner_town: Town, tmp_path: Path) -> None:
+    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
+    name = "\u00fc \U0001f600.rou.xml"
+    (tmp_path / "theirs" / "a.rou.xml").rename(tmp_path / "theirs" / name)
+    sumocfg.write_text(sumocfg.read_text(encoding="utf-8").replace("a.rou.xml", name), encoding="utf-8")
+    town = adopt_scenario(sumocfg, "mine", tmp_path / "mine", source="\U0001f600 \x7f")
+    assert name in town.file.hashes and town.file.source == "\U0001f600 \x7f"
+    assert changes_of(town).all == ()
+
+
 @pytest.mark.parametrize("fault", ["absolute", "missing", "in the way", "name", "no such file"])
 def test_what_cannot_be_adopted_is_said_and_leaves_nothing(corner_town: Town, tmp_path: Path, fault: str) -> None:
     sumocfg, out, name = hostile.scenario(corner_town, tmp_path / "theirs"), tmp_path / "mine", "mine"

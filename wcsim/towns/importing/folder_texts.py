@@ -80,6 +80,11 @@ def foreign_license_text(config: str, notices: tuple[str, ...]) -> str:
     return _FOREIGN.format(config=config, beside=beside)
 
 
+def _quoted(text: str) -> str:
+    """A string of TOML, which knows no pairs of escapes as JSON writes for letters beyond 16 bits."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def town_toml_text(
     *,
     name: str,
@@ -93,15 +98,15 @@ def town_toml_text(
 ) -> str:
     """`town.toml`, in the order and wording of `config.TownFile`."""
     lines = [
-        f"name = {json.dumps(name)}",
-        f"split = {json.dumps(split)}",
+        f"name = {_quoted(name)}",
+        f"split = {_quoted(split)}",
         f"origin_m = [{origin_m[0]}, {origin_m[1]}]",
         f"kerb_height_m = {kerb_height_m}",
         "lowered_kerb_m = 0.0",
         'chair_ways = ["sidewalk", "crossing", "shared"]',
     ]
     texts = (("source", source), ("attribution", attribution), ("rebuild", rebuild))
-    lines += [f"{key} = {json.dumps(text)}" for key, text in texts if text]
+    lines += [f"{key} = {_quoted(text)}" for key, text in texts if text]
     if hashes:
-        lines += ["", "[hashes]", *(f"{json.dumps(key)} = {json.dumps(value)}" for key, value in hashes.items())]
+        lines += ["", "[hashes]", *(f"{_quoted(key)} = {_quoted(value)}" for key, value in hashes.items())]
     return "\n".join(lines) + "\n"
