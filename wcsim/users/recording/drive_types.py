@@ -17,7 +17,7 @@ RESPAWN = "respawn"
 """The event of an episode that was cut and begun anew without a crash: the replay does the same at that tick."""
 USER = "user"
 """The event of another simulated user beside the person, in a chair made anew; its detail is that profile as JSON."""
-MOST_SAMPLES = 240  # of the stick in a tick
+MOST_SAMPLES = 480  # of the stick in a tick: as many as the steps that a tick's physics may have
 
 NO_ACTION = -1
 
