@@ -75,6 +75,17 @@ def profile_text(user: UserProfile, notes: Mapping[str, str], head: str = "") ->
     return "\n".join([*lines, ""])
 
 
+def bounded(user: UserProfile) -> UserProfile:
+    """The same user, each number within the bounds of a file; one drawn of a wide profile may lie beyond them."""
+
+    def held(name: str, value: Any) -> Any:
+        low, high = PROFILE_LIMITS[name]
+        parts = [min(high, max(low, part)) for part in (value if name in _PAIRS else (value,))]
+        return tuple(parts) if name in _PAIRS else parts[0]
+
+    return replace(user, **{name: held(name, getattr(user, name)) for name in PROFILE_LIMITS})
+
+
 def _changed(base: UserProfile, data: dict[str, Any], where: str) -> UserProfile:
     known = set(PROFILE_LIMITS) | {"name", "discrete"}
     strange = sorted(key for key in data if key not in known)

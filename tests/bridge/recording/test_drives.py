@@ -10,15 +10,23 @@ import pytest
 
 from tests.support.worlds import open_world, quick_config
 from wcsim.bridge.drives.drive_header import drive_header
-from wcsim.bridge.drives.record_user import Given, UserDriveOrder, drawn_user, record_user, seat_tick
+from wcsim.bridge.drives.record_user import (
+    Given,
+    UserDriveOrder,
+    drawn_user,
+    record_user,
+    seat_tick,
+    write_user,
+)
 from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.world import World, as_users_wish
+from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
-from wcsim.users.profile_file import profile_of_json
-from wcsim.users.profiles import profile
+from wcsim.users.profile_file import profile_json, profile_of_json, read_profile
+from wcsim.users.profiles import profile, profile_names, sample
 from wcsim.users.recorded import write_recording
 from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_recorder import DriveRecorder
@@ -47,6 +55,21 @@ def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driv
     )
     found = verify_drive(drive)
     assert (found.ticks, found.mismatches, found.farthest_m) == (60, 0, 0.0)
+
+
+@pytest.mark.parametrize("own", ["spread = 0.9", "gain = [0.2, 0.2]\nspread = 0.3", "give_up_s = 3600\nspread = 0.1"])
+def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
+    (tmp_path / "me.toml").write_text(own)
+    base = read_profile(tmp_path / "me.toml")
+    for seed in range(60):
+        user = drawn_user(base, seed)
+        assert read_profile(Path(write_user(tmp_path, user))) == profile_of_json(profile_json(user), "") == user
+
+
+def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
+    for name in profile_names():
+        drawn = sample(profile(name), generator(3, "drive", "user"))
+        assert drawn_user(profile(name), 3) == replace(drawn, spread=0.0)
 
 
 def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
