@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from wcsim.config import RunConfig, parse_json
+from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
 from wcsim.users.fitting.habit_fit import FittedNumber, looks, usual_speed
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
@@ -58,10 +60,12 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
         wanted: Whether the intents are what was wanted; else they were made by the user model, which never looks away.
 
     Raises:
-        ConfigError: There is no intent, no episode of some seconds, or no stick (see `require_stick`).
+        ConfigError: There is no intent, no episode of some seconds, or no stick (see `require_stick`); or the drives
+            are of different ticks, or of chairs that take a stick otherwise.
     """
     if not all(drive.knows_intents for drive in drives):
         raise ConfigError("a drive does not say what was wanted in every tick; expected one that does")
+    _require_alike(drives)
     for drive in drives:
         require_stick(drive.name, drive.ticks)
     series = hand_series(drives)
@@ -78,6 +82,25 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
     return UserFit(
         profile=profile, estimates=found, seconds=seconds, warnings=_warnings(found, seconds, series, wanted)
     )
+
+
+def _require_alike(drives: Sequence[DriveRecording]) -> None:
+    """Raise ConfigError for drives whose ticks or sticks do not mean the same: their times and speeds do not add up."""
+    told = [_measures(drive) for drive in drives]
+    for drive, got in zip(drives[1:], told[1:], strict=True):
+        for name in got:
+            if got[name] != told[0][name]:
+                raise ConfigError(
+                    f"{shown(drive.name)}: was driven with {name} {got[name]:g}, {shown(drives[0].name)} with "
+                    f"{told[0][name]:g}; expected drives of one {name}: fit each by itself"
+                )
+
+
+def _measures(drive: DriveRecording) -> dict[str, float]:
+    """What a drive's ticks and sticks are measured by, under the names of its settings."""
+    chair = parse_json(RunConfig, drive.header.config, "the configuration in the drive").chair
+    law = {"chair.deadband": chair.deadband, "chair.shape_exponent": chair.shape_exponent}
+    return {"world.tick_s": drive.header.tick_s, **law}
 
 
 def _of_hand(law: HandLaw) -> dict[str, FittedNumber]:
