@@ -20,13 +20,18 @@ EPOCH_TICKS = 6_000
 EPOCH_GROWTH_MB = 1_000.0
 """What a world's process may grow by in an epoch."""
 
+SUMO_STEP_S = 0.001
+"""What SUMO counts time in; it rounds every other step to it."""
+
 _USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
 class WorldConfig(Model):
     """Clocks, mirror and street reaction."""
 
-    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.1  # a step of the world; SUMO and the action take one each
+    tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = (
+        0.1  # a step of the world, in whole milliseconds; SUMO and the action take one each
+    )
     substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # of the physics, in a tick; None: 120 a second
     contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # where something is met; None: 240
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0  # traffic that SUMO drives before the first step
@@ -36,7 +41,9 @@ class WorldConfig(Model):
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # of the town's own traffic
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0  # around a chair: who is drawn and may react
     jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
-    action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = None  # how often SUMO's drivers decide
+    action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = (
+        None  # how often SUMO's drivers decide: a multiple of tick_s
+    )
     street: Literal["usual", "careless"] = "usual"  # a careless one sets the next two
     attention_share: Share = 0.95  # of the others who look at the chair
     reaction_s: Reaction = 0.7  # from seeing it to braking
@@ -69,6 +76,26 @@ class WorldConfig(Model):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _tick_is_one_of_sumos(self) -> WorldConfig:
+        if not _is_whole(self.tick_s / SUMO_STEP_S):
+            rounded_s = round(self.tick_s / SUMO_STEP_S) * SUMO_STEP_S
+            raise ValueError(
+                f"tick_s is {self.tick_s} s, and SUMO knows whole milliseconds alone: its clock would run apart from "
+                f"that of the chairs; expected such a time: {rounded_s:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _drivers_decide_in_ticks(self) -> WorldConfig:
+        ticks = 1.0 if self.action_step_s is None else self.action_step_s / self.tick_s
+        if ticks < 1.0 - 1e-6 or not _is_whole(ticks):
+            raise ValueError(
+                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, and SUMO's drivers decide "
+                f"in whole steps alone; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
+            )
+        return self
+
     @property
     def usual_substeps(self) -> int:
         """Steps of the physics in most ticks."""
@@ -79,6 +106,10 @@ class WorldConfig(Model):
         """Steps in a tick in which a wheel is about to meet an edge; never fewer than in the others."""
         fine = _steps(self.tick_s, _CONTACT_HZ) if self.contact_substeps is None else self.contact_substeps
         return max(self.usual_substeps, fine)
+
+
+def _is_whole(number: float) -> bool:
+    return abs(number - round(number)) < 1e-6
 
 
 def _steps(tick_s: float, hz: float) -> int:
