@@ -66,6 +66,13 @@ def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path, s
     assert np.allclose(kept.sticks, sticks, atol=1e-7) and kept.sticks.shape == (480, 2)
 
 
+@pytest.mark.parametrize("wrong", [{"seed": 1 << 63}, {"seed": -1}, {"max_steps": 0}, {"tick_s": float("nan")}])
+def test_a_header_that_could_not_be_read_again_begins_no_recording(tmp_path, wrong):
+    with pytest.raises(ConfigError, match=r"a\.drive: .* is out of bounds; expected a seed of 0 to 2\^62"):
+        DriveRecorder(tmp_path / "a.drive", drive_header(**wrong))
+    assert not list(tmp_path.iterdir())
+
+
 @given(UNIT, UNIT, st.sets(st.sampled_from(FLAGS)), st.integers(-1, 80), st.integers(0, 30))
 def test_a_tick_is_the_same_after_it_was_bytes(x, y, flags, action, samples):
     sticks = np.linspace(-1.0, 1.0, 2 * samples).reshape(-1, 2).astype(np.float32).astype(float)

@@ -41,8 +41,10 @@ _TEXTS = (
 
 
 def header_payload(header: DriveHeader) -> bytes:
-    """A header as its record holds it."""
-    return json.dumps({"magic": DRIVE_MAGIC, **asdict(header)}, allow_nan=False).encode()
+    """A header as its record holds it. Raises ValueError or JournalError for one that no reader would take."""
+    payload = json.dumps({"magic": DRIVE_MAGIC, **asdict(header)}, allow_nan=False).encode()
+    header_of_drive(payload, "a header")
+    return payload
 
 
 def is_drive_header(payload: bytes) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wcsim.core.closing import Closing
 from wcsim.core.reading import shown
-from wcsim.errors import ConfigError, DiskFullError, WcsimError
+from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
 from wcsim.users.recording.drive_bytes import DRIVE_FILE, MOST_RECORDS, event_payload, header_payload, tick_payload
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 from wcsim.users.recording.framing import crc_of, framed
@@ -18,8 +18,14 @@ class DriveRecorder(Closing):
     """Appends to a new recording of a drive; a context manager. A killed process leaves all that it had recorded."""
 
     def __init__(self, path: Path, header: DriveHeader) -> None:
-        """Begin a recording. Raises ConfigError when the file is there already or cannot be made, DiskFullError."""
+        """Begin a recording.
+
+        Raises:
+            ConfigError: The file is there already or cannot be made, or the header holds a number out of its bounds.
+            DiskFullError: It could not be written on.
+        """
         self._path = path
+        first = _first_payload(header, path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
@@ -29,7 +35,7 @@ class DriveRecorder(Closing):
             raise ConfigError(f"{shown(path)}: cannot be begun ({reason}); choose the name of a new file") from None
         self._end, self._after, self._records = 0, 0, -1  # records beside the header
         try:
-            self._put(header_payload(header))
+            self._put(first)
         except BaseException:
             self.close()
             path.unlink(missing_ok=True)
@@ -80,3 +86,15 @@ class DriveRecorder(Closing):
         self._end += len(data)
         self._records += 1
         self._after = crc_of(data)
+
+
+def _first_payload(header: DriveHeader, path: Path) -> bytes:
+    """The record of a header. Raises ConfigError for one with which the whole drive could not be read again."""
+    try:
+        return header_payload(header)
+    except (ValueError, JournalError):
+        raise ConfigError(
+            f"{shown(path)}: seed {header.seed}, tick_s {header.tick_s}, max_steps {header.max_steps} or a text of its "
+            "header is out of bounds; expected a seed of 0 to 2^62, a tick of 0.001 to 10 s, at least one step, and "
+            "texts of at most a million letters"
+        ) from None
