@@ -80,7 +80,7 @@ def bounded(user: UserProfile) -> UserProfile:
 
     def held(name: str, value: Any) -> Any:
         low, high = PROFILE_LIMITS[name]
-        parts = [min(high, max(low, part)) for part in (value if name in _PAIRS else (value,))]
+        parts = [min(max(part, low), high) for part in (value if name in _PAIRS else (value,))]
         return tuple(parts) if name in _PAIRS else parts[0]
 
     return replace(user, **{name: held(name, getattr(user, name)) for name in PROFILE_LIMITS})

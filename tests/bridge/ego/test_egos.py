@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.actors import actor as car
 from tests.support.worlds import follow, quick_config
+from wcsim.bridge.ego import ego
 from wcsim.bridge.world import World
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, ProtocolError
@@ -18,7 +19,9 @@ from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
 from wcsim.users.perception import Perception
+from wcsim.users.profile_file import PROFILE_LIMITS
 from wcsim.users.profiles import profile
+from wcsim.users.user import SimulatedUser
 
 SPEC = SeatSpec(profile="competent")
 
@@ -93,6 +96,23 @@ def test_who_cannot_be_admitted_changes_nothing(corner):
         plain = drive(world, hinder=False)
     with empty_world(corner) as world:
         assert drive(world, hinder=True) == plain
+
+
+def test_users_drawn_of_a_wide_profile_keep_within_the_bounds_of_profiles(corner, tmp_path, monkeypatch):
+    """A gain below zero would turn the stick round."""
+    (tmp_path / "wide.toml").write_text("gain = [0.2, 0.2]\nspread = 0.3\n")
+    gains = []
+
+    def made(user, *rest):
+        gains.extend(user.gain)
+        return SimulatedUser(user, *rest)
+
+    monkeypatch.setattr(ego, "SimulatedUser", made)
+    with empty_world(corner) as world:
+        world.admit(0, SeatSpec(profile=str(tmp_path / "wide.toml")))
+        for _ in range(12):
+            world.respawn(0)
+    assert len(set(gains)) > 12 and min(gains) == PROFILE_LIMITS["gain"][0]
 
 
 def test_who_has_no_start_is_not_in_the_street_and_has_had_no_episode(corner, monkeypatch):
