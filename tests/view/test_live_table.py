@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import sys
 
 from rich.console import Console
 
@@ -112,3 +114,24 @@ def test_a_terminal_shows_the_newest_state():
         table.show(state(seen=world(tick=71)))
     assert "tick 70" in out.getvalue()
     assert "tick 71" in out.getvalue()
+
+
+class Terminal(io.StringIO):
+    """A terminal that somebody closes."""
+
+    gone = False
+
+    def write(self, text):
+        if self.gone:
+            raise OSError(errno.EIO, "Input/output error")
+        return super().write(text)
+
+
+def test_a_terminal_that_is_gone_ends_nothing_also_at_the_end():
+    out, usual = Terminal(), sys.stdout
+    with LiveTable(Console(file=out, width=120, force_terminal=True, color_system=None)) as table:
+        table.show(state(seen=world(tick=70)))
+        out.gone = True
+        table.show(state(seen=world(tick=71)))
+    assert "tick 70" in out.getvalue() and "tick 71" not in out.getvalue()
+    assert sys.stdout is usual

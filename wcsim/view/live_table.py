@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
@@ -54,7 +55,8 @@ class LiveTable:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self.console.is_terminal:
-            self._live.stop()
+            with suppress(OSError, SystemExit):  # as in `show`
+                self._live.stop()
 
 
 def table_of(state: LaunchState) -> RenderableType:
