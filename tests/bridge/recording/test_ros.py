@@ -146,7 +146,9 @@ def test_a_camera_looks_along_z_of_its_frame(tmp_path):
     config = load_run_config("quick")
     with RosBag(tmp_path / "a.mcap") as made:
         RosChair(made, None, 0.0).mounted(0.0, config)
-    moves = {m.transforms[0].child_frame_id: m.transforms[0] for _, _, _, m in messages(tmp_path / "a.mcap")}
+    told = [message for *_, message in messages(tmp_path / "a.mcap")]
+    moves = {each.child_frame_id: each for each in told[-1].transforms}  # who comes late gets the last one alone
+    assert set(moves) == {"odom", "imu_link", *(f"camera_{camera.name}_optical_frame" for camera in config.cameras)}
     camera = config.cameras[0]
     seat = moves[f"camera_{camera.name}_optical_frame"]
     turn = seat.transform.rotation
@@ -160,6 +162,15 @@ def test_a_camera_looks_along_z_of_its_frame(tmp_path):
 def test_a_quaternion_is_that_of_its_matrix(angles):
     turn = np.array(matrix(quaternion(*angles))).reshape(3, 3)
     assert np.allclose(np.array(matrix(tuple(quaternion_of(turn).tolist()))).reshape(3, 3), turn)
+
+
+def test_static_transforms_are_offered_as_those_who_listen_to_them_ask(bag):
+    """Listeners of ROS 2 ask for transient local, and are told nothing by what is volatile, as a default is."""
+    with (bag[2] / "a.mcap").open("rb") as file:
+        channels = make_reader(file).get_summary().channels.values()
+    offered = {channel.topic: channel.metadata["offered_qos_profiles"] for channel in channels}
+    assert "durability: 1" in offered["/tf_static"] and "reliability: 1" in offered["/tf_static"]
+    assert offered["/tf"] == ""
 
 
 def test_without_the_extra_it_is_said_what_to_install(tmp_path, monkeypatch):

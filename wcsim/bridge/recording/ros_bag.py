@@ -18,6 +18,7 @@ from wcsim.errors import ConfigError
 from wcsim.types import F32, F64, U8
 
 _VERSION: Final = 8  # of the format that ROS 2 Humble and later read
+_STATIC: Final = "/tf_static"
 
 
 class RosBag(Closing):
@@ -39,6 +40,7 @@ class RosBag(Closing):
         self._writer: Any = Writer(self._bag, version=_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         self._topics: dict[str, Any] = {}
+        self._fixed: dict[str, Any] = {}  # transforms of /tf_static, by child
         self._closed = False
         self.counts: dict[str, int] = {}  # of messages, by topic
 
@@ -91,7 +93,10 @@ class RosBag(Closing):
         )
 
     def transform(self, time_s: float, frames: tuple[str, str], pose: tuple[F64, F64], fixed: bool = False) -> None:
-        """tf2_msgs/TFMessage: the place and quaternion of a frame in its parent, on /tf_static where it is `fixed`."""
+        """tf2_msgs/TFMessage: the place and quaternion of a frame in its parent, on /tf_static where it is `fixed`.
+
+        A message of /tf_static repeats those before it: who comes late to a played bag gets the last one alone.
+        """
         moved = self._made(
             "geometry_msgs/msg/Transform", translation=self._vector(pose[0]), rotation=self._quaternion(pose[1])
         )
@@ -101,7 +106,10 @@ class RosBag(Closing):
             child_frame_id=frames[1],
             transform=moved,
         )
-        self._write("/tf_static" if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=[stamped])
+        if fixed:
+            self._fixed[frames[1]] = stamped
+        told = list(self._fixed.values()) if fixed else [stamped]
+        self._write(_STATIC if fixed else "/tf", "tf2_msgs/msg/TFMessage", time_s, transforms=told)
 
     def imu(self, topic: str, time_s: float, frame: str, q: F64, w: F64, a: F64) -> None:
         """sensor_msgs/Imu: orientation (4,), angular velocity (3,), specific force (3,), gravity included."""
@@ -161,7 +169,10 @@ class RosBag(Closing):
 
     def _write(self, topic: str, kind: str, stamp_s: float, **content: Any) -> None:
         if topic not in self._topics:
-            self._topics[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+            offered = [_kept_for_late_ones()] if topic == _STATIC else []
+            self._topics[topic] = self._writer.add_connection(
+                topic, kind, typestore=self._store, offered_qos_profiles=offered
+            )
         data = self._store.serialize_cdr(self._made(kind, **content), kind)
         self._writer.write(self._topics[topic], round(stamp_s * 1e9), data)
         self.counts[topic] = self.counts.get(topic, 0) + 1
@@ -185,3 +196,21 @@ class RosBag(Closing):
     def _quaternion(self, q: F64) -> Any:
         x, y, z, w = q.tolist()
         return self._made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def _kept_for_late_ones() -> Any:
+    """The quality of service of /tf_static: its listeners ask for this, and hear nothing where it is not offered."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    for_ever = QosTime(sec=9223372036, nsec=854775807)
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL,
+        deadline=for_ever,
+        lifespan=for_ever,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=for_ever,
+        avoid_ros_namespace_conventions=False,
+    )
