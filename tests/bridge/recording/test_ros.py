@@ -145,7 +145,7 @@ def test_depth_is_infinite_where_nothing_is_in_range_and_no_number_where_nothing
 def test_a_camera_looks_along_z_of_its_frame(tmp_path):
     config = load_run_config("quick")
     with RosBag(tmp_path / "a.mcap") as made:
-        RosChair(made, None, 0.0).mounted(0.0, config)
+        RosChair(made, None, 0.0).mounted(0.0, config.imu, config.cameras)
     told = [message for *_, message in messages(tmp_path / "a.mcap")]
     moves = {each.child_frame_id: each for each in told[-1].transforms}  # who comes late gets the last one alone
     assert set(moves) == {"odom", "imu_link", *(f"camera_{camera.name}_optical_frame" for camera in config.cameras)}

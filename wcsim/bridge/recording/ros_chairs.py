@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.trace import TickRecord
-from wcsim.config import RunConfig
+from wcsim.config import CameraConfig, ImuConfig, RunConfig
 from wcsim.core.frames import wrap
 from wcsim.core.rotations import quaternion
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole
@@ -53,20 +53,19 @@ class RosChair:
         self._bag.odometry(self.topic("odom"), time_s, frames, pose, v_B_mps, w_B_radps)
         self._bag.transform(time_s, frames, pose)
 
-    def mounted(self, time_s: float, config: RunConfig) -> None:
-        """Where the chair's IMU and cameras sit."""
-        imu = np.array(config.imu.p_BI_m)
-        self._bag.transform(time_s, (self.frame(BASE), self.frame("imu_link")), (imu, _LEVEL), fixed=True)
-        for camera in config.cameras:
+    def mounted(self, time_s: float, imu: ImuConfig, cameras: Sequence[CameraConfig]) -> None:
+        """Where the chair's IMU and cameras sit from now on; to be told again when an episode moves them."""
+        at_m = np.array(imu.p_BI_m)
+        self._bag.transform(time_s, (self.frame(BASE), self.frame("imu_link")), (at_m, _LEVEL), fixed=True)
+        for camera in cameras:
             T_CB = camera_matrix(np.eye(3, 4), mount(camera))
             R_BC = T_CB[:, :3].T
             pose = (-R_BC @ T_CB[:, 3], quaternion_of(R_BC))
             self._bag.transform(time_s, (self.frame(BASE), self.frame(optical(camera.name))), pose, fixed=True)
 
     def saw(self, time_s: float, client: ClientSnapshot, config: RunConfig) -> None:
-        """Everything that a world says of a chair."""
+        """What a world says of a chair after a tick, but for the stick, which belongs to the next one."""
         plant = client.plant
-        self.stick("joy", time_s, client.user)
         self.moved(time_s, plant.p_WB_m, plant.q_WB, plant.v_B_mps, plant.w_B_radps)
         self.sensed(time_s, client, config)
 

@@ -257,7 +257,7 @@ def _bagged(found: Recording, out: Path, options: Options) -> dict[str, int]:
 
         return drive_bag(read_drive(found.path), out)
     if found.kind == JOURNAL:
-        from wcsim.server.journal.replay import recompute_bag
+        from wcsim.server.journal.journal_bag import recompute_bag
 
         return recompute_bag(found.path, out, options.epoch or 0, options.hook)
     from wcsim.bridge.recording.ros_chairs import trace_bag

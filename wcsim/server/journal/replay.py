@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from wcsim.bridge.recording.fcd import write_steps
-from wcsim.bridge.recording.ros_bag import RosBag
-from wcsim.bridge.recording.ros_chairs import RosChair
 from wcsim.bridge.recording.trace import TickRecord, TraceHeader, chair_box_m, record_of
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.town_run import as_recorded
@@ -136,7 +134,7 @@ def rebuild_world(
     try:
         for number, record in enumerate(records):
             world = player.play(record)
-            _require_equal(world, record)
+            require_equal(world, record)
             if number % ALIVE_EVERY == 0:
                 alive()
         return world, player.seats.kept()
@@ -178,36 +176,6 @@ def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> i
     return written
 
 
-def recompute_bag(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> dict[str, int]:
-    """Make an epoch again and write its wheelchairs as an MCAP file; returns how many messages each topic has.
-
-    Raises:
-        ConfigError: The extra for MCAP is not installed.
-        ReplayMismatchError: A tick gave another state than the journal says.
-        WcsimError: As `recompute` does.
-    """
-    chairs: dict[int, RosChair] = {}
-    alone = read_header(journal).capacity == 1
-    with closing(replayed(journal, epoch, None, hook)) as steps, RosBag(out) as bag:
-        for world, record in steps:
-            _require_equal(world, record)
-            if not isinstance(record, Ticked):
-                continue
-            now = world.snapshot
-            begun_s = now.time_s - world.config.world.tick_s
-            for command in record.commands:
-                if command.seat not in chairs:
-                    chairs[command.seat] = RosChair(bag, None if alone else command.seat, begun_s)
-                    chairs[command.seat].mounted(begun_s, world.config)
-                chairs[command.seat].stick("joy_command", begun_s, command.joystick)
-            for client in now.clients:
-                chairs[client.seat].saw(now.time_s, client, world.config)
-        counts = bag.counts
-    if not counts:
-        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; expected --epoch with one that has some")
-    return counts
-
-
 def count_ticks(journal: Path, epoch: int | None = None) -> int:
     """How many ticks a journal has, in one epoch or in all. Raises JournalError when it is none."""
     return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_journal(journal))
@@ -215,7 +183,7 @@ def count_ticks(journal: Path, epoch: int | None = None) -> int:
 
 def _ticks(steps: Iterable[tuple[World, JournalRecord]]) -> Iterator[TickRecord]:
     for world, record in steps:
-        _require_equal(world, record)
+        require_equal(world, record)
         if isinstance(record, Ticked):
             yield record_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.everyone()))
 
@@ -233,7 +201,8 @@ def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
     )
 
 
-def _require_equal(world: SeatWorld, record: JournalRecord) -> None:
+def require_equal(world: SeatWorld, record: JournalRecord) -> None:
+    """Raise ReplayMismatchError when a tick gave another state than the journal says."""
     if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
         raise ReplayMismatchError(
             f"epoch {record.epoch}, tick {record.tick}: got state {world.snapshot.state_hash}, expected "
