@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 import signal
+import socket
 import stat
 import time
 from contextlib import ExitStack
@@ -236,6 +237,27 @@ def test_clients_of_other_machines_need_a_key_that_the_server_knows(tmp_path):
             pictures = [seen.sensors.cameras[0].depth_m for seen in frames]
             assert [picture[0, 0] for picture in pictures] == [5.0, 5.0]
             assert pictures[0].base is not None
+
+
+def has_ipv6() -> bool:
+    """Whether this machine can be reached by itself at ::1."""
+    try:
+        with socket.socket(socket.AF_INET6) as probe:
+            probe.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
+def test_addresses_of_ipv6_can_be_listened_at_and_joined(tmp_path):
+    keys = tmp_path / "keys"
+    make_keys(keys, ("far",))
+    with Server(stand_in_order(tmp_path, listen="tcp://[::1]:*", keys=str(keys)), tmp_path) as server:
+        address = server.status().listening
+        assert address.startswith("tcp://[::1]:")
+        with open_seat(server.seat("far", endpoint=address, keys=str(keys))) as link:
+            assert driven([link], 2)[0].tick == 2
 
 
 def test_the_server_tells_its_clients_what_world_it_is(tmp_path):

@@ -23,7 +23,7 @@ from wcsim.server.links.listener import Listener
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen
 from wcsim.server.specs import SeatRequest
-from wcsim.server.transport.keys import client_keys, server_public
+from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.types import ClientSnapshot
 
@@ -177,6 +177,7 @@ def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> z
     socket.setsockopt(zmq.RCVTIMEO, _POLL_MS)
     socket.setsockopt(zmq.RECONNECT_IVL, 50)
     socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
+    socket.setsockopt(zmq.IPV6, is_ipv6(order.endpoint))
     if order.keys:
         pair = client_keys(Path(order.keys), order.name)
         socket.curve_serverkey = server_public(Path(order.keys))

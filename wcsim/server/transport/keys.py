@@ -117,6 +117,15 @@ def is_loopback(address: str) -> bool:
         return False
 
 
+def is_ipv6(address: str) -> bool:
+    """Whether a TCP address is one of IPv6, which a socket has to be told before it takes it.
+
+    >>> is_ipv6("tcp://[::1]:5000"), is_ipv6("tcp://127.0.0.1:5000")
+    (True, False)
+    """
+    return address.startswith("tcp://[")
+
+
 class KnownKeys:
     """The clients whose public keys are in a folder, read again when it changes: one that was taken out lets nobody in.
 

@@ -20,7 +20,7 @@ from wcsim.core.closing import Closing
 from wcsim.errors import ConfigError
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Peer
-from wcsim.server.transport.keys import KnownKeys, authenticator, is_loopback, server_keys
+from wcsim.server.transport.keys import KnownKeys, authenticator, is_ipv6, is_loopback, server_keys
 
 log = logging.getLogger("wcsim.server.transport.sockets")
 
@@ -151,6 +151,7 @@ class ServerSockets(Closing):
         socket.setsockopt(zmq.MAXMSGSIZE, m.MAX_REQUEST_BYTES)
         socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE[door])
         socket.setsockopt(zmq.RCVHWM, QUEUE)
+        socket.setsockopt(zmq.IPV6, is_ipv6(address))
         if door == REMOTE:  # a machine that vanished says nothing
             socket.setsockopt(zmq.HEARTBEAT_IVL, 5_000)
             socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 60_000)
