@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from wcsim.errors import PolicyError
 from wcsim.types import Joystick
 from wcsim.view import driven_film
 from wcsim.view.driven_film import ASKED_RGB, GIVEN_RGB, DrivenFilm, FilmDriver, with_sticks
@@ -56,6 +57,30 @@ def test_a_film_that_begins_later_shows_the_same_street(corner, tmp_path):
     whole, part = last_of_eight(0, "whole.webm"), last_of_eight(5, "part.webm")
     assert all(np.array_equal(one, other) for one, other in zip(whole, part, strict=True))
     assert not np.array_equal(part[0], part[-1])
+
+
+@pytest.mark.parametrize("call", ["begin", "reset"])
+def test_a_policy_that_fails_at_once_leaves_no_half_video(corner, tmp_path, monkeypatch, call):
+    from wcsim.bridge.sumo.session import world_in_this_process
+    from wcsim.towns.scenario.town import find_town
+
+    real = driven_film.open_named
+
+    def broken(*words):
+        def fails(self):
+            raise PolicyError("it failed")
+
+        policy = real(*words)
+        monkeypatch.setattr(type(policy), call, fails)
+        return policy
+
+    monkeypatch.setattr(driven_film, "open_named", broken)
+    settings = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
+    driver = FilmDriver(policy="follow", profile="inattentive", settings=settings)
+    with pytest.raises(PolicyError, match="it failed"):
+        DrivenFilm(find_town(str(corner)), 0, 80, driver, tmp_path / "a.webm")
+    assert list(tmp_path.iterdir()) == []
+    assert not world_in_this_process()
 
 
 @pytest.mark.parametrize(("size", "span_m"), [(360, 60.0), (900, 60.0), (480, 30.0)])

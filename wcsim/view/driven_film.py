@@ -83,12 +83,12 @@ class DrivenFilm:
         self.taken_over = 0.0  # how far the stick that was driven last was from the user's, 0 to 2 and more
         try:
             self._map = MapView(self._world.street.mesh, film.height_px, MAP_SPAN_M)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = VideoWriter(path, 1.0 / self.tick_s, (width + film.height_px, film.height_px))
             self._seen, self._info = self._chair.begin(self._world.snapshot.clients[0])
             with calling(self._policy, "begin"):
                 self._policy.begin()
             self._begin_episode()
+            path.parent.mkdir(parents=True, exist_ok=True)  # last: what failed before leaves no file
+            self._writer = VideoWriter(path, 1.0 / self.tick_s, (width + film.height_px, film.height_px))
         except BaseException as error:
             self._world.close()
             if isinstance(error, OSError):
