@@ -42,7 +42,10 @@ class JournalTail(Closing):
         found = self._records(most)
         if found or not self._is_over():
             return found
-        self.close()  # its part was put aside, and all of it was read
+        found = self._records(most)  # what came before its part was put aside, but after the first look
+        if found:
+            return found
+        self.close()
         return self._records(most) if self._open() else []
 
     def close(self) -> None:

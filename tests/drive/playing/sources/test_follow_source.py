@@ -166,3 +166,31 @@ def test_a_tail_says_who_writes(whole: bytes, tmp_path: Path) -> None:
             assert tail.read() == records[2:]
             assert tail.is_written() in (True, None)  # None where /proc/locks cannot be read
         assert not tail.is_written()
+
+
+def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
+    whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A watcher has the lowest priority: it may stand between any two of its lines for as long as an epoch needs."""
+    journal = tmp_path / "journal"
+    (tmp_path / "all").write_bytes(whole)
+    records = list(iter_part(tmp_path / "all"))
+    header, is_over, late = read_header(tmp_path / "all"), JournalTail._is_over, [records[3:]]
+
+    def stood_meanwhile(tail: JournalTail) -> bool:
+        if late:
+            with JournalWriter.append_to(journal) as writer:
+                for record in late.pop():
+                    writer.append(record)
+            put_aside(journal)
+            JournalWriter(journal, header).close()
+        return is_over(tail)
+
+    with JournalWriter(journal, header) as writer:
+        for record in records[:3]:
+            writer.append(record)
+    monkeypatch.setattr(JournalTail, "_is_over", stood_meanwhile)
+    with JournalTail(journal) as tail:
+        assert tail.read() == records[:3]
+        assert tail.read() == records[3:]
+        assert tail.read() == []
