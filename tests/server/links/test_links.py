@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
+import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -310,3 +314,28 @@ def test_work_between_send_and_receive_is_done_while_the_master_ticks(tmp_path):
         assert master.receive().tick == 4
         waits = master.waits
         assert 0.0 < waits.worked_s <= waits.link_s and other.waits.worked_s == 0.0
+
+
+KILLED = """
+import os, signal
+from wcsim.server.transport.shm_folder import RingFolder
+folder = RingFolder().path
+(folder / "seat-0").write_bytes(bytes(1000))
+print(folder, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_world_of_ones_own_leaves_nothing_and_removes_what_the_killed_have_left(corner, tmp_path, monkeypatch):
+    """Killed notebooks leave pictures in memory; no command that serves a world may ever be typed on that machine."""
+    told = subprocess.run([sys.executable, "-c", KILLED], capture_output=True, text=True, check=False).stdout
+    left = Path(told.strip())
+    assert (left / "seat-0").exists()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with ProcessLink(order(corner)) as link:
+        link.join()
+        assert not left.exists()
+        place = Path(link._child.endpoint.removeprefix("ipc://")).parent
+        assert place.exists()
+        assert list(tmp_path.iterdir()) == [], "there is one place for all of it, which a killed process loses"
+    assert not place.exists()

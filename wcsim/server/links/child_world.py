@@ -6,7 +6,6 @@ import os
 import secrets
 import subprocess
 import sys
-import tempfile
 import time
 import weakref
 from dataclasses import replace
@@ -21,7 +20,8 @@ from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
-from wcsim.server.transport.shm_folder import RingFolder
+from wcsim.server.transport.shm_folder import RingFolder, remove_stale_rings
+from wcsim.server.transport.world_folder import endpoint_in
 from wcsim.types import SeatSpec
 
 _OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
@@ -39,9 +39,9 @@ class WorldChild:
             order: The world.
             expected: Clients that the first tick waits for.
         """
-        folder = tempfile.TemporaryDirectory(prefix="wcsim-")
-        self.endpoint = f"ipc://{Path(folder.name) / 'world'}"
-        ring = RingFolder()
+        remove_stale_rings()
+        place = RingFolder()
+        self.endpoint = endpoint_in(place.path)
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
         server = WorldSpec(
@@ -50,19 +50,19 @@ class WorldChild:
             seed=order.seed,
             rules=local_rules(order.seats, expected),
             endpoint=self.endpoint,
-            ring=str(ring.path),
+            ring=str(place.path / "ring"),
             run=order.run and str(Path(order.run).absolute()),
             journal=False,
             hook=order.hook,
             status_fd=theirs,
             quiet=True,
         )
-        path = Path(folder.name) / "order.json"
+        path = place.path / "order.json"
         path.write_bytes(to_line(server))
         command = [sys.executable, "-m", "wcsim.server.host.process", str(path)]
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=(theirs,))
         os.close(theirs)
-        self.close = weakref.finalize(self, _end, self.process, self._pipe, folder, ring)
+        self.close = weakref.finalize(self, _end, self.process, self._pipe, place)
         try:
             self._await_world()
         except BaseException:
@@ -175,9 +175,7 @@ def _ready(line: bytes) -> bool:
         raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
 
 
-def _end(
-    process: subprocess.Popen[bytes], pipe: int, folder: tempfile.TemporaryDirectory[str], ring: RingFolder
-) -> None:
+def _end(process: subprocess.Popen[bytes], pipe: int, place: RingFolder) -> None:
     process.terminate()
     try:
         process.wait(_END_TIMEOUT_S)
@@ -185,5 +183,4 @@ def _end(
         process.kill()
         process.wait()
     os.close(pipe)
-    folder.cleanup()
-    ring.close()
+    place.close()
