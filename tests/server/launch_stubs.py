@@ -97,6 +97,7 @@ def world(order_file: str) -> int:
     order = json.loads(Path(order_file).read_text())
     words, members, life = order["hook"].split(), order["name"].split(), lives(Path(order["run"]))
     status = {"stage": "loading", "epoch": life - 1, "tick": 0, "ticks": 0, "members": []}
+    listening = order["listen"].replace("*", str(5000 + life))  # as a port that is free
     try:
         tick = 0
         while True:
@@ -104,7 +105,7 @@ def world(order_file: str) -> int:
             status["members"] = [] if tick == 0 or evicts(Path(order["run"]), words) else members
             say(order["status_fd"], json.dumps(status).encode() + b"\nnoise\n")
             tick += 1
-            status |= {"stage": "collect", "tick": tick, "ticks": tick}
+            status |= {"stage": "collect", "tick": tick, "ticks": tick, "listening": listening}
             if "idle" in words:
                 status |= {"stage": "empty", "tick": 0, "ticks": 0}
             time.sleep(TICK_S)

@@ -39,7 +39,7 @@ QUICK = LaunchRules(
 )
 
 
-def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, orders=False, spawner=None):
+def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, orders=False, spawner=None, listen=""):
     """A launcher of stubs; `clients` maps names to their words."""
     place = folder / "place"
     place.mkdir(parents=True, mode=0o700)
@@ -53,6 +53,7 @@ def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, or
         name=" ".join(clients if members is None else members),
         run=str(folder),
         hook=world,
+        listen=listen,
     )
     plans = [
         ClientPlan(

@@ -16,11 +16,13 @@ class OrdersSeen(OtherWorlds):
 
     def __init__(self):
         super().__init__(*STUB, "world")
-        self.begins = []
+        self.begins, self.listens = [], []
 
     def start(self, argv, env, log, status_fd):
         if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
-            self.begins.append(json.loads(Path(argv[-1]).read_text())["begins"])
+            order = json.loads(Path(argv[-1]).read_text())
+            self.begins.append(order["begins"])
+            self.listens.append(order["listen"])
         return super().start(argv, env, log, status_fd)
 
 
@@ -29,6 +31,14 @@ def test_worlds_know_that_clients_have_yet_to_load_until_one_of_them_was_there(t
     words = "die=0x2 die=30x3"  # two lives end before they say that they are loaded, and one later
     outcome = launcher(tmp_path, {"a": "steps=300"}, world=words, spawner=seen).run()
     assert (outcome.code, seen.begins) == (0, [True, True, True, False])
+
+
+def test_a_world_that_comes_back_listens_where_the_one_before_did(tmp_path):
+    """Its clients on other machines know no other port than the one that was found for the first."""
+    seen = OrdersSeen()
+    words = "die=20x1 exit5=40x2"  # one life dies, one ends with its epoch
+    outcome = launcher(tmp_path, {"a": "steps=300"}, world=words, spawner=seen, listen="tcp://127.0.0.1:*").run()
+    assert (outcome.code, seen.listens) == (0, ["tcp://127.0.0.1:*", "tcp://127.0.0.1:5001", "tcp://127.0.0.1:5001"])
 
 
 def test_where_a_world_died_that_never_came_up_is_read_from_its_journal(tmp_path):

@@ -71,6 +71,8 @@ class SupervisedWorld(Supervised[WorldStatus]):
         self._heard_s = now_s
         if status.stage != "loading":
             self.standing, self._loaded = "running", True
+            if status.listening:  # its clients know no other port than the one that was found first
+                self._order = replace(self._order, listen=status.listening)
         if status.ticks > 0:
             self._recovered(now_s, epoch=status.epoch, tick=status.tick)
 
