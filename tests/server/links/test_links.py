@@ -9,10 +9,12 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,12 +31,13 @@ from wcsim.errors import (
     VersionMismatchError,
     WorldFullError,
 )
+from wcsim.server.links import base
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.child_world import ProcessLink
 from wcsim.server.links.local import LocalLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
 from wcsim.server.transport.keys import make_keys
@@ -339,3 +342,32 @@ def test_a_world_of_ones_own_leaves_nothing_and_removes_what_the_killed_have_lef
         assert place.exists()
         assert list(tmp_path.iterdir()) == [], "there is one place for all of it, which a killed process loses"
     assert not place.exists()
+
+
+class AloneLink(WorldLink):
+    """A link to a world that says nothing."""
+
+    def _post(self, message: m.Request) -> None:
+        del message
+
+    def _pump(self) -> None:
+        self.take(self.core.clock(self._now_s()))
+
+    def _end(self) -> None:
+        pass
+
+
+def test_a_client_that_was_stopped_has_not_waited_for_its_world(monkeypatch):
+    """As when a container is paused for an hour: the world in it has not been silent, and goes on."""
+    now = [1000.0]
+    monkeypatch.setattr(base, "time", SimpleNamespace(monotonic=lambda: now[0], perf_counter=time.perf_counter))
+    link = AloneLink(ClientCore(Ask(claim=b"x", name="a", spec=SPEC), Patience(reconnect_s=90.0), base.new_session))
+    link.ask_join()
+    now[0] += 3600.0
+    link._pump()
+    assert link.core.waiting
+    for _ in range(500):
+        now[0] += 0.2
+        link._pump()
+    with pytest.raises(ServerGoneError, match="silent for 90 s"):
+        link.receive()

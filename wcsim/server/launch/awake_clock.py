@@ -1,4 +1,4 @@
-"""A clock of the time in which a server was awake: one that was stopped for an hour has not waited for anybody."""
+"""A clock of the time in which a process was awake: one that was stopped for an hour has not waited for anybody."""
 
 from __future__ import annotations
 

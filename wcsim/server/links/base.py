@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
+from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
 from wcsim.types import ClientSnapshot, Joystick
@@ -41,6 +42,7 @@ class WorldLink(Closing):
         self._frame: ClientSnapshot | None = None
         self._error: WcsimError | None = None
         self._closed = self._waits_no_more = False
+        self._clock = AwakeClock(time.monotonic())  # who was stopped has not waited for anybody
         self._steps, self._simulation_s, self._link_s, self._worked_s = 0, 0.0, 0.0, 0.0
 
     # --- what a transport does ---
@@ -230,7 +232,7 @@ class WorldLink(Closing):
             raise LinkClosedError("this link is closed; make a new one")
 
     def _now_s(self) -> float:
-        return time.monotonic()
+        return self._clock.look(time.monotonic())
 
 
 def new_session() -> bytes:
