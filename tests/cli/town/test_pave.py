@@ -74,8 +74,9 @@ def test_a_paved_copy_is_checked_where_its_files_lie_apart(wcsim: Run, folder: P
     (folder / "theirs" / "net").mkdir()
     (theirs.parent / "u.net.xml").rename(folder / "theirs" / "net" / "u.net.xml")
     theirs.write_text(theirs.read_text().replace('"u.net.xml"', '"../net/u.net.xml"'))
-    said = wcsim("town", "pave", theirs, "--allow-outside", "--out", "trusted")
+    said = wcsim("town", "pave", theirs, "--allow-outside", "--out", "trusted copy")
     assert said.code == 0 and "walkable area" in said.out, said.err
+    assert "sumo-gui -c 'trusted copy/runs/u.sumocfg'\n" in said.out
     (folder / "theirs" / "town.toml").write_text('name = "apart"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
     said = wcsim("town", "pave", folder / "theirs", "--out", "declared")
     assert said.code == 0 and "town apart" in said.out, said.err

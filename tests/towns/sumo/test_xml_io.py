@@ -16,8 +16,18 @@ import pytest
 
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import net_middle
+from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.unpack import MAX_MEMBERS, bunzip2, gunzip
-from wcsim.towns.sumo.xml_io import MAX_NESTING, parse_root, read_bytes, read_root, scan, without_comments, xml_bytes
+from wcsim.towns.sumo.xml_io import (
+    MAX_NESTING,
+    is_true,
+    parse_root,
+    read_bytes,
+    read_root,
+    scan,
+    without_comments,
+    xml_bytes,
+)
 
 BODY = '<additional><edgeData id="x" file="/anywhere"/></additional>'
 
@@ -137,3 +147,11 @@ def test_xml_bytes_are_those_of_the_library():
     root = parse_root(text.encode(), "a map")
     root.append(Element("tag", {"k": "lone \ud800 surrogate"}))
     assert xml_bytes(root) == ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+
+
+@pytest.mark.parametrize("text", ["1", "true", "True", "yes", "on", "x", "t"])
+def test_booleans_are_true_where_sumo_takes_them_for_true(tmp_path, text):
+    assert is_true(text) and not any(map(is_true, ("", "0", "false", "no", "off", "-", "f", "2")))
+    file = tmp_path / "a.poly.xml"
+    file.write_text(f'<additional><poly id="a" type="building" fill="{text}" shape="0,0 9,0 9,9"/></additional>')
+    assert read_items((file,), (0, 0))[0].filled

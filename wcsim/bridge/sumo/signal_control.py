@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from wcsim.bridge.reaction.commands import GreenRequest
+from wcsim.towns.sumo.xml_io import is_true
 from wcsim.types import SignalState
 
 log = logging.getLogger("wcsim.bridge.sumo.signal_control")
 
 _SAME_TIME_S = 1e-6
-_TRUE = ("true", "1", "yes", "on", "t", "x")  # as SUMO reads it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +102,7 @@ class SignalControl:
     def _read(self, tls_id: str, logic: Any) -> Program | None:
         kinds = self._api.constants
         actuated = logic.type in (kinds.TRAFFICLIGHT_TYPE_ACTUATED, kinds.TRAFFICLIGHT_TYPE_DELAYBASED)
-        coordinated = dict(logic.subParameter).get("coordinated", "").lower() in _TRUE
+        coordinated = is_true(dict(logic.subParameter).get("coordinated", ""))
         if coordinated or not (actuated or logic.type == kinds.TRAFFICLIGHT_TYPE_STATIC):
             return None
         program, count = [], len(logic.phases)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import shutil
 import tempfile
 import time
@@ -118,7 +119,7 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path, stage: Stage) -> To
     except BaseException:  # what cannot be read is no town
         shutil.rmtree(town.folder, ignore_errors=True)
         raise
-    print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
+    print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
     return report
 
 
@@ -142,7 +143,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
         made = import_town(_order(options, osm, box, out), _built_in_silence, stage)
-    print(f"wrote {made.town.folder}; open it with: sumo-gui -c {made.town.sumocfg}")
+    print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic keeps to the {made.side}")
     report = checked(made.town, made.walkable_share, stage)
     counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")

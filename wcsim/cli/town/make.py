@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,7 +69,7 @@ def run(options: TownMakeOptions) -> int:
     console = stderr_console()
     clock = StageClock(lambda told: console.print(told, style="dim", markup=False, soft_wrap=True))
     town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
-    print(f"wrote {town.folder}; open it with: sumo-gui -c {town.sumocfg}")
+    print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
     report = checked(town, told=clock.begin)
     costs = clock.costs()
     code = print_report(report)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -72,7 +73,7 @@ def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
 
 
 def _print(paved: Paved) -> None:
-    print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {paved.sumocfg}")
+    print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {shlex.quote(str(paved.sumocfg))}")
     streets = [f"{paved.streets} streets have a pavement now"] if paved.streets or not paved.had else []
     streets += [f"{paved.had} streets had pavements already"] if paved.had else []
     print(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.options import Configuration, Treatment, sumo_options
+from wcsim.towns.sumo.xml_io import is_true
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,4 +183,4 @@ def _same(author: str, value: str) -> bool:
     try:
         return float(author) == float(value)
     except ValueError:
-        return {author.strip().lower(), value.lower()} <= {"true", "1", "yes", "on", "t", "x"}
+        return is_true(author) and is_true(value)

@@ -31,6 +31,7 @@ from wcsim.towns.scenario.overrides import (
     settings_of,
 )
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.sumo.xml_io import is_true
 
 _COPIES = "inputs"
 
@@ -139,7 +140,7 @@ def notes_of(config: Configuration) -> tuple[str, ...]:
 
 def _refuse_mesoscopic(config: Configuration) -> None:
     """Raise TownError for a scenario whose vehicles have no positions."""
-    if (config.value("mesosim") or "false").lower() in ("true", "1", "yes", "on", "t", "x"):
+    if is_true(config.value("mesosim") or "false"):
         raise TownError(f"{config.path}: is mesoscopic (mesosim), where vehicles have no positions; remove that option")
 
 

@@ -14,7 +14,7 @@ import shapely
 
 from wcsim.errors import TownError
 from wcsim.towns.sumo.net import Lane, Net, points
-from wcsim.towns.sumo.xml_io import read_root
+from wcsim.towns.sumo.xml_io import is_true, read_root
 from wcsim.types import F64
 
 AUTHOR_KINDS = (
@@ -119,7 +119,7 @@ def _item(element: Element, origin_m: tuple[int, int], lanes: _Lanes, source: st
         kind=group if author or group in _WHOLE_GROUPS else detail or group,
         detail=detail,
         points_W_m=place,
-        filled=element.get("fill", "0").lower() in ("1", "true"),
+        filled=is_true(element.get("fill", "0")),
         tags=sizes | tags,
         group=group,
         author=author,
@@ -136,7 +136,7 @@ def _place(element: Element, origin_m: tuple[int, int], lanes: _Lanes, must: boo
         except ValueError as error:
             _leave_out(element, str(error), must)
             return None
-    if "lon" in element.attrib or element.get("geo", "0").lower() in ("1", "true"):
+    if "lon" in element.attrib or is_true(element.get("geo", "0")):
         why = "it is placed by longitude and latitude; save it from netedit with x and y, or with lane and pos"
         _leave_out(element, why, must)
         return None

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from wcsim.errors import TownError
-from wcsim.towns.sumo.xml_io import read_root
+from wcsim.towns.sumo.xml_io import is_true, read_root
 from wcsim.types import F64
 
 _DEFAULT_LANE_WIDTH_M = 3.2  # SUMO's, for lanes that state none
@@ -119,7 +119,7 @@ def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
         edges = tuple(_edge(element, origin_m) for element in root.iterfind("edge"))
         connections = tuple(_connection(element) for element in root.iterfind("connection"))
         junctions = tuple(_junction(element, origin_m) for element in root.iterfind("junction"))
-        lefthand = root.get("lefthand", "0").lower() in ("1", "true")
+        lefthand = is_true(root.get("lefthand", "0"))
     except (KeyError, ValueError) as error:
         raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
     if not any(edge.lanes for edge in edges):

@@ -33,7 +33,13 @@ _DECLARATION = re.compile(
 _ENCODING = re.compile(r"utf-?8|(us-)?ascii|iso-?8859-\d{1,2}|latin-?1|windows-125\d", re.IGNORECASE)
 _DECLARED = re.compile(rb"<\?[xX][mM][lL][\s?]")
 _BLANKS = b" \t\r\n"
+_TRUE = frozenset(("1", "yes", "true", "on", "x", "t"))
 Visit = Callable[[str, list[str]], None]
+
+
+def is_true(text: str) -> bool:
+    """Whether SUMO takes a boolean of an attribute or option for true, in letters of any size."""
+    return text.strip().lower() in _TRUE
 
 
 def read_bytes(path: Path, limit: int = MAX_XML_BYTES) -> bytes:
