@@ -340,6 +340,17 @@ def test_render_shows_the_camera_in_colours(corner):
         assert env.unwrapped.render() is None
 
 
+def test_a_picture_that_is_kept_stays_what_it_was(corner):
+    """Who films keeps them all, as `gymnasium.wrappers.RecordVideo` does."""
+    with made(corner, render_mode="rgb_array") as env:
+        env.reset(seed=1)
+        kept = []
+        for step in range(8):
+            env.step(action_at(step, env.action_space.n))
+            kept.append((env.render(), env.render().copy()))
+    assert all(np.array_equal(picture, copied) for picture, copied in kept)
+
+
 def test_colours_change_nothing_but_the_picture(corner):
     with made(corner) as env:
         plain = drive(env, 8, seed=4)

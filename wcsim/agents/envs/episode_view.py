@@ -93,8 +93,12 @@ class Chair:
 
     @property
     def picture(self) -> npt.NDArray[np.uint8] | None:
-        """What the first camera sees in colours, (H, W, 3) uint8, where colours are drawn."""
-        return None if self.now is None else self.now.sensors.cameras[0].rgb
+        """What the first camera sees in colours, (H, W, 3) uint8, where colours are drawn; an array of its own.
+
+        Whoever films keeps pictures, and the camera draws into the same buffers again.
+        """
+        drawn = None if self.now is None else self.now.sensors.cameras[0].rgb
+        return None if drawn is None else drawn.copy()
 
     def begin(self, first: ClientSnapshot) -> tuple[Observation, Info]:
         """Begin an episode with its first frame.
