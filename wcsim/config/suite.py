@@ -9,9 +9,15 @@ from pydantic import Field
 from wcsim.config import Finite, Model, NotNegative, Text
 
 MOST_SEATS = 12
+MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
 Part = Literal["free", "crossing", "hazard", "tight"]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Steps = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+def name_pattern(most: int) -> str:
+    """What the name of a list or a set is like that has at most so many characters."""
+    return rf"^[a-z0-9][a-z0-9-]{{0,{most - 1}}}$"
 
 
 class EpisodeFile(Model):
@@ -49,8 +55,8 @@ class TownOfSuite(Model):
 class SuiteFile(Model):
     """The whole file; what it hashes to is the suite's identity."""
 
-    suite: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]  # with its version: street-assist-v1
-    set: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,31}$")]  # dev, validation, v1, or a town's
+    suite: Annotated[str, Field(pattern=name_pattern(MOST_NAME))]  # with its version: street-assist-v1
+    set: Annotated[str, Field(pattern=name_pattern(MOST_SET))]  # dev, validation, v1, or a town's
     settings: Annotated[tuple[Text, ...], Field(max_length=64)]  # section.key=value, over the policy's own
     towns: Annotated[tuple[TownOfSuite, ...], Field(min_length=1, max_length=64)]
     forks: Annotated[int, Field(ge=0, le=1_000_000)] = 1_000_000  # episodes whose interventions are judged, at most

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from wcsim.cli.evaluation.list_maker import PartTimes
+import pytest
+
+from wcsim.cli.evaluation.list_maker import PartTimes, make_list
+from wcsim.errors import ConfigError
 
 
 def test_each_part_says_how_long_it_still_takes():
@@ -18,3 +21,18 @@ def test_each_part_says_how_long_it_still_takes():
         "2 blocks are drawn", "ways: 1 of 2, about 30 s left", "ways: 2 of 2",
         "attempts: 1 of 4, about 30 s left", "attempts: 2 of 4, about 20 s left", "found",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--suite-file", "My_Town.json"), "--suite-file: no list can be called 'My_Town'; .* such as my-town"),
+        (("--suite-file", f"{'a' * 33}.json"), "at most 32 .* such as a{32}$"),
+        (("--name", "Own suite"), "--name: no list can be called 'Own suite'; .* at most 64 .* such as own-suite"),
+        (("--name", "__"), "small letters, digits and -$"),
+    ],
+)
+def test_a_name_that_no_list_can_have_is_refused_before_anything_is_drawn(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=said):
+        make_list(["--make-suite", "helsinki", *words])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,6 +14,9 @@ import tyro
 from wcsim.cli.shared.common import MOST_JOBS, check_output, in_bounds, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.stage_bar import told_left
+from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError
 
 
 @dataclass
@@ -23,7 +27,7 @@ class SuiteMakeOptions:
     """Where, joined by commas: a town's name, its folder, or anybody's .sumocfg;
     made:SEED is a town without a map (`wcsim town make`)."""
     suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
-    """The list to write."""
+    """The list to write; its set is called as the file: small letters, digits and - alone."""
     name: str = "own-suite-v1"
     """What it is called, with its version."""
     free: int = 8
@@ -58,6 +62,8 @@ def make_list(words: list[str]) -> int:
     in_bounds("--tight", options.tight, 0, 10_000)
     in_bounds("--tight-from", options.tight_from, 0, 1_000_000)
     check_output("--suite-file", options.suite_file)
+    _require_name("--name", options.name, MOST_NAME)
+    _require_name("--suite-file", options.suite_file.stem, MOST_SET)
     import tempfile
 
     from wcsim.agents.evaluation.making.make import MakeOrder, make_suite
@@ -86,6 +92,17 @@ def make_list(words: list[str]) -> int:
     counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
     stdout_console().print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
     return 0
+
+
+def _require_name(option: str, name: str, most: int) -> None:
+    """Refuse a name that no list can have, before anything is drawn. Raises ConfigError."""
+    if re.fullmatch(name_pattern(most), name):
+        return
+    proposed = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:most]
+    raise ConfigError(
+        f"{option}: no list can be called {shown(name, 80)!r}; expected at most {most} small letters, digits and -"
+        + f", such as {proposed}" * bool(proposed)
+    )
 
 
 class PartTimes:
