@@ -8,7 +8,8 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import episode
 from wcsim.agents.evaluation.making import make
-from wcsim.agents.evaluation.suite.list_file import asked_towns
+from wcsim.agents.evaluation.making.draw import Wanted, free_blocks
+from wcsim.agents.evaluation.suite.list_file import asked_towns, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.config import load_run_config
 from wcsim.config.suite import BlockFile
@@ -72,6 +73,24 @@ def test_towns_are_named_or_made_of_a_seed(corner: Path, tmp_path: Path) -> None
             asked_towns(wrong, tmp_path)
     with pytest.raises(TownError):
         asked_towns("atlantis", tmp_path)
+
+
+def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
+    monkeypatch.setattr(make, "_free", lambda place, *_: free_blocks(place, wanted, 1, 3))
+    monkeypatch.setattr(make, "_crossing", lambda *_: [])
+    monkeypatch.setattr(make, "settled", lambda _order, _towns, blocks, *_: list(blocks))
+    order = make.MakeOrder(
+        suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=0, tight=range(0), work=tmp_path
+    )
+    file = make.make_suite(order, asked_towns(str(corner), tmp_path), lambda *_: None)
+    require_towns(file)
+    ((name, town),) = towns_of(file, tmp_path).items()
+    assert town.folder == corner and {block.town for block in file.blocks} == {name}
+    ((helsinki, _),) = asked_towns("helsinki", tmp_path)
+    assert [make.listed_as(helsinki, None), make.listed_as(helsinki, 7)] == ["helsinki", "helsinki"]
 
 
 @pytest.mark.proof

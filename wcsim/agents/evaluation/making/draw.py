@@ -37,17 +37,20 @@ XY = tuple[float, float]
 class DrawPlace:
     """A town to draw in."""
 
-    name: str
+    name: str  # what is drawn depends on it
+    listed: str  # what the list calls it
     street: Street
     router: Router
     outline: Outline
     config: RunConfig
 
 
-def place_of(name: str, street: Street, config: RunConfig) -> DrawPlace:
-    """A town's street with its ways. Raises TownError when it has none."""
+def place_of(name: str, street: Street, config: RunConfig, listed: str = "") -> DrawPlace:
+    """A town's street with its ways; a list calls it by its name, or `listed`. Raises TownError when it has none."""
     outline = plant_spec(config.chair).outline
-    return DrawPlace(name=name, street=street, router=Router(street.walk), outline=outline, config=config)
+    return DrawPlace(
+        name=name, listed=listed or name, street=street, router=Router(street.walk), outline=outline, config=config
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +111,7 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
 def _block(place: DrawPlace, wanted: Wanted, seed: int, number: int, episodes: Sequence[EpisodeFile]) -> BlockFile:
     return BlockFile(
         part=wanted.part,
-        town=place.name,
+        town=place.listed,
         seed=seeding.derive(seed, "block", place.name, wanted.part, number),
         settings=wanted.settings,
         episodes=tuple(episodes),

@@ -8,6 +8,7 @@ again is taken over by the policy 10 s before.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,7 +22,7 @@ from wcsim.config import RunConfig, load_run_config
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
 from wcsim.errors import TownError
-from wcsim.towns.scenario.town import Town, content_hash
+from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.street import load_street
 
 BAD_START_S: Final = 3.0  # who is hit before this was put where somebody came along
@@ -57,13 +58,17 @@ class MakeOrder:
 def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told: Told) -> SuiteFile:
     """A list for these towns, each with the seed that it was made of; drives in them to find the hazards.
 
-    Raises TownError for one that is too small.
+    Raises TownError for one that is too small, and for two of one name.
     """
     config = load_run_config("quick", SETTINGS)
+    by_name(town for town, _ in towns)
+    listed = [listed_as(town, seed) for town, seed in towns]
     named = tuple(
-        TownOfSuite(name=town.name, sha256=content_hash(town), made_seed=seed) for town, seed in towns
+        TownOfSuite(name=name, sha256=content_hash(town), made_seed=seed)
+        for name, (town, seed) in zip(listed, towns, strict=True)
     )
-    places = [place_of(town.name, load_street(town), config) for town, _ in towns]
+    streets = [(name, town.name, load_street(town)) for name, (town, _) in zip(listed, towns, strict=True)]
+    places = [place_of(own, street, config, name) for name, own, street in streets]
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
     drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free ways and {len(crossing)} of attempts at crossings"
@@ -80,6 +85,16 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
         forks=order.forks,
         blocks=(*free, *crossing, *hazard, *tight_blocks(order.tight)),
     )
+
+
+def listed_as(town: Town, made_seed: int | None) -> str:
+    """What a list calls a town, so that a test finds it again: its name where that leads to it, else where it lies."""
+    if made_seed is None:
+        with suppress(TownError):
+            if find_town(town.name).sumocfg.resolve() == town.sumocfg.resolve():
+                return town.name
+        return town.address
+    return town.name
 
 
 def _free(place: DrawPlace, order: MakeOrder, more: bool = False) -> list[BlockFile]:
