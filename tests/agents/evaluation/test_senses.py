@@ -8,6 +8,7 @@ from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of
 from tests.support.one_process import in_this_process
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.evaluation.suite.drive import drive_block
+from wcsim.agents.evaluation.suite.named_policy import sensing
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.policies.baselines import baseline
 from wcsim.config import with_overrides
@@ -38,14 +39,20 @@ class Numb(Feels):
 
 def test_senses_are_added_and_a_sensor_that_is_there_stays():
     plain = config()
-    sensing = with_senses(plain, BOTH)
+    seen = with_senses(plain, BOTH)
     assert plain.sensors.odometry is None and not plain.env.observe_gyro
-    assert sensing.sensors.odometry is not None and sensing.env.observe_gyro
+    assert seen.sensors.odometry is not None and seen.env.observe_gyro
     assert with_senses(plain, ()) == plain
     worse = with_overrides(plain, ("sensors.odometry.radius_error=0.1",))
     assert with_senses(worse, BOTH).sensors == worse.sensors
     with pytest.raises(ConfigError, match="sonar"):
         with_senses(plain, ("sonar",))
+
+
+def test_images_that_are_asked_for_are_given_to_who_is_no_network():
+    plain = config()
+    several = with_overrides(plain, ("env.window=3",))
+    assert [sensing(one, Numb(one)).env.window for one in (plain, several)] == [1, 3]
 
 
 def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
@@ -55,8 +62,8 @@ def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
 
 def test_the_world_is_the_same_with_further_senses_in_it(corner):
     order = order_of(corner, block_of(corner, max_steps=80))
-    sensing = replace(order, config=with_senses(order.config, BOTH))
-    alone, beside = (drive_block(one, lambda: Held(0.1, 0.6)) for one in (order, sensing))
+    feeling = replace(order, config=with_senses(order.config, BOTH))
+    alone, beside = (drive_block(one, lambda: Held(0.1, 0.6)) for one in (order, feeling))
     assert alone == beside and alone[0].m > 1.0
 
 

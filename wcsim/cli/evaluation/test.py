@@ -124,7 +124,8 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
 
     names = _driven(options)
     policies = [open_named(name, config, options.seed, options.network or None) for name in names]
-    config = with_overrides(config, (f"env.window={window_for(policies)}",))
+    window = max(window_for(policies), config.env.frames)  # see `sensing`
+    config = with_overrides(config, (f"env.window={window}",))
 
     def make_env(town: str, profile: str, senses: tuple[str, ...]) -> WheelchairEnv:
         asked = {"profile": profile, "max_steps": options.max_steps, "truth": True, "truth_visible": True}

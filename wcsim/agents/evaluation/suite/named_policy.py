@@ -113,10 +113,14 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
 
 
 def sensing(config: RunConfig, policy: Policy) -> RunConfig:
-    """The configuration with as many images in an observation as the policy was trained on, and the senses it wants."""
+    """The configuration with the senses that a policy wants, and as many images in an observation as it needs.
+
+    Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
+    """
     from wcsim.agents.evaluation.matrix import window_for
 
-    return with_senses(with_overrides(config, (f"env.window={window_for([policy])}",)), senses_of(policy))
+    window = max(window_for([policy]), config.env.frames)
+    return with_senses(with_overrides(config, (f"env.window={window}",)), senses_of(policy))
 
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
