@@ -10,9 +10,10 @@ class Sb3Policy:
     """The `dqn.zip` that stock_sb3.py leaves here (for ppo.zip import PPO); loading a zip runs what is in it."""
 
     name = "sb3"
+    files = ("dqn.zip",)  # what it reads: a suite that goes on drives anew when that is another
 
     def __init__(self, config: RunConfig) -> None:
-        self.model = DQN.load("dqn.zip", device="cpu")
+        self.model = DQN.load(self.files[0], device="cpu")
 
     def begin(self) -> None:
         """A test begins."""

@@ -100,6 +100,25 @@ def sets_key(override: str, key: str) -> bool:
     return True
 
 
+def texts_of(override: str) -> tuple[str, ...]:
+    """Every text that a `section.key=value` sets, in tables and lists too.
+
+    >>> texts_of("chair={plant='my chair.toml'}"), texts_of("env.window=2")
+    (('my chair.toml',), ())
+
+    Raises:
+        ConfigError: It is no `section.key=value`.
+    """
+    found, waiting = [], [_override(override)]
+    while waiting:
+        value: Any = waiting.pop()
+        if isinstance(value, str):
+            found.append(value)
+        elif isinstance(value, dict | list):
+            waiting.extend(value.values() if isinstance(value, dict) else value)
+    return tuple(found)
+
+
 def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
     for text in overrides:
         data, where = _merged(data, _asked(_override(text))), f"--set {shown(text)}"

@@ -70,6 +70,22 @@ def test_what_is_kept_is_of_the_files_that_settings_and_a_network_name(corner, t
     assert len(seen) == 5 and policy_digest("follow", order) in seen
 
 
+def test_what_is_kept_is_of_the_files_that_a_list_its_users_and_a_class_name(corner, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("my chair.toml", "chair.toml", "user.toml", "weights.zip"):
+        (tmp_path / name).write_text("1")
+    (tmp_path / "own_reader.py").write_text('class Reads:\n    files = ("weights.zip", "missing.zip")\n')
+    block = block_of(corner)
+    mine = block.episodes[0].model_copy(update={"profile": "user.toml"})
+    block = block.model_copy(update={"settings": ("chair.plant=chair.toml",), "episodes": (mine,)})
+    order = SuiteOrder(suite=suite_in(corner, block), out=tmp_path, settings=("chair={plant='my chair.toml'}",))
+    seen = {policy_digest("own_reader:Reads", order)}
+    for name in ("my chair.toml", "chair.toml", "user.toml", "weights.zip"):
+        (tmp_path / name).write_text("2")
+        seen.add(policy_digest("own_reader:Reads", order))
+    assert len(seen) == 5 and policy_digest("own_reader:Reads", order) in seen
+
+
 def test_what_is_kept_is_of_the_code_that_drives(tmp_path):
     for name in ("agents/drive.py", "config/presets/quick.toml", "view/page.py", "cli/main.py", "README.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, texts_of, with_overrides
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import is_file, is_folder
@@ -37,19 +37,28 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_onnx(name):
         return ["onnx", preset, _files(Path(name))]
     if is_own_class(name):
-        return ["class", name, preset, {part: file_digest(path) for part, path in sources_of(name, "policy").items()}]
+        read = {**sources_of(name, "policy"), **_read_by(name)}
+        return ["class", name, preset, {part: file_digest(path) for part, path in read.items()}]
     level = split_level(name)[1]
     return ["folder", preset, _files(policy_path(name), "**/*"), *([] if level is None else [level])]
 
 
-def own_files(settings: Iterable[str], network: str) -> dict[str, Path]:
-    """The user's own files that settings and a network's name lead to, by the word or the file's name.
+def _read_by(name: str) -> dict[str, Path]:
+    """The files that a class of somebody's own names in `files`, as far as they are there."""
+    named = getattr(find_class(name, "policy"), "files", ())
+    words = (word for word in named if isinstance(word, str)) if isinstance(named, tuple | list) else ()
+    return {word: Path(word) for word in words if is_file(Path(word))}
 
-    >>> own_files(("world.action_delay_ticks=2",), "fig6")
+
+def own_files(settings: Iterable[str], network: str, users: Iterable[str] = ()) -> dict[str, Path]:
+    """The user's own files that settings, a network's name and users lead to, by the word or the file's name.
+
+    >>> own_files(("world.action_delay_ticks=2",), "fig6", ("ataxic",))
     {}
     """
-    values = (word.partition("=")[2].strip("'\"") for setting in settings for word in setting.split())
-    paths = {value: Path(value.removeprefix(RECORDED)) for value in values}
+    texts = [text for setting in settings for text in texts_of(setting)]
+    inner = (word.partition("=")[2].strip("'\"") for text in texts for word in text.split())  # as of collect.variants
+    paths = {value: Path(value.removeprefix(RECORDED)) for value in (*texts, *inner, *users)}
     found = {value: path for value, path in paths.items() if is_file(path)}
     return {**found, **sources_of(network, "network")} if ":" in network else found
 

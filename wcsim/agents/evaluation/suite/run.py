@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
+from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, profiles_of, require_towns, towns_of
 from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import (
     file_digest,
@@ -259,7 +259,10 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
-    own = {word: file_digest(path) for word, path in own_files(order.settings, order.network).items()}
+    file = order.suite.file
+    settings = [*file.settings, *(text for block in file.blocks for text in block.settings), *order.settings]
+    users = profiles_of(block for block in file.blocks if block.part != TIGHT)  # those of a scene lie in it
+    own = {word: file_digest(path) for word, path in own_files(settings, order.network, users).items()}
     said = [order.settings, order.forks, order.network, own, code_digest(), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
