@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
+from wcsim.agents.evaluation.suite.named_policy import identity_of
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.errors import PolicyError
 
@@ -59,16 +60,18 @@ def test_the_example_follows_and_creeps_when_something_is_near(example: str) -> 
         policy.close()
 
 
-def answering(*answers: bytes, late_s: float = 0.0) -> str:
+def answering(*answers: bytes, late_s: float = 0.0, asked: list[bytes] | None = None) -> str:
     """A process that answers so, one answer a message and each so late, and then closes the connection."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
         with server, server.accept()[0] as there:
             for answer in answers:
-                length = int.from_bytes(there.recv(4), "little")
-                while length:
-                    length -= len(there.recv(length))
+                length, message = int.from_bytes(there.recv(4), "little"), b""
+                while len(message) < length:
+                    message += there.recv(length - len(message))
+                if asked is not None:
+                    asked.append(message)
                 time.sleep(late_s)
                 there.sendall(len(answer).to_bytes(4, "little") + answer)
 
@@ -77,6 +80,14 @@ def answering(*answers: bytes, late_s: float = 0.0) -> str:
 
 
 HELLO = json.dumps({"name": "x", "version": "1"}).encode()
+
+
+def test_a_suite_that_asks_for_the_version_names_the_actions_too() -> None:
+    """A process may look up the one for the stick at rest when it hears hello."""
+    asked: list[bytes] = []
+    assert identity_of(answering(HELLO, asked=asked), "quick") == ["served", "x 1", "quick"]
+    points = json.loads(asked[0])["actions"]
+    assert len(points) == 81 and [0.0, 0.0] in points
 
 
 @pytest.mark.parametrize(

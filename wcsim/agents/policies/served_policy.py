@@ -1,13 +1,15 @@
 """A policy that another process serves on a socket, in whatever language: `tcp:PORT` or `tcp:HOST:PORT`.
 
-The test connects once for each chair. Every message has four bytes with its length (little endian) and then that many
-bytes: one line of JSON, a line feed, and the bytes of the arrays that the line names, one after the other.
+The test connects once for each chair, and some times more only to say hello. Every message has four bytes with its
+length (little endian) and then that many bytes: one line of JSON, a line feed, and the bytes of the arrays that the
+line names, one after the other.
 
     {"kind": "hello", "actions": [[0.0, 0.0], ...], "arrays": []}     answer: {"name": "mine", "version": "3"}
     {"kind": "reset", "arrays": []}                                   answer: {}
-    {"kind": "act", "arrays": [["depth", "uint8", [60, 80]], ...]}    answer: {"action": 40, "warning": false}
+    {"kind": "act", "arrays": [["depth", "uint8", [1, 60, 80]], ...]}  answer: {"action": 40, "warning": false}
 
-Arrays are C-ordered and little endian; `warning` may be missing. An example: `examples/served_policy.py`.
+Arrays are those of an observation, C-ordered and little endian; `warning` may be missing. An example:
+`examples/served_policy.py`.
 """
 
 from __future__ import annotations

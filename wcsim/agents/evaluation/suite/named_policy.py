@@ -8,8 +8,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from wcsim.agents.danger.export.guard_file import guard_of
 from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
 from wcsim.agents.envs.senses import senses_of, with_senses
@@ -19,7 +17,7 @@ from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
-from wcsim.config import RunConfig, texts_of, with_overrides
+from wcsim.config import RunConfig, load_run_config, texts_of, with_overrides
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import is_file, is_folder
@@ -32,7 +30,7 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_baseline(name):
         return ["baseline", name, preset]
     if is_served(name):
-        with closing(ServedPolicy(name, np.zeros((0, 2)))) as served:
+        with closing(ServedPolicy(name, action_set(load_run_config(preset).env.actions).points)) as served:
             return ["served", served.version, preset]
     if is_onnx(name):
         return ["onnx", preset, _files(Path(name))]
@@ -134,8 +132,6 @@ def sensing(config: RunConfig, policy: Policy) -> RunConfig:
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
     """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
-    from wcsim.config import load_run_config
-
     if is_onnx(policy):
         about = read_about(Path(policy))
         return with_overrides(load_run_config(about.preset, about.settings), settings)
