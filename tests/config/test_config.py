@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_file, with_overrides
 from wcsim.config.plant import PlantFile, read_plant
 from wcsim.config.run_file import ManifestFile, PolicyFile
 from wcsim.config.scene import SceneFile
@@ -122,6 +122,18 @@ def test_a_number_of_typical_noise_leaves_the_other_noises_on(tmp_path):
     assert alone is not None and alone.depth is not None and alone.classes is None
     exact = tuple(f"cameras.0.noise.{part}=none" for part in ("classes", "rgb"))
     assert load_run_config("laptop", (own, *exact)).cameras[0].noise == alone
+
+
+def test_a_named_speed_of_the_chair_is_taken_over_a_resolved_configuration_too(tmp_path):
+    plain, file = load_run_config("quick"), tmp_path / "a.toml"
+    file.write_text('[chair]\nprofile = "road"\n')
+    slow = with_overrides(plain, ("chair.profile=indoor",))
+    assert slow.chair == load_run_config("quick", ("chair.profile=indoor",)).chair and slow.chair.v_max_mps == 0.6
+    assert with_file(slow, file).chair.v_max_mps == 2.78
+    assert with_overrides(slow, ("chair.profile=custom",)).chair.v_max_mps == 0.6
+    for more in (("chair.profile=road", "chair.v_max_mps=1.0"), ("chair.v_max_mps=1.0", "chair.profile=road")):
+        with pytest.raises(ConfigError, match="v_max_mps is 1"):
+            with_overrides(plain, more)
 
 
 def test_an_unknown_preset_names_the_known_ones():

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from wcsim.config.base import Model, fault
+from wcsim.config.chair import PROFILE_SPEED_MPS
 from wcsim.config.run import RunConfig
 from wcsim.config.sensors import by_word
 from wcsim.core import reading
@@ -72,13 +73,27 @@ def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | N
 
 def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
     """A resolved configuration with `section.key=value` laid over it. Raises ConfigError as `load_run_config` does."""
-    return _overridden(config.model_dump(mode="json"), overrides, "configuration")
+    data = _laid_under(config, [_override(text) for text in overrides])
+    return _overridden(data, overrides, "configuration")
 
 
 def with_file(config: RunConfig, file: Path) -> RunConfig:
     """A resolved configuration with a TOML file laid over it. Raises ConfigError as `load_run_config` does."""
     own = _asked(reading.read_toml(file, CONFIG_FILE))
-    return parse(RunConfig, _merged(config.model_dump(mode="json"), own), shown(file))
+    return parse(RunConfig, _merged(_laid_under(config, [own]), own), shown(file))
+
+
+def _laid_under(config: RunConfig, asked: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """A resolved configuration as plain data that is laid under what is asked for.
+
+    It names every key: its speed gives way to that of a named profile of the chair, unless a speed is asked for, too.
+    """
+    data = config.model_dump(mode="json")
+    chairs = [chair for own in asked if isinstance(chair := own.get("chair"), dict)]
+    named = [str(chair["profile"]) for chair in chairs if "profile" in chair]
+    if named and named[-1] in PROFILE_SPEED_MPS and not any("v_max_mps" in chair for chair in chairs):
+        del data["chair"]["v_max_mps"]
+    return data
 
 
 def sets_key(override: str, key: str) -> bool:
