@@ -25,7 +25,6 @@ from wcsim.config.load import load_run_config as load_run_config
 from wcsim.config.load import parse as parse
 from wcsim.config.load import parse_json as parse_json
 from wcsim.config.load import read_toml as read_toml
-from wcsim.config.load import texts_of as texts_of
 from wcsim.config.load import with_file as with_file
 from wcsim.config.load import with_overrides as with_overrides
 from wcsim.config.randomization import VaryConfig as VaryConfig

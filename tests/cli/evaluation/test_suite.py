@@ -54,7 +54,12 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(("--suite", "nothing"), "no such list"), (("--suite", "dev", "--jobs", "0"), "--jobs")],
+    [
+        (("--suite", "nothing"), "no such list"),
+        (("--suite", "dev", "--jobs", "0"), "--jobs"),
+        (("--suite", "dev", "--sensitivity", "--forks", "3"), "--sensitivity does not hear of --forks"),
+        (("stop", "--suite", "dev", "--play", "0.0", "--sensitivity"), "--play does not hear of --sensitivity"),
+    ],
 )
 def test_what_cannot_be_is_refused(words, said, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -77,6 +77,7 @@ def run_suites(words: list[str]) -> int:
     machines_of(options.cluster, options.jobs, "--jobs")
     require_unset(options.set, _LISTED)
     in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
+    _require_heard(options)
     from wcsim.agents.evaluation.suite.list_file import open_suite
 
     suite = open_suite(options.suite)
@@ -105,6 +106,16 @@ def run_suites(words: list[str]) -> int:
         told.print(text, style="dim", markup=False)
 
     return (_disturb if options.sensitivity else _judge)(order, options, names, say)
+
+
+def _require_heard(options: SuiteOptions) -> None:
+    """Refuse options that would not be heard of beside others. Raises ConfigError."""
+    asked = {"--forks": options.forks is not None, "--sensitivity": options.sensitivity, "--json": bool(options.json)}
+    deaf = (("--play", bool(options.play), tuple(asked)), ("--sensitivity", options.sensitivity, ("--forks",)))
+    for option, is_asked, others in deaf:
+        found = ", ".join(other for other in others if asked[other])
+        if is_asked and found:
+            raise ConfigError(f"{option} does not hear of {found}; expected one without the other")
 
 
 def _judge(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: Callable[[str], None]) -> int:

@@ -19,6 +19,21 @@ def test_every_disturbance_is_a_setting_that_exists() -> None:
         assert (config == load_run_config("quick", told_apart.CLEAN)) is (not settings)
 
 
+def test_every_disturbance_disturbs_whatever_is_set(
+    corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chair of one's own would be driven in the place of the mid-wheel one, too, and move nothing."""
+    driven = []
+    monkeypatch.setattr(told_apart, "run_suite", lambda order, *_: driven.append(order.settings) or {})
+    own = ("chair.plant=mwd", "chair.plant=rwd", "world.action_delay_ticks=1", "chair.v_max_mps=1.2")
+    order = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path, settings=own)
+    told_apart.sensitivity(order, (), lambda _: None)
+    configs = [load_run_config("quick", settings) for settings in driven]
+    assert len(configs) == len(told_apart.DISTURBANCES)
+    assert all(config != configs[0] for config in configs[1:])
+    assert configs[0].world.action_delay_ticks == 1 and configs[0].chair.v_max_mps == 1.2
+
+
 @pytest.mark.proof
 def test_a_change_is_measured_against_the_same_episodes_driven_clean(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -17,7 +17,8 @@ from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
-from wcsim.config import RunConfig, load_run_config, texts_of, with_overrides
+from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import is_file, is_folder

@@ -44,7 +44,7 @@ def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[
     rows: list[Row] = []
     clean: Mapping[str, Sequence[EpisodeRecord]] = {}
     for name, settings in DISTURBANCES.items():
-        disturbed = replace(order, settings=(*CLEAN, *settings, *order.settings), forks=0)
+        disturbed = replace(order, settings=(*CLEAN, *order.settings, *settings), forks=0)  # what is set disturbs all
         driven = run_suite(disturbed, policies, _telling(told, name))
         clean = clean or driven
         for policy, records in driven.items():
