@@ -139,8 +139,9 @@ def test_a_controller_beyond_the_limits_of_its_plant_is_refused(key, value):
 def test_a_speed_profile_and_another_speed_contradict_each_other():
     config = load_run_config("quick", ("chair.profile=road",))
     assert config.chair.v_max_mps == 2.78
+    assert with_overrides(config, ("chair.profile=indoor",)).chair.v_max_mps == 0.6
     with pytest.raises(ConfigError, match=r"drives at 0\.6 m/s, v_max_mps is 2\.78"):
-        with_overrides(config, ("chair.profile=indoor",))
+        with_overrides(config, ("chair.profile=indoor", "chair.v_max_mps=2.78"))
     assert with_overrides(config, ("chair.profile=custom", "chair.v_max_mps=1.2")).chair.v_max_mps == 1.2
 
 

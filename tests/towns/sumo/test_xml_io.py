@@ -105,14 +105,10 @@ def test_unpacking_is_bounded_in_size_and_pieces() -> None:
         assert unpack(io.BytesIO(pack(b"ab") + pack(b"cd")), 100) == b"abcd"
         with pytest.raises(EOFError, match="ends too early"):
             unpack(io.BytesIO(pack(b"abcd")[:-3]), 100)
-        begun_s = time.process_time()
+        many = io.BytesIO(pack(b"") * (MAX_MEMBERS * 20))
         with pytest.raises(EOFError, match="pieces"):
-            unpack(io.BytesIO(pack(b"") * (MAX_MEMBERS * 4)), 100)
-        few_s = time.process_time() - begun_s
-        begun_s = time.process_time()
-        with pytest.raises(EOFError, match="pieces"):
-            unpack(io.BytesIO(pack(b"") * (MAX_MEMBERS * 20)), 100)
-        assert time.process_time() - begun_s < 4 * few_s + 0.5  # of the same number of pieces
+            unpack(many, 100)
+        assert many.tell() < 2 * MAX_MEMBERS * len(pack(b""))  # what lies behind is not even read
 
 
 def test_comments_are_taken_out() -> None:
