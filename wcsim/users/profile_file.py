@@ -11,32 +11,8 @@ from typing import Any
 
 from wcsim.core.reading import FileKind, parse_json, read_toml, shown, shown_value
 from wcsim.errors import ConfigError
-from wcsim.users.profiles import UserProfile, profile
+from wcsim.users.profiles import PAIRS, PROFILE_LIMITS, UserProfile, profile
 
-PROFILE_LIMITS: dict[str, tuple[float, float]] = {
-    "reaction_s": (0.0, 3.0),
-    "lag_s": (0.0, 2.0),
-    "lookahead_m": (0.1, 5.0),
-    "noise": (0.0, 1.0),
-    "noise_rate": (0.05, 50.0),
-    "tremor": (0.0, 1.0),
-    "tremor_hz": (0.5, 15.0),
-    "gain": (0.05, 5.0),
-    "bias": (-1.0, 1.0),
-    "see_share": (0.0, 1.0),
-    "see_m": (0.5, 50.0),
-    "away_share": (0.0, 0.9),
-    "away_s": (0.1, 30.0),
-    "correct_every_s": (0.0, 5.0),
-    "speed_share": (0.05, 1.0),
-    "law_share": (0.0, 1.0),
-    "give_up_s": (1.0, 3600.0),
-    "hold_s": (0.05, 5.0),
-    "spread": (0.0, 0.9),
-}
-"""Least and most of each number of a profile; of both its parts where it has two."""
-
-_PAIRS = ("gain", "bias")
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")
 _KIND = FileKind(what="a user's profile as TOML", limit_bytes=1 << 16)
 
@@ -75,17 +51,6 @@ def profile_text(user: UserProfile, notes: Mapping[str, str], head: str = "") ->
     return "\n".join([*lines, ""])
 
 
-def bounded(user: UserProfile) -> UserProfile:
-    """The same user, each number within the bounds of a file; one drawn of a wide profile may lie beyond them."""
-
-    def held(name: str, value: Any) -> Any:
-        low, high = PROFILE_LIMITS[name]
-        parts = [min(max(part, low), high) for part in (value if name in _PAIRS else (value,))]
-        return tuple(parts) if name in _PAIRS else parts[0]
-
-    return replace(user, **{name: held(name, getattr(user, name)) for name in PROFILE_LIMITS})
-
-
 def _changed(base: UserProfile, data: dict[str, Any], where: str) -> UserProfile:
     known = set(PROFILE_LIMITS) | {"name", "discrete"}
     strange = sorted(key for key in data if key not in known)
@@ -106,12 +71,12 @@ def _value(key: str, value: Any, where: str) -> Any:
             return value
         raise ConfigError(f"{where}: discrete: got {shown_value(value)}; expected true or false")
     low, high = PROFILE_LIMITS[key]
-    numbers = value if key in _PAIRS and isinstance(value, list) else [value]
-    fits = len(numbers) == (2 if key in _PAIRS else 1)
+    numbers = value if key in PAIRS and isinstance(value, list) else [value]
+    fits = len(numbers) == (2 if key in PAIRS else 1)
     if not fits or not all(_is_number(number) and low <= number <= high for number in numbers):
-        what = "two numbers, each" if key in _PAIRS else "a number,"
+        what = "two numbers, each" if key in PAIRS else "a number,"
         raise ConfigError(f"{where}: {key}: got {shown_value(value)}; expected {what} {low:g} to {high:g}")
-    return tuple(map(float, numbers)) if key in _PAIRS else float(value)
+    return tuple(map(float, numbers)) if key in PAIRS else float(value)
 
 
 def _is_number(value: Any) -> bool:

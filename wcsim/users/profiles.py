@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +18,31 @@ from wcsim.errors import ConfigError, meant
 PROFILE_SUFFIX = ".toml"
 """Of the file of a profile, where else the name of one stands."""
 
-_MOST_AWAY = 0.95  # of the time, of any user
+PROFILE_LIMITS: dict[str, tuple[float, float]] = {
+    "reaction_s": (0.0, 3.0),
+    "lag_s": (0.0, 2.0),
+    "lookahead_m": (0.1, 5.0),
+    "noise": (0.0, 1.0),
+    "noise_rate": (0.05, 50.0),
+    "tremor": (0.0, 1.0),
+    "tremor_hz": (0.5, 15.0),
+    "gain": (0.05, 5.0),
+    "bias": (-1.0, 1.0),
+    "see_share": (0.0, 1.0),
+    "see_m": (0.5, 50.0),
+    "away_share": (0.0, 0.9),
+    "away_s": (0.1, 30.0),
+    "correct_every_s": (0.0, 5.0),
+    "speed_share": (0.05, 1.0),
+    "law_share": (0.0, 1.0),
+    "give_up_s": (1.0, 3600.0),
+    "hold_s": (0.05, 5.0),
+    "spread": (0.0, 0.9),
+}
+"""Least and most of each number of a profile; of both its parts where it has two."""
 
+PAIRS = ("gain", "bias")
+"""The numbers of a profile that have two parts."""
 
 HELD_OUT = ("ataxic",)
 """Profiles that no network is trained with."""
@@ -79,7 +103,7 @@ def profile_names() -> tuple[str, ...]:
 
 
 def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
-    """The user of one episode: every parameter within the profile's spread of its own (30 %), shares stay shares.
+    """The user of one episode: every parameter within the profile's spread of its own (30 %), and within its bounds.
 
     The chances to see and to keep to the law are spread by their complement (who misses 2 % misses 1.4 to 2.6 %), gains
     by how far they are from one (a faithful hand stays faithful).
@@ -99,18 +123,29 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
         tremor_hz=around(base.tremor_hz),
         gain=(1.0 + around(base.gain[0] - 1.0), 1.0 + around(base.gain[1] - 1.0)),
         bias=(around(base.bias[0]), base.bias[1]),
-        see_share=max(0.0, 1.0 - around(1.0 - base.see_share)),
+        see_share=1.0 - around(1.0 - base.see_share),
         see_m=around(base.see_m),
-        away_share=min(_MOST_AWAY, around(base.away_share)),
+        away_share=around(base.away_share),
         away_s=around(base.away_s),
         correct_every_s=around(base.correct_every_s),
-        speed_share=min(1.0, around(base.speed_share)),
+        speed_share=around(base.speed_share),
         give_up_s=around(base.give_up_s),
-        law_share=max(0.0, 1.0 - around(1.0 - base.law_share)),
+        law_share=1.0 - around(1.0 - base.law_share),
         hold_s=around(base.hold_s),
     )
     # Last, so that a user of a seed is in all else who it was before this was drawn.
-    return replace(user, bias=(user.bias[0], around(base.bias[1])))
+    return _bounded(replace(user, bias=(user.bias[0], around(base.bias[1]))))
+
+
+def _bounded(user: UserProfile) -> UserProfile:
+    """The same user, each number within its bounds."""
+
+    def held(name: str, value: Any) -> Any:
+        low, high = PROFILE_LIMITS[name]
+        parts = [min(max(part, low), high) for part in (value if name in PAIRS else (value,))]
+        return tuple(parts) if name in PAIRS else parts[0]
+
+    return replace(user, **{name: held(name, getattr(user, name)) for name in PROFILE_LIMITS})
 
 
 _COMPETENT = UserProfile(

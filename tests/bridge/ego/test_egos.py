@@ -19,8 +19,7 @@ from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
 from wcsim.users.perception import Perception
-from wcsim.users.profile_file import PROFILE_LIMITS
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import PROFILE_LIMITS, profile
 from wcsim.users.user import SimulatedUser
 
 SPEC = SeatSpec(profile="competent")

@@ -26,7 +26,7 @@ from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISI
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
 from wcsim.agents.runs.run_folder import policy_path, split_level
-from wcsim.config import RewardConfig, RunConfig
+from wcsim.config import RewardConfig, RunConfig, with_overrides
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import DROP
 from wcsim.supervisor.observation import imu_size
@@ -224,6 +224,11 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
 def window_for(policies: Sequence[Policy]) -> int:
     """Images that an observation must hold so that each of the policies sees enough; the others see the newest."""
     return max((policy.file.window for policy in policies if isinstance(policy, NetPolicy)), default=1)
+
+
+def with_window(config: RunConfig, policies: Sequence[Policy]) -> RunConfig:
+    """The configuration with as many images in an observation as the policies need, or more where they are set."""
+    return with_overrides(config, (f"env.window={max(window_for(policies), config.env.frames)}",))
 
 
 def _labels(names: Sequence[str], longest: int) -> list[str]:

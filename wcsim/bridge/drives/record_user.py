@@ -14,7 +14,7 @@ from wcsim.core import seeding
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ClientSnapshot, Command, Joystick, SeatSpec
-from wcsim.users.profile_file import bounded, profile_text
+from wcsim.users.profile_file import profile_text
 from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import RecordedTick
@@ -44,8 +44,8 @@ class Given:
 
 
 def drawn_user(base: UserProfile, seed: int) -> UserProfile:
-    """One user of a profile, who is then nobody else in any episode; one that the file of a profile can hold."""
-    return replace(bounded(sample(base, seeding.generator(seed, "drive", "user"))), spread=0.0)
+    """One user of a profile, who is then nobody else in any episode."""
+    return replace(sample(base, seeding.generator(seed, "drive", "user")), spread=0.0)
 
 
 def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], object] = lambda ticks: None) -> int:

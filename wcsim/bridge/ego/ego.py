@@ -52,7 +52,6 @@ from wcsim.types import (
     UserView,
     chair_actor_id,
 )
-from wcsim.users.profile_file import bounded
 from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser
@@ -319,7 +318,7 @@ class Ego:
         rng = seeding.generator(self._seed, "user", self.index, self._episode)
         exact = self._person
         return SimulatedUser(
-            bounded(sample(exact, rng)) if self.spec.start is None else exact,
+            sample(exact, rng) if self.spec.start is None else exact,
             rng,
             self._config.chair,
             self.chair.outline,

@@ -24,7 +24,7 @@ from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config import RunConfig, load_run_config
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
@@ -120,12 +120,11 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
     from wcsim.agents.envs.wheelchair_env import (
         WheelchairEnv,  # torch is loaded here: not for --help, nor for a refusal
     )
-    from wcsim.agents.evaluation.matrix import TestPlan, run_test, window_for
+    from wcsim.agents.evaluation.matrix import TestPlan, run_test, with_window
 
     names = _driven(options)
     policies = [open_named(name, config, options.seed, options.network or None) for name in names]
-    window = max(window_for(policies), config.env.frames)  # see `sensing`
-    config = with_overrides(config, (f"env.window={window}",))
+    config = with_window(config, policies)
 
     def make_env(town: str, profile: str, senses: tuple[str, ...]) -> WheelchairEnv:
         asked = {"profile": profile, "max_steps": options.max_steps, "truth": True, "truth_visible": True}

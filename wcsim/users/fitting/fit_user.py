@@ -15,8 +15,7 @@ from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
 from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, hand_series
 from wcsim.users.fitting.stick_positions import require_stick
 from wcsim.users.fitting.switch_fit import by_switches, fit_switches
-from wcsim.users.profile_file import PROFILE_LIMITS
-from wcsim.users.profiles import UserProfile
+from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
 from wcsim.users.recording.drive_types import DriveRecording
 
 WIDEST = 0.15  # half an interval against its value: wider is not told well

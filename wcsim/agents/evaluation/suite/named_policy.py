@@ -125,10 +125,9 @@ def sensing(config: RunConfig, policy: Policy) -> RunConfig:
 
     Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
     """
-    from wcsim.agents.evaluation.matrix import window_for
+    from wcsim.agents.evaluation.matrix import with_window
 
-    window = max(window_for([policy]), config.env.frames)
-    return with_senses(with_overrides(config, (f"env.window={window}",)), senses_of(policy))
+    return with_senses(with_window(config, [policy]), senses_of(policy))
 
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
