@@ -92,7 +92,7 @@ def test_nobody_in_the_street(wcsim, folder, theirs):
     (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: nobody walks in this town: its demand has no persons; make walkers.rou.xml" in one_line(checked)
+    assert "fault: nobody walks in this town: its demand has no persons on foot; make walkers" in one_line(checked)
     assert f"randomTrips.py -n {theirs}/a.net.xml --pedestrians" in one_line(checked)
     ran = wcsim("town", "run", theirs, *RUN)
     assert ran.code == 0

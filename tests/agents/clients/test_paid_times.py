@@ -8,9 +8,11 @@ import pytest
 
 from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
-from wcsim.server.host.status import Stragglers
+from wcsim.server.host.status import Stragglers, names_of
 from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.protocol.members import Member
 from wcsim.server.specs import ClientStatus, WorldStatus
+from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, pays_of
 from wcsim.view.report.training.waiting import HEADINGS, waiting_rows
 
@@ -46,6 +48,13 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
     again = PaidTimesLog(tmp_path)
     again.add(state((1.0, 1.0), 1.0, pid=3))
     assert again.times.clients["a"].learning_s == 8.5 and again.times.waited_s["a"]["b"] == 4.5
+
+
+def test_two_clients_of_one_name_are_told_apart():
+    mates = [
+        Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)
+    ]
+    assert names_of(mates) == ["a (seat 1)", "a"]
 
 
 def test_the_last_words_of_a_world_that_is_down_are_no_other_worlds(tmp_path):

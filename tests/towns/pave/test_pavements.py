@@ -206,6 +206,10 @@ DISTRIBUTIONS = """<routes>
     <flow id="f1" route="names" begin="50300" end="50340" number="4" departLane="1"/>
     <flow id="f2" route="refers" begin="50300" end="50340" number="4" departLane="0" arrivalLane="1"/>
     <vehicle id="f3" depart="50341" departLane="1"><routeDistribution routes="way r0"/></vehicle>
+    <route id="longer" edges="A0B0 B0B1"/>
+    <vehicle id="f4" depart="50342" route="longer" departEdge="1" departPos="106.1"/>
+    <vehicle id="f5" depart="50342" departPos="106.1"><route edges="B0B1"/></vehicle>
+    <vehicle id="f6" depart="50343" route="longer" departPos="106.1" arrivalEdge="random" arrivalPos="30"/>
 </routes>"""
 
 
@@ -215,6 +219,8 @@ def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(t
     found = {element.get("id"): element for element in elements(tmp_path / "ours", "u.rou.xml")}
     assert [found[f"f{k}"].get("departLane") for k in range(4)] == ["1", "2", "1", "2"]
     assert found["f2"].get("arrivalLane") == "2"
+    at = {name: (found[name].get("departPos"), found[name].get("arrivalPos")) for name in ("f4", "f5", "f6")}
+    assert at["f4"][0] == at["f5"][0] != at["f6"][0] and at["f6"][1] == "30", at
     options = ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 50.0), "--no-step-log", "--xml-validation", "never"]
     run = run_tool("sumo", options, tmp_path)
     assert run.returncode == 0 and "Error" not in run.output, run.output

@@ -15,6 +15,7 @@ import msgspec
 from wcsim.errors import WcsimError
 from wcsim.server.host.world_host import WorldHost
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
+from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.messages import Act, failure_of
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import Held, WorldStatus, to_line
@@ -81,6 +82,12 @@ class Stragglers:
         return tuple(tuple(round(row.get(whom, 0.0), 2) for whom in members) for row in self._pairs.values())
 
 
+def names_of(members: Sequence[Member]) -> list[str]:
+    """The names of members; who bears the name of one on a lower seat is told with its own."""
+    first = {mate.name: mate.seat for mate in sorted(members, key=lambda mate: -mate.seat)}
+    return [mate.name if first[mate.name] == mate.seat else f"{mate.name} (seat {mate.seat})" for mate in members]
+
+
 class Reporter:
     """Writes `WorldStatus` lines into a pipe; one that nobody reads fills up, and is then left alone."""
 
@@ -111,8 +118,9 @@ class Reporter:
         if acted or stepped_s > 0.0 or isinstance(event, Clock):
             members = core.cycle.roll.members
             waits = core.cycle.stage is BarrierState.COLLECT
-            late = [mate.name for mate in members if mate.action is None and not mate.respawning] if waits else []
-            self._holdups.saw([mate.name for mate in members], late, now_s)
+            names = names_of(members)
+            late = [name for name, mate in zip(names, members, strict=True) if waits and not mate.ready]
+            self._holdups.saw(names, late, now_s)
 
     def report(self, core: ServerCore, hub: WorldHost, now_s: float) -> None:
         """Say how things are, when it is time to."""
@@ -123,7 +131,7 @@ class Reporter:
         self._counts.append((real_s, hub.ticks))
         cycle = core.cycle
         members = cycle.roll.by_seat()
-        names = [mate.name for mate in members]
+        names = names_of(members)
         master = cycle.roll.member(cycle.master)
         owing = [mate for mate in members if not mate.ready] if cycle.stage is BarrierState.COLLECT else []
         self._say(
@@ -135,8 +143,8 @@ class Reporter:
                 ticks_per_s=self._rate(),
                 step_ms=1e3 * statistics.median(self._steps_s) if self._steps_s else 0.0,
                 members=tuple(names),
-                master="" if master is None else master.name,
-                late=tuple(mate.name for mate in owing),
+                master="" if master is None else names[members.index(master)],
+                late=tuple(name for name, mate in zip(names, members, strict=True) if mate in owing),
                 late_s=max((now_s - mate.asked_s for mate in owing), default=0.0),
                 rss_mb=rss_mb(),
                 held=self._holdups.held(names),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -54,14 +55,18 @@ class JournalTail(Closing):
         self._file = None
 
     def is_written(self) -> bool | None:
-        """Whether a process has the journal open for writing; None where that cannot be known."""
+        """Whether a process has the journal open for writing; None where that cannot be known.
+
+        Where a file system has no device of its own (btrfs, overlay), a file and its lock may name different ones.
+        """
         try:
             there = self._path.stat()
             locks = _LOCKS.read_text(encoding="ascii")
         except OSError:
             return None
-        mine = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
-        return any(mine in line.split() for line in locks.splitlines())
+        major, minor = os.major(there.st_dev), os.minor(there.st_dev)
+        device = rf"{major:02x}:{minor:02x}" if major else r"00:[0-9a-f]+"
+        return re.search(rf"(?m)\s{device}:{there.st_ino}\s", locks) is not None
 
     def _open(self) -> bool:
         """Open the newest part; whether there is one with a header in it by now."""

@@ -177,7 +177,7 @@ def _demand(town: Town, net: Net, found: Findings) -> list[str]:
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
             cure = f"add some: {_again(town, shlex.join(words))}"
-        lines.append(f"nobody walks in this town: its demand has no persons; {cure}")
+        lines.append(f"nobody walks in this town: its demand has no persons on foot; {cure}")
     if found.unroutable:
         lines.append(f"{found.unroutable} trips have no way through the net; to drop or mend them, {routes_cure(town)}")
     return lines

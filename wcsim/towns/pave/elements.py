@@ -25,7 +25,7 @@ _POSITIONS = ("pos", "startPos", "endPos")
 _VEHICLES = ("vehicle", "trip", "flow")
 _PEOPLE = ("person", "personFlow")
 _RINGS = "NEMA"  # the type of programs that show a phase of each ring at once
-Ends = tuple[str, str]  # the first and the last edge of a way
+Way = tuple[str, ...]  # the edges of a route, or the first and the last edge of a trip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class Paving:
 
     lanes: LaneMap
     signals: Mapping[str, SignalLinks]
-    routes: dict[str, Ends] = field(default_factory=dict)  # by id, of all files
+    routes: dict[str, Way] = field(default_factory=dict)  # by id, of all files
     members: dict[str, str] = field(default_factory=dict)  # a distribution of routes -> its first, where it names that
     placed: int = 0  # elements that lie on a lane
     programs: int = 0
@@ -55,16 +55,16 @@ class Paving:
 
 
 def note_routes(root: Element, paving: Paving) -> None:
-    """Note the first and the last edge of every route, and of every distribution of routes, that has a name."""
+    """Note the edges of every route, and of every distribution of routes, that has a name."""
     for element in root.iter():
         name, tag = element.get("id", ""), _tag(element)
         if name and tag == "route" and (edges := element.get("edges", "").split()):
-            paving.routes[name] = (edges[0], edges[-1])
+            paving.routes[name] = tuple(edges)
         elif name and tag == "routeDistribution":
             if member := _first_member(element):
                 paving.members[name] = member
-            elif ends := _ends(element, paving):
-                paving.routes[name] = ends
+            elif way := _way(element, paving):
+                paving.routes[name] = way
 
 
 def _first_member(distribution: Element) -> str:
@@ -154,32 +154,37 @@ def _note_moved(element: Element, lane: str, along_m: float, paving: Paving) -> 
 
 
 def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
-    """Where somebody departs and arrives: lanes by number, positions on the first and the last edge."""
+    """Where somebody departs and arrives: lanes by number, positions on the first and the last edge or the one named.
+
+    https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html (departEdge, arrivalEdge)
+    """
     if tag in _VEHICLES or tag == "walk" or tag == "personTrip":
-        ends = _ends(element, paving)
+        way = _way(element, paving)
     elif tag in _PEOPLE:
-        ends = next((ends for child in element if (ends := _ends(child, paving))), None)
+        way = next((way for child in element if (way := _way(child, paving))), None)
     else:
         return {}
-    if ends is None:
+    if way is None:
         return {}
     found = {}
-    for word, edge in (("depart", ends[0]), ("arrival", ends[1])):
+    for word, last in (("depart", 0), ("arrival", len(way) - 1)):
+        asked = element.get(f"{word}Edge", str(last))
+        known = asked.isdigit() and int(asked) < len(way)  # "random" is not
+        edge = way[int(asked) if known else last]
         lane, pos_m = element.get(f"{word}Lane", ""), _number(element.get(f"{word}Pos"))
         if lane.isdigit():
             found[f"{word}Lane"] = str(int(lane) + paving.lanes.shift(edge))
         lines = paving.lanes.before.get(edge)
-        if pos_m is not None and lines and edge in paving.lanes.after:
+        if pos_m is not None and known and lines and edge in paving.lanes.after:
             found[f"{word}Pos"] = _position(lines[-1].id, pos_m, True, paving.lanes)[0]
     return found
 
 
-def _ends(element: Element, paving: Paving) -> Ends | None:
-    """The first and the last edge of somebody's way, None where they are not known."""
+def _way(element: Element, paving: Paving) -> Way | None:
+    """The edges of somebody's way, at least the first and the last; None where they are not known."""
     inner = next((child for child in element.iter() if child.get("edges")), None)
-    edges = inner.get("edges", "").split() if inner is not None else []
-    if edges:
-        return edges[0], edges[-1]
+    if edges := inner.get("edges", "").split() if inner is not None else []:
+        return tuple(edges)
     inside = (child for child in element if _tag(child) == "routeDistribution")
     route = element.get("route", "") or next((_first_member(child) for child in inside), "")
     named = paving.routes.get(paving.members.get(route, route))
