@@ -36,7 +36,7 @@ from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, SeatSpec, StartSpec
 
 LATE_S: Final = 10.0  # of wall clock: a policy that needs longer for an answer has failed
-FIRST_SHARE: Final = 18.0  # so much longer it has for the first one of an episode: it may load and compile
+FIRST_SHARE: Final = 6.0  # so much longer it has for the first one of an episode: it may load and compile
 
 MakePolicy = Callable[[], Policy]
 
