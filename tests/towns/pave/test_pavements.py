@@ -210,6 +210,7 @@ DISTRIBUTIONS = """<routes>
     <vehicle id="f4" depart="50342" route="longer" departEdge="1" departPos="106.1"/>
     <vehicle id="f5" depart="50342" departPos="106.1"><route edges="B0B1"/></vehicle>
     <vehicle id="f6" depart="50343" route="longer" departPos="106.1" arrivalEdge="random" arrivalPos="30"/>
+    <trip id="f7" depart="50344" from="A0B0" to="B1C1" departEdge="1" departPos="106.1"/>
 </routes>"""
 
 
@@ -221,6 +222,7 @@ def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(t
     assert found["f2"].get("arrivalLane") == "2"
     at = {name: (found[name].get("departPos"), found[name].get("arrivalPos")) for name in ("f4", "f5", "f6")}
     assert at["f4"][0] == at["f5"][0] != at["f6"][0] and at["f6"][1] == "30", at
+    assert found["f7"].get("departPos") == "106.1"  # where its second edge is, only routing says
     options = ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 50.0), "--no-step-log", "--xml-validation", "never"]
     run = run_tool("sumo", options, tmp_path)
     assert run.returncode == 0 and "Error" not in run.output, run.output

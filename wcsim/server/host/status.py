@@ -14,6 +14,7 @@ import msgspec
 
 from wcsim.errors import WcsimError
 from wcsim.server.host.world_host import WorldHost
+from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.messages import Act, failure_of
@@ -88,6 +89,13 @@ def names_of(members: Sequence[Member]) -> list[str]:
     return [mate.name if first[mate.name] == mate.seat else f"{mate.name} (seat {mate.seat})" for mate in members]
 
 
+def _names_and_late(cycle: Barrier, members: Sequence[Member]) -> tuple[list[str], list[str]]:
+    """The names of members, and of those of them that the others wait for."""
+    names = names_of(members)
+    waits = cycle.stage is BarrierState.COLLECT
+    return names, [name for name, mate in zip(names, members, strict=True) if waits and not mate.ready]
+
+
 class Reporter:
     """Writes `WorldStatus` lines into a pipe; one that nobody reads fills up, and is then left alone."""
 
@@ -116,10 +124,7 @@ class Reporter:
             self._steps_s.append(stepped_s)
         acted = isinstance(event, Received) and isinstance(event.message, Act)
         if acted or stepped_s > 0.0 or isinstance(event, Clock):
-            members = core.cycle.roll.members
-            waits = core.cycle.stage is BarrierState.COLLECT
-            names = names_of(members)
-            late = [name for name, mate in zip(names, members, strict=True) if waits and not mate.ready]
+            names, late = _names_and_late(core.cycle, core.cycle.roll.members)
             self._holdups.saw(names, late, now_s)
 
     def report(self, core: ServerCore, hub: WorldHost, now_s: float) -> None:
@@ -131,7 +136,7 @@ class Reporter:
         self._counts.append((real_s, hub.ticks))
         cycle = core.cycle
         members = cycle.roll.by_seat()
-        names = names_of(members)
+        names, late = _names_and_late(cycle, members)
         master = cycle.roll.member(cycle.master)
         owing = [mate for mate in members if not mate.ready] if cycle.stage is BarrierState.COLLECT else []
         self._say(
@@ -144,7 +149,7 @@ class Reporter:
                 step_ms=1e3 * statistics.median(self._steps_s) if self._steps_s else 0.0,
                 members=tuple(names),
                 master="" if master is None else names[members.index(master)],
-                late=tuple(name for name, mate in zip(names, members, strict=True) if mate in owing),
+                late=tuple(late),
                 late_s=max((now_s - mate.asked_s for mate in owing), default=0.0),
                 rss_mb=rss_mb(),
                 held=self._holdups.held(names),

@@ -167,10 +167,12 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     if way is None:
         return {}
     found = {}
+    is_trip = element.get("from") is not None or element.get("to") is not None  # numbers count along what is routed
     for word, last in (("depart", 0), ("arrival", len(way) - 1)):
-        asked = element.get(f"{word}Edge", str(last))
-        known = asked.isdigit() and int(asked) < len(way)  # "random" is not
-        edge = way[int(asked) if known else last]
+        asked = element.get(f"{word}Edge")
+        numbered = asked is not None and asked.isdigit() and not is_trip and int(asked) < len(way)
+        known = asked is None or numbered  # "random" is not
+        edge = way[int(asked)] if asked is not None and numbered else way[last]
         lane, pos_m = element.get(f"{word}Lane", ""), _number(element.get(f"{word}Pos"))
         if lane.isdigit():
             found[f"{word}Lane"] = str(int(lane) + paving.lanes.shift(edge))
