@@ -3,7 +3,8 @@
 In each tick it is told what the policy wants and whether that can be trusted: numbers that are finite on both sides, a
 frame that is not old, an answer in time. Where it cannot, the command goes to zero within `stop_s`, whatever it was.
 It comes back when `good_ticks` good ticks have come one after the other; till then the policy is shown the user's stick
-at rest, so that what it believes to have sent is what was sent. `examples/exported_policy.py` says the same in NumPy.
+at rest, so that what it believes to have sent is what was sent, unless rest itself looks unsafe to it.
+`examples/exported_policy.py` says the same in NumPy.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from wcsim.towns.scenario.town import find_town
 from wcsim.types import F32, Command, Joystick, SeatSpec
 
 PUSH_TICKS: Final = 20  # so long the stick is held somewhere, and so long the user has it again
-TRIES: Final = 5  # to drive without a crash
+TRIES: Final = 5  # episodes, until one is long enough
 _WIDEST_RAD: Final = 2.0  # of a push, from ahead
 
 
@@ -27,8 +27,8 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     """Observations of so many successive ticks of one chair that a policy drives, all of one episode.
 
     By turns the stick is the simulated user's, and pushed to its end in one direction, towards whatever is there: a
-    user who never errs would give a policy nothing to do, and a blind one would do as well. After a crash it begins
-    anew; where it crashes each time it is the longest episode, with fewer steps. Raises TownError.
+    user who never errs would give a policy nothing to do, and a blind one would do as well. Where the episode ends it
+    begins anew; where each one ends it is the longest, with fewer steps. Raises TownError.
     """
     sensing = with_senses(config, SENSES)
     spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)

@@ -35,7 +35,7 @@ class TrainedRound:
     tight_share: float  # of these, in which something is unsafe
     crashes: int  # of whoever drove in this round
     updates: int  # in all
-    loss: float  # mean of this round; NaN where nothing was learned
+    loss: float  # at its end, smoothed over some 50 updates; NaN where nothing was learned
     wait_s: float  # wall clock, for the worlds
     learn_s: float  # wall clock
 

@@ -54,7 +54,7 @@ class SuiteOptions:
     only: bool = False
     """Drive these policies and the user alone, without the other baselines."""
     clean: bool = False
-    """Turn every perturbation off: no noise, no delay."""
+    """Turn the camera's noise and the delay off; IMU and odometry keep their errors."""
     sensitivity: bool = False
     """Drive these policies and the user alone clean, and with each disturbance alone: which one moves the score?"""
     forks: int | None = None

@@ -93,9 +93,11 @@ def _service(records: Sequence[EpisodeRecord]) -> Row:
     scores = [record.score for record in records]
     sent = [record for record in records if record.part in ON_THE_WAY]
     arrived = sum(record.status == FINISHED for record in sent)
-    steps, time_s = sum(record.steps for record in records), _sum(records, "time_s")
+    time_s = _sum(records, "time_s")
+    # From step to step; that of a crash is left out.
+    changes = sum(max(0, record.steps - 1 - (record.status == CRASHED)) for record in records)
     return {
-        "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), steps)) is None else math.sqrt(mean),
+        "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), changes)) is None else math.sqrt(mean),
         "stick_travel_per_s": _ratio(_sum(records, "stick_travel"), time_s),
         "asked_travel_per_s": _ratio(_sum(records, "asked_travel"), time_s),
         "speed_mps": _ratio(math.fsum(record.m for record in records), time_s),

@@ -15,8 +15,8 @@ from wcsim.view.report.page import Section, shown
 Runs = Mapping[str, tuple[TrainedRound, ...]]
 _THOUSAND: Final = 1000.0
 _LOSS_SAYS: Final = (
-    "Mean loss of a round's updates, all 81 positions together. Each round adds driving, so it need not fall; a test "
-    "says what the network is worth"
+    "Loss at the end of a round, smoothed over some 50 updates, all 81 positions together. Each round adds driving, "
+    "so it need not fall; a test says what the network is worth"
 )
 _CRASH_SAYS: Final = (
     "Crashes per 1,000 new steps of whoever drove in a round: users and oracle, and from the third round on, for a "
