@@ -167,12 +167,8 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     if way is None:
         return {}
     found = {}
-    is_trip = element.get("from") is not None or element.get("to") is not None  # numbers count along what is routed
     for word, last in (("depart", 0), ("arrival", len(way) - 1)):
-        asked = element.get(f"{word}Edge")
-        numbered = asked is not None and asked.isdigit() and not is_trip and int(asked) < len(way)
-        known = asked is None or numbered  # "random" is not
-        edge = way[int(asked)] if asked is not None and numbered else way[last]
+        edge, known = _edge_at(element, f"{word}Edge", way, last)
         lane, pos_m = element.get(f"{word}Lane", ""), _number(element.get(f"{word}Pos"))
         if lane.isdigit():
             found[f"{word}Lane"] = str(int(lane) + paving.lanes.shift(edge))
@@ -180,6 +176,17 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
         if pos_m is not None and known and lines and edge in paving.lanes.after:
             found[f"{word}Pos"] = _position(lines[-1].id, pos_m, True, paving.lanes)[0]
     return found
+
+
+def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool]:
+    """The edge that an attribute names by number, `way[last]` without one; whether it is that one for sure."""
+    asked = element.get(key)
+    if asked is None:
+        return way[last], True
+    is_trip = element.get("from") is not None or element.get("to") is not None  # numbers count along what is routed
+    if is_trip or not asked.isdigit() or int(asked) >= len(way):  # "random"
+        return way[last], False
+    return way[int(asked)], True
 
 
 def _way(element: Element, paving: Paving) -> Way | None:
