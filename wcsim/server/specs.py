@@ -164,6 +164,7 @@ class ClientStatus:
     inference_s: float = 0.0
     learning_s: float = 0.0
     overlap_s: float = 0.0  # of learning_s, done while it waited: in one of the first two as well
+    pid: int = 0  # of the life that these times are of
 
 
 T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)

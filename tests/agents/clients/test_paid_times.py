@@ -17,11 +17,12 @@ from wcsim.view.live_table import PAYS, pays_of
 from wcsim.view.report.training.waiting import HEADINGS, waiting_rows
 
 
-def state(learned_s, waited_s, pid=1, names=("a", "b")):
+def state(learned_s, waited_s, pid=1, names=("a", "b"), lives=(7, 8)):
     """Both clients have learned so long in this life, and a has waited so long for b in this life of the world."""
+    times = {"inference_s": 1.0, "simulation_s": 2.0, "barrier_s": 3.0, "overlap_s": 1.0}
     status = {
-        name: ClientStatus(name=name, inference_s=1.0, learning_s=s, simulation_s=2.0, barrier_s=3.0, overlap_s=1.0)
-        for name, s in zip(names, learned_s, strict=True)
+        name: ClientStatus(name=name, learning_s=s, pid=life, **times)
+        for name, s, life in zip(names, learned_s, lives, strict=True)
     }
     return LaunchState(
         elapsed_s=1.0,
@@ -37,13 +38,13 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
     log = PaidTimesLog(tmp_path)
     log.add(state((5.0, 6.0), 2.0))
     log.add(state((5.0, 6.0), 2.0))
-    log.add(state((7.0, 1.0), 3.0))  # b was killed and has begun again
-    log.add(state((7.5, 1.0), 0.5, pid=2))  # the world, too
+    log.add(state((7.0, 8.0), 3.0, lives=(7, 9)))  # b was killed, and has learned more since than in the life before
+    log.add(state((7.5, 8.0), 0.5, pid=2, lives=(7, 9)))  # the world, too
     log.keep()
     times = read_paid_times(tmp_path)
     assert times == log.times
     assert times.clients["a"] == PaidShares(acting_s=1.0, learning_s=7.5, overlap_s=1.0, world_s=2.0, others_s=3.0)
-    assert (times.clients["b"].learning_s, times.clients["b"].waiting_s) == (7.0, 8.0)
+    assert (times.clients["b"].learning_s, times.clients["b"].waiting_s) == (14.0, 8.0)
     assert times.waited_s == {"a": {"b": 3.5}, "b": {"a": 0.5}}
     again = PaidTimesLog(tmp_path)
     again.add(state((1.0, 1.0), 1.0, pid=3))
@@ -105,7 +106,7 @@ def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning():
     assert (row["waiting for the world s"], row["of both learning s"], row["idle s"]) == (40.0, 35.0, 5.0)
     waited_s = row["waiting for the world s"] + row["for others and messages s"]
     assert row["of both learning s"] + row["idle s"] == waited_s
-    assert row["acting s"] + row["learning s"] + row["idle s"] == paid.known_s - paid.overlap_s
+    assert row["acting s"] + row["learning s"] + row["idle s"] == 10.0 + 50.0 + 40.0 - 35.0
 
 
 def test_what_is_no_such_file_is_refused_and_none_is_none(tmp_path):

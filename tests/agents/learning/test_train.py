@@ -1,4 +1,5 @@
 import csv
+import errno
 import json
 import os
 import shutil
@@ -242,6 +243,19 @@ def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkey
         train(asked, street)
     again = train(replace(asked, resume=True), street)
     assert weights(again, "phase1") == weights(run[0], "phase1")
+
+
+def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch):
+    def full(*given):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def stop():
+        monkeypatch.setattr("wcsim.agents.learning.train.save_checkpoint", full)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(DiskFullError, match=r"stopped after 152 of 240 .*No space left.*--resume goes on from"):
+        train(a_run(config(), tmp_path / "run", 5), lambda: Nervous(150, stop))
+    assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
 
 def test_wrong_folders_are_explained(run, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -193,6 +194,20 @@ def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkey
         train_online(asked, Sensing)
     again = train_online(replace(asked, resume=True), Sensing)
     assert weights(again, "phase1") == weights(run[0], "phase1")
+
+
+def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch):
+    def full(*given):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def stop():
+        monkeypatch.setattr("wcsim.agents.online.train_online.save_online", full)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    asked = a_run(config(), tmp_path / "run", 5, town="toy", town_sha256="0" * 64)
+    with pytest.raises(DiskFullError, match=r"stopped after 32 of 240 .*No space left.*--resume goes on from"):
+        train_online(asked, lambda: Sensing(at=31, call=stop))
+    assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
 
 def test_exploration_lasts_and_some_of_it_is_executed_as_it_is():

@@ -9,7 +9,8 @@ import pytest
 
 from tests.cli.training.test_clients import SMALL, start
 from wcsim.bench.soak.planned import FaultOrder
-from wcsim.cli.bench.soak import SoakOptions, _soaked
+from wcsim.cli.bench.soak import SoakOptions, _of_learners, _soaked
+from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.backoff import RestartRules, Restarts
 from wcsim.towns.scenario.town import find_town
 
@@ -37,6 +38,20 @@ def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner, tmp
     assert asked == [replace(plain, deaths=290 + plain.deaths)]
     restarts = Restarts(asked[0])
     assert [restarts.died(progressed=False) for _ in range(290)][-1] == plain.longest_s
+
+
+def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp_path, monkeypatch):
+    begun = []
+
+    def stopped(*given):
+        begun.append(given)
+        raise InterruptedRunError("stopped")
+
+    monkeypatch.setattr("wcsim.cli.training.clients.train_clients", stopped)
+    options = SoakOptions(networks="small,patch", steps=100, twice=True)
+    with pytest.raises(InterruptedRunError, match="stopped"):
+        _of_learners(options, find_town(str(corner)), tmp_path)
+    assert len(begun) == 1
 
 
 @pytest.mark.proof

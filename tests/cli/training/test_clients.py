@@ -23,7 +23,7 @@ from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import learning, steps_note, with_steps
-from wcsim.cli.training.clients import ALL_DONE, client_names, resolved, train_clients
+from wcsim.cli.training.clients import ALL_DONE, _told_stop, client_names, resolved, train_clients
 from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
@@ -204,6 +204,12 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
     finally:
         for number, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(number, handler)
+
+
+def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kept(tmp_path):
+    kept, lost = (ClientState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x")))
+    assert "holds what was learned so far" in _told_stop(tmp_path, (kept,))
+    assert "client b x: what was learned since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
 
 
 def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch, halfway):

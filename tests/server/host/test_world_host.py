@@ -61,6 +61,18 @@ def test_a_claim_is_kept_sealed():
     assert any(isinstance(message, m.Frame) for message in posted)
 
 
+def test_a_world_that_is_not_begun_again_does_not_say_that_it_loads():
+    said = []
+    hub = WorldHost(
+        ServerCore(Rules(capacity=1)), stand_in(None), lambda p, message: None, loading=lambda: said.append(True)
+    )
+    hub.feed(Received(b"p", join()), 0.0)
+    hub.feed(Received(b"p", m.Rebuild(join().session, 0, -1)), 0.0)
+    assert not said
+    hub.feed(Received(b"p", m.Rebuild(join().session, 0, 3)), 0.0)
+    assert said == [True] and hub.core.cycle.epoch == 1
+
+
 def test_a_user_that_does_not_exist_gets_no_seat():
     posted = []
     hub = WorldHost(ServerCore(Rules(capacity=1)), stand_in(None), lambda p, message: posted.append(message))

@@ -202,6 +202,7 @@ def test_a_client_that_does_not_end_when_asked_is_killed(tmp_path):
     assert standings(outcome)["a"] == "stopped"
     stopped = next(e for e in read_events(tmp_path) if e["event"] == "stopped")
     assert stopped["code"] == -signal.SIGKILL
+    assert {client.name: client.unsaved for client in outcome.clients} == {"a": "killed by SIGKILL", "b": ""}
 
 
 def test_a_client_without_room_is_given_up_and_the_others_go_on(tmp_path):

@@ -31,6 +31,7 @@ from wcsim.server.protocol.events import (
     Stepped,
     Stop,
 )
+from wcsim.server.protocol.members import MOST_LIVES
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -142,6 +143,32 @@ def test_progress_keeps_a_slow_client_and_a_beat_without_does_not() -> None:
         assert desk.wait(90.0) == []
     desk.say(0, m.Beat(session_of(0), 3))
     assert failure(desk.wait(90.0))[0] == "EvictedError"
+
+
+def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
+    desk = Desk(members=1, lease_s=100.0, max_think_s=50.0)
+
+    def respawn(life: int) -> list[Effect]:
+        return desk.say(0, m.Respawn(session_of(0), 0, 0, life))
+
+    for life in range(2):
+        assert desk.wait(20.0) == []
+        assert only(respawn(life), RespawnSeats).seats == (0,)
+    assert failure(desk.wait(20.0)) == ("EvictedError", "the server gave this client up: no action within 50 s")
+    desk = Desk(members=2, max_think_s=50.0)
+    respawn(0)
+    desk.wait(49.0)
+    assert only(desk.act(1), RespawnSeats).seats == (0,)
+    desk.wait(2.0)
+    assert len(desk.core.cycle.roll.members) == 2, "while it waited for others it owed nothing"
+    desk = Desk(members=1)
+    for life in range(MOST_LIVES):
+        respawn(life)
+    assert failure(respawn(MOST_LIVES))[0] == "ProtocolError"
+    desk.say(0, m.Act(session_of(0), 0, 0, MOST_LIVES, 0.0, 0.0))
+    desk.ask(0)
+    desk.feed(Stepped(1))
+    assert only(desk.say(0, m.Respawn(session_of(0), 0, 1, 0)), RespawnSeats).seats == (0,)
 
 
 def test_seat_taken() -> None:

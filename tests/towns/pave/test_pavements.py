@@ -211,6 +211,17 @@ DISTRIBUTIONS = """<routes>
     <vehicle id="f5" depart="50342" departPos="106.1"><route edges="B0B1"/></vehicle>
     <vehicle id="f6" depart="50343" route="longer" departPos="106.1" arrivalEdge="random" arrivalPos="30"/>
     <trip id="f7" depart="50344" from="A0B0" to="B1C1" departEdge="1" departPos="106.1"/>
+    <person id="p0" depart="50345" departPos="106.1"><stop lane="B0B1_0" duration="5"/></person>
+    <person id="p1" depart="50345" departPos="106.1">
+        <ride from="B0B1" to="B0B1" lines="ANY" arrivalPos="106.1"/><walk to="B0B1" arrivalPos="106.1"/>
+    </person>
+    <person id="p2" depart="triggered" departPos="106.1">
+        <ride to="B0B1" lines="f5" arrivalPos="106.1"/>
+    </person>
+    <container id="p3" depart="50345" departPos="106.1">
+        <tranship from="B0B1" to="B0B1" departPos="106.1" arrivalPos="106.1"/>
+        <transport to="B0B1" lines="ANY" arrivalPos="106.1"/>
+    </container>
 </routes>"""
 
 
@@ -223,6 +234,11 @@ def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(t
     at = {name: (found[name].get("departPos"), found[name].get("arrivalPos")) for name in ("f4", "f5", "f6")}
     assert at["f4"][0] == at["f5"][0] != at["f6"][0] and at["f6"][1] == "30", at
     assert found["f7"].get("departPos") == "106.1"  # where its second edge is, only routing says
+    moved = at["f5"][0]
+    assert [found[f"p{k}"].get("departPos") for k in range(4)] == [moved, moved, "106.1", moved]
+    stages = [stage for k in range(4) for stage in found[f"p{k}"] if stage.tag != "stop"]
+    places = {stage.get(key) for stage in stages for key in ("departPos", "arrivalPos")}
+    assert len(stages) == 5 and places == {moved, None} and moved != "106.1"
     options = ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 50.0), "--no-step-log", "--xml-validation", "never"]
     run = run_tool("sumo", options, tmp_path)
     assert run.returncode == 0 and "Error" not in run.output, run.output

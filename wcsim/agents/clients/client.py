@@ -74,6 +74,7 @@ class StatusPipe:
             inference_s=self._shares.inference.seconds,
             learning_s=self._shares.learning.seconds,
             overlap_s=waits.worked_s,
+            pid=os.getpid(),
         )
         if self._descriptor >= 0 and (time.monotonic() - self._said_s >= SAY_S or now.step >= now.total_steps):
             self._said_s = time.monotonic()

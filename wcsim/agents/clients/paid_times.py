@@ -37,11 +37,6 @@ class PaidShares:
         """Waiting in which nothing else was done."""
         return max(0.0, self.world_s + self.others_s - self.overlap_s)
 
-    @property
-    def known_s(self) -> float:
-        """All of it; it never falls while a client lives."""
-        return self.acting_s + self.learning_s + self.world_s + self.others_s
-
     def plus(self, now: PaidShares, before: PaidShares) -> PaidShares:
         """This, and what has been added from `before` to `now`, two readings of one life."""
         return PaidShares(
@@ -99,7 +94,7 @@ class PaidTimesLog:
         known = read_paid_times(run) or PaidTimes(clients={}, waited_s={})
         self._sums = dict(known.clients)
         self._waited_s = {who: dict(row) for who, row in known.waited_s.items()}
-        self._last: dict[str, PaidShares] = {}  # reading of each client
+        self._last: dict[str, tuple[int, PaidShares]] = {}  # process and reading of each client
         self._kept_s = 0.0
         self._world_pid = 0
         self._pairs_s: dict[tuple[str, str], float] = {}  # the same of its world, by who waited and for whom
@@ -132,11 +127,12 @@ class PaidTimesLog:
     def _client(self, client: ClientState) -> None:
         if client.status is None:
             return
-        now, before = shares_of(client.status), self._last.get(client.name, PaidShares())
-        if now.known_s < before.known_s:  # of another life
+        pid, now = client.status.pid, shares_of(client.status)
+        last_pid, before = self._last.get(client.name, (pid, PaidShares()))
+        if pid != last_pid:  # of another life
             before = PaidShares()
         self._sums[client.name] = self._sums.get(client.name, PaidShares()).plus(now, before)
-        self._last[client.name] = now
+        self._last[client.name] = pid, now
 
     def _pairs(self, pid: int, world: WorldStatus) -> None:
         """Add what a world tells of waits.

@@ -119,6 +119,17 @@ def _replay(model: SeqDQN) -> FrameReplay:
     return model.replay_buffer
 
 
+def stopped_error(path: Path, step: int, total: int, unsaved: str) -> InterruptedRunError | DiskFullError:
+    """What is raised when a run was stopped at a step: `unsaved` says why its last checkpoint is not there."""
+    told = f"stopped after {step} of {total} steps"
+    if unsaved:
+        return DiskFullError(
+            f"{told}; the policy so far is kept, but the last checkpoint could not be written ({unsaved}): --resume "
+            f"goes on from the one before it in {path}; make room for the next one"
+        )
+    return InterruptedRunError(f"{told}; {path} holds the policy so far and can be continued with --resume")
+
+
 class _Session:
     """One sitting of a run: a fresh start or a resume, until done or stopped."""
 
@@ -147,6 +158,7 @@ class _Session:
         self.episodes = EpisodeMetrics(metrics, time.monotonic(), model._episode_num, crashes, board)
         self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
         self.alarmed = bool(extra.get("q_alarm", False))
+        self.unsaved = ""  # why the last checkpoint could not be written
         if extra.get("owes_updates", False):
             model.owe_updates(self.learn_config.gradient_steps)
         self.callbacks: list[BaseCallback] = [
@@ -184,14 +196,11 @@ class _Session:
         self._finish("done")
         return self.run.path
 
-    def _interrupted(self) -> InterruptedRunError:
+    def _interrupted(self) -> InterruptedRunError | DiskFullError:
         """Write the last files; what is to be raised then."""
         self.request.ending = True
         self._finish("interrupted")
-        return InterruptedRunError(
-            f"stopped after {self.model.num_timesteps} of {self.learn_config.total_steps} steps; {self.run.path} holds "
-            "the policy so far and can be continued with --resume"
-        )
+        return stopped_error(self.run.path, self.model.num_timesteps, self.learn_config.total_steps, self.unsaved)
 
     def _switched(self) -> None:
         self._save("phase1")
@@ -223,8 +232,10 @@ class _Session:
         try:
             save_checkpoint(self.run.checkpoints, self.model, extra, self.alive)
         except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on
+            self.unsaved = str(error)
             self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
             return
+        self.unsaved = ""
         self.run.event("checkpoint", step=self.model.num_timesteps)
 
     def _watch_values(self) -> None:

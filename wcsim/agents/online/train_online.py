@@ -26,7 +26,7 @@ from wcsim.agents.envs.episode_view import EpisodeStep, delay_ticks
 from wcsim.agents.learning.build import phase_plan, with_window
 from wcsim.agents.learning.callbacks import GREEDY_EVERY, EpisodeSums, StopRequest, TrainProgress
 from wcsim.agents.learning.phases import LearningPhase
-from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, tell_loaded, torch_settings
+from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, stopped_error, tell_loaded, torch_settings
 from wcsim.agents.learning.watching.metrics import MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.online.agent import DrivingTurn, OnlineAgent
@@ -109,6 +109,7 @@ class _OnlineSession:
         self.board = BoardLog(run.path, keep_to_step) if config.learn.tensorboard else None
         self._begun_s, self._sums = time.monotonic(), EpisodeSums()
         self._kpi1: float | None = None  # of the last finished episode
+        self._unsaved = ""  # why the last checkpoint could not be written
         self._choose, self._teach = listeners.deciding(self._agent.choose), listeners.learning(self._learner.learn)
         self._points = action_set(config.env.actions)
 
@@ -134,14 +135,11 @@ class _OnlineSession:
         self._finish("done")
         return self.run.path
 
-    def _interrupted(self) -> InterruptedRunError:
+    def _interrupted(self) -> InterruptedRunError | DiskFullError:
         """Write the last files; what is to be raised then."""
         self._request.ending = True
         self._finish("interrupted")
-        return InterruptedRunError(
-            f"stopped after {self._now.step} of {self._learn.total_steps} steps; {self.run.path} holds the policy so "
-            "far and can be continued with --resume"
-        )
+        return stopped_error(self.run.path, self._now.step, self._learn.total_steps, self._unsaved)
 
     def _drive(self, total: int) -> None:
         learn = self._learn
@@ -243,8 +241,10 @@ class _OnlineSession:
             write_manifest(self.run.path / DATA, self._config, {manifest.town: manifest.town_sha256}, ride.segments)
             save_online(self.run.checkpoints, self._learner, self._state())
         except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on
+            self._unsaved = str(error)
             self.run.event("checkpoint_failed", step=self._now.step, reason=str(error))
             return
+        self._unsaved = ""
         self.run.event("checkpoint", step=self._now.step)
 
     def _state(self) -> OnlineState:

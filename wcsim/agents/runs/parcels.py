@@ -87,7 +87,7 @@ def require_travels(config: RunConfig, settings: Collection[str] = (), own_code:
     words = " ".join((*settings, *config.collect.variants)).split()
     found = [f"class {shown(name, 80)}" for name in own_code if ":" in name]
     found += [f"user {shown(user, 80)}" for user in users if is_of_file(user)]
-    found += [shown(word, 80) for word in words if word.endswith(".toml") or RECORDED in word]
+    found += [shown(word, 80) for word in words if ".toml" in word or RECORDED in word]
     if found:
         raise ConfigError(
             f"--cluster: {', '.join(found)} lies on this machine alone and does not travel; expected what comes with "

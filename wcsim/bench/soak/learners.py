@@ -84,6 +84,7 @@ class _Watch:
         self.growth = GrowthLog(order.folder, WARM_S)
         self.pace = SettledPace()
         self._begun_s: float | None = None  # of the first tick
+        self.over = False  # by the clock
 
     def look(self, state: LaunchState) -> bool:
         """Called a few times a second; True when it is time to stop."""
@@ -95,7 +96,8 @@ class _Watch:
         self.growth.look(state, now_s, settled=self._settled)
         self.pace.look(state, now_s, settled=self._settled)
         self.faults.act(state)  # after the samples: who is dead holds nothing
-        return self._order.steps is None and self._progress(state) >= 1.0
+        self.over = self.over or (self._order.steps is None and self._progress(state) >= 1.0)
+        return self.over
 
     def _progress(self, state: LaunchState) -> float:
         """How much of the run is over, 0..1; faults come in the part before the calm end."""
@@ -123,11 +125,14 @@ def soak_learners(
 
     Raises:
         WcsimError: The networks, the town or the settings cannot be used.
+        InterruptedRunError: It was stopped, and not by its clock.
     """
     watch = _Watch(order, max(settled_step(client.config.learn) for client in run.clients), progress)
     try:
         code = train(watch.look)
-    except InterruptedRunError:  # by the clock; by a signal, too: then faults are missing
+    except InterruptedRunError:
+        if not watch.over:  # by a signal
+            raise
         code = 0
     finally:
         watch.faults.wake_all()

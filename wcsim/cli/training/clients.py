@@ -40,7 +40,7 @@ from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.transport.world_folder import workplace
@@ -297,7 +297,7 @@ def _told(
     if json is not None:
         write_json(json, report.as_json())
     if outcome.stopped:
-        raise InterruptedRunError(f"stopped; {folder.path} holds what was learned so far; continue with --resume")
+        raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
         print(f"wcsim: {outcome.message}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
         return Exit.FAILED
@@ -306,6 +306,17 @@ def _told(
         tested = folder.path / (run.best or folder.clients[0])
         print(f"run folder: {folder.path}    test one: wcsim test {tested} --town monaco")
     return Exit.DONE
+
+
+def _told_stop(path: Path, clients: Sequence[ClientState]) -> str:
+    """What a run leaves that was stopped, by all of its clients or by some."""
+    lost = [f"client {client.name} {client.unsaved}" for client in clients if client.unsaved]
+    if not lost:
+        return f"stopped; {path} holds what was learned so far; continue with --resume"
+    return (
+        f"stopped, but {'; '.join(lost)}: what was learned since its last checkpoint is lost; {path} holds the rest; "
+        "continue with --resume"
+    )
 
 
 def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFolder:

@@ -50,7 +50,7 @@ class ServerLoop:
         """Nothing is said or heard before `run`."""
         self._order, self._core, self._ring = hosted.order, hosted.core, hosted.ring
         self._doors, self._lifelines, self._reporter = doors, lifelines, reporter
-        self._hub = WorldHost(hosted.core, hosted.world, self._post, hosted.keep, hosted.ring)
+        self._hub = WorldHost(hosted.core, hosted.world, self._post, hosted.keep, hosted.ring, reporter.loading)
         self._clock = AwakeClock(time.monotonic())
         self._peers = PeerLimits()
         self._homes: dict[bytes, Peer] = {}  # where each session joined first: whoever repeats its words is another
@@ -124,8 +124,6 @@ class ServerLoop:
             self._refuse(peer, error)
             self._shut_out(peer)
             return
-        if isinstance(message, m.Rebuild):
-            self._reporter.loading()  # whoever watches this process must know that it takes its time
         self._feed(Received(peer, message))
         if isinstance(message, m.Join):
             self._homes.setdefault(message.session, peer)

@@ -65,6 +65,7 @@ class WorldHost:
         post: Post,
         keep: Keep = lambda record: None,
         sink: SlottedSink | None = None,
+        loading: Callable[[], object] = lambda: None,
     ) -> None:
         """Host a world.
 
@@ -74,9 +75,10 @@ class WorldHost:
             post: Sends a message to a peer; must not block.
             keep: Writes a record of the journal.
             sink: Where pictures go; the world's own buffers without one.
+            loading: Told before a world is made anew, which takes its time.
         """
         self.core, self.world = core, world
-        self._post, self._keep, self._sink = post, keep, sink
+        self._post, self._keep, self._sink, self._loading = post, keep, sink, loading
         self._frames = {client.seat: client for client in world.snapshot.clients}
         self._lay_out(world.snapshot)
         self._refused: set[int] = set()
@@ -166,6 +168,7 @@ class WorldHost:
             self._keep(Respawned(epoch=now.epoch, tick=now.tick, seat=seat))
 
     def _rebuild(self, rebuild: RebuildWorld) -> None:
+        self._loading()
         self._turn(0)
         after = self.world.rebuild(rebuild.seed, self._sink)
         self._keep(EpochBegun(epoch=rebuild.epoch, seed=rebuild.seed))

@@ -89,6 +89,7 @@ class ClientState:
     restarts: int = 0
     status: ClientStatus | None = None  # the last one
     reason: str = ""  # of its last death
+    unsaved: str = ""  # why what it did last is lost, though it was asked to save it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,7 @@ from wcsim.server.launch.states import ClientExit, ClientPlan, ClientState, Laun
 from wcsim.server.launch.supervised import Supervised
 from wcsim.server.specs import ClientStatus, WorldStatus, write_order
 
+_SAVED = (ClientExit.STOPPED, ClientExit.SERVER_GONE, ClientExit.EVICTED, ClientExit.GROWN)
 MOST_LEFT_ALONE = 20  # deaths for want of a world that a client is forgiven
 
 
@@ -22,7 +23,7 @@ class SupervisedClient(Supervised[ClientStatus]):
     ) -> None:
         super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, spawner, log)
         self.plan, self._rules = plan, rules
-        self.reason = ""
+        self.reason = self.unsaved = ""
         self._world: WorldStatus | None = None  # as last seen
         self._best_step = 0  # of the lives before this one
         self._left_alone = 0  # deaths in a row that were the world's fault
@@ -52,6 +53,7 @@ class SupervisedClient(Supervised[ClientStatus]):
             restarts=self.restarts,
             status=self.status,
             reason=self.reason,
+            unsaved=self.unsaved,
         )
 
     def see(self, world: WorldStatus | None) -> None:
@@ -92,6 +94,8 @@ class SupervisedClient(Supervised[ClientStatus]):
             self._log.add("done", who=self.plan.name, step=self._step)
         elif self._ending:
             self.standing = "stopped"
+            if code not in _SAVED and self._step > 0:
+                self.unsaved = f"{how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
             self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
         elif code == ClientExit.GROWN:
             self._replaced += 1

@@ -252,7 +252,7 @@ class Barrier:
         self._told_s = now_s
         for mate in self.roll.members:
             mate.action, mate.respawning, mate.life = None, False, 0
-            mate.asked_s = now_s
+            mate.asked_s, mate.thought_s = now_s, 0.0
 
     def _give_up_overdue(self, now_s: float) -> None:
         for mate in self.roll.by_seat():
@@ -271,7 +271,8 @@ class Barrier:
         if silent_s > self.rules.lease_s:
             return f"no sign of progress for {silent_s:.0f} s"
         limit_s = self.rules.max_think_s
-        return f"no action within {limit_s:g} s" if limit_s is not None and owes_s > limit_s else ""
+        late = limit_s is not None and mate.thought_s + owes_s > limit_s  # a new life gives no new time
+        return f"no action within {limit_s:g} s" if late else ""
 
     def _demote(self, now_s: float) -> None:
         """A master that does not ask for the tick loses the right to; it stays a member while it is heard of."""

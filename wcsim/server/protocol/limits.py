@@ -19,7 +19,7 @@ def told_limit(error: BaseException) -> str:
     """What to do about an error of the system that is one of a limit; "" for any other."""
     number = getattr(error, "errno", None)
     if number in NO_ROOM:
-        return f"no room is left ({error}); make room, and go on with --resume"
+        return f"no room is left ({error}); make room, and go on (with --resume, where the command has that)"
     if number in _NO_FILES:
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
         return f"{soft} files may be open at once, and that is too few ({error}); try again after: ulimit -n 1024"

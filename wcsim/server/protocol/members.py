@@ -9,6 +9,7 @@ from wcsim.server.protocol.events import Peer
 from wcsim.types import Joystick, SeatSpec
 
 REMEMBERED = 1024  # sessions that were given up or have left
+MOST_LIVES = 1000  # respawns at one tick: each is work for the world, and a line in its journal
 
 
 @dataclass(slots=True, kw_only=True)
@@ -28,6 +29,7 @@ class Member:
     progress: int = -1
     heard_s: float = 0.0
     asked_s: float = 0.0  # since when it owes an action
+    thought_s: float = 0.0  # how long it owed one in its lives before this one, at the tick of now
 
     @property
     def ready(self) -> bool:

@@ -42,7 +42,7 @@ from wcsim.server.protocol.events import (
     Stepped,
     Stop,
 )
-from wcsim.server.protocol.members import Member, Pending
+from wcsim.server.protocol.members import MOST_LIVES, Member, Pending
 from wcsim.types import Joystick
 
 
@@ -239,7 +239,12 @@ class ServerCore:
         if member.action is not None:
             raise ProtocolError(f"a respawn at tick {respawn.tick}, for which the seat has acted; wait for its end")
         if not member.respawning:
+            if member.life >= MOST_LIVES:
+                raise ProtocolError(
+                    f"respawn {member.life + 1} at tick {respawn.tick}; expected {MOST_LIVES} at most: act first"
+                )
             member.respawning = True
+            member.thought_s += now_s - member.asked_s
             self.cycle.advance(now_s)
 
     def _rebuild(self, member: Member, rebuild: m.Rebuild, now_s: float) -> None:

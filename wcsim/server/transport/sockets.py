@@ -25,7 +25,7 @@ from wcsim.server.transport.keys import KnownKeys, authenticator, is_ipv6, is_lo
 log = logging.getLogger("wcsim.server.transport.sockets")
 
 LOCAL, REMOTE = b"L", b"R"  # first byte of a peer's name: which door it came through
-QUEUE = 128  # messages of a peer that are not read yet: 1 MiB at most
+QUEUE = 128  # whole messages of a peer that are not read yet: 1 MiB at most; of one that does not end, see SECURITY.md
 _SEND_QUEUE = {LOCAL: 128, REMOTE: 16}  # to a peer that does not read; over the network pictures are inside
 _LINGER_MS = 500
 BATCH = 256  # messages that are taken in at a time

@@ -23,7 +23,9 @@ _AREAS = ("laneAreaDetector", "e2Detector")  # their `length` lies on the lane
 _IDS = (("closingLaneReroute", "id"), ("lane", "id"), ("param", "key"))  # attributes of other names that name lanes
 _POSITIONS = ("pos", "startPos", "endPos")
 _VEHICLES = ("vehicle", "trip", "flow")
-_PEOPLE = ("person", "personFlow")
+_WALKS = ("walk", "personTrip", "tranship")
+_RIDES = ("ride", "transport")
+_PEOPLE = ("person", "personFlow", "container", "containerFlow")
 _RINGS = "NEMA"  # the type of programs that show a phase of each ring at once
 Way = tuple[str, ...]  # the edges of a route, or the first and the last edge of a trip
 
@@ -158,10 +160,10 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
 
     https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html (departEdge, arrivalEdge)
     """
-    if tag in _VEHICLES or tag == "walk" or tag == "personTrip":
+    if tag in (*_VEHICLES, *_WALKS, *_RIDES):
         way = _way(element, paving)
     elif tag in _PEOPLE:
-        way = next((way for child in element if (way := _way(child, paving))), None)
+        way = _begin(element, paving)
     else:
         return {}
     if way is None:
@@ -178,6 +180,20 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     return found
 
 
+def _begin(person: Element, paving: Paving) -> Way | None:
+    """The edge where somebody's plan begins, that of its first stage or of one after stops at named places."""
+    for stage in person:
+        if _tag(stage) == "stop":
+            edge = stage.get("edge") or stage.get("lane", "").rpartition("_")[0]
+        elif _tag(stage) in (*_WALKS, *_RIDES):
+            return (way[0], "") if (way := _way(stage, paving)) else None
+        else:
+            continue
+        if edge:
+            return edge, ""
+    return None
+
+
 def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool]:
     """The edge that an attribute names by number, `way[last]` without one; whether it is that one for sure."""
     asked = element.get(key)
@@ -190,7 +206,7 @@ def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool
 
 
 def _way(element: Element, paving: Paving) -> Way | None:
-    """The edges of somebody's way, at least the first and the last; None where they are not known."""
+    """The edges of somebody's way, at least the first and the last, "" for one that is not named; None for neither."""
     inner = next((child for child in element.iter() if child.get("edges")), None)
     if edges := inner.get("edges", "").split() if inner is not None else []:
         return tuple(edges)
@@ -198,7 +214,7 @@ def _way(element: Element, paving: Paving) -> Way | None:
     route = element.get("route", "") or next((_first_member(child) for child in inside), "")
     named = paving.routes.get(paving.members.get(route, route))
     start, end = element.get("from", ""), element.get("to", "")
-    return named or ((start or end, end or start) if start or end else None)
+    return named or ((start, end) if start or end else None)
 
 
 def _program(

@@ -70,6 +70,7 @@ def test_what_lies_on_this_machine_alone_is_refused():
     for own in (
         lambda: require_travels(config, own_code=("own_network:OwnNet",)),
         lambda: require_travels(config, ("chair.plant=my.toml",)),
+        lambda: require_travels(config, ('chair.plant="my.toml"',)),
         lambda: require_travels(load_run_config("quick", ("collect.profiles=['recorded:mine.csv']",))),
     ):
         with pytest.raises(ConfigError, match=r"does not travel; expected .* without --cluster"):
