@@ -9,7 +9,6 @@ import json
 import os
 import signal
 import threading
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -133,8 +132,7 @@ def test_a_worker_that_is_stopped_alone_is_killed(by_processes, corner, tmp_path
                 hit.append(busy[0].pid)
                 os.kill(busy[0].pid, signal.SIGSTOP)
 
-        began_s = time.monotonic()
         assert trained(corner, tmp_path / "out", Machines(cluster=head.address), show=stop) == by_processes
-    assert hit and time.monotonic() - began_s < 900
+    assert hit
     assert not Path(f"/proc/{hit[0]}").exists()
     assert len(list((tmp_path / "out" / DATA / "segments").iterdir())) == 12
