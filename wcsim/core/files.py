@@ -12,6 +12,7 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from wcsim.errors import DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _SEAL = "seal"
+_DAMAGED = ".damaged"  # added to the name of what was passed over
+WORK_PREFIX = "wcsim-work-"  # of folders of workers, in which a killed one leaves all that is temporary
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
 _FOLDER_MODE = 0o755  # without the right to enter it, nobody reads what lies in a folder
 
@@ -112,6 +115,13 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
 def is_begun(path: Path) -> bool:
     """Whether this is what a process that died on the way has left of a file or folder that it wrote."""
     return path.name.startswith(".") and path.name.endswith((".tmp", ".old"))
+
+
+def set_aside(path: Path) -> Path:
+    """Rename what is damaged, so that it is kept, and never meant again; returns its new place."""
+    names = (path.with_name(f"{path.name}{_DAMAGED}{'' if k == 1 else f'-{k}'}") for k in count(1))
+    free = next(name for name in names if not os.path.lexists(name))
+    return path.rename(free)
 
 
 def _put_in_place(beside: Path, path: Path) -> None:
@@ -219,7 +229,9 @@ def _can_be_written(folder: Path) -> bool:
 def _temporary() -> Path | None:
     """A folder for this user alone; None where somebody else was there first, for machine code is read from it."""
     try:
-        folder = Path(tempfile.gettempdir()) / f"wcsim-cache-{os.getuid()}"
+        place = Path(tempfile.gettempdir())
+        place = place.parent if place.name.startswith(WORK_PREFIX) else place  # it outlives a worker's piece
+        folder = place / f"wcsim-cache-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
     except OSError:

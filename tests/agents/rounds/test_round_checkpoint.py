@@ -19,12 +19,14 @@ from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import run_of_rounds, train_rounds
 from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
 from wcsim.agents.rounds.round_log import read_rounds
-from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.run_of_rounds import _tell_damaged, train_danger
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.rounds.workers import SegmentDrivers
-from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
+from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
+from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town
 
 SETTINGS = ("danger.width=8", "collect.segments=1")
@@ -169,6 +171,23 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
     path.write_text(json.dumps({**state, "segments": {name: "a" * 64}}))
     with pytest.raises(PolicyError, match="names the segment"):
         load_round(tmp_path, 0, learner)
+
+
+def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_there_is_no_beginning_again(
+    tmp_path: Path,
+) -> None:
+    learner, told = a_learner(), []
+    folder = create_run(tmp_path / "run", RunConfig(), make_manifest(RunConfig(), RunInfo(seed=1, town="t")))
+    for number in range(2):
+        save_round(folder.checkpoints, number, learner, {})
+    (checkpoint_path(folder.checkpoints, 1) / "weights.safetensors").write_bytes(b"torn")
+    _tell_damaged(folder, told.append)
+    assert "round-001" in told[0] and (folder.checkpoints / "round-001.damaged").is_dir()
+    _tell_damaged(folder, told.append)
+    assert len(told) == 1 and newest_round(folder.checkpoints) == 0
+    (checkpoint_path(folder.checkpoints, 0) / "weights.safetensors").write_bytes(b"torn")
+    with pytest.raises(PolicyError, match="no sound checkpoint"):
+        _tell_damaged(folder, told.append)
 
 
 @pytest.mark.parametrize("key", ["updates", "loss", "segments"])

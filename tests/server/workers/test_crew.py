@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
-from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, refuse
+from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, leave_and_die_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.crew import Crew
 from wcsim.server.workers.processes import ProcessWorkers
@@ -86,6 +87,16 @@ class Scripted:
         self.ends = {}
 
 
+class Hanging(Scripted):
+    """Workers whose every piece has to be stopped."""
+
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
+        time.sleep(0.005)
+        found = [WorkEnd(worker=name, key=self.at.pop(name), lost="killed") for name in self.stopped]
+        self.stopped = []
+        return found
+
+
 def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
     kept: dict[str, bytes] = {}
     with Crew(ProcessWorkers(2), kept.__setitem__) as crew:
@@ -129,6 +140,35 @@ def test_a_piece_that_kills_its_workers_is_given_up_in_a_line():
     ):
         crew.ask([work("a")])
         done_by(crew, {"a"})
+
+
+def test_a_sick_machine_ends_no_run_while_another_is_well():
+    workers, kept = Scripted(**{"sick/1": ["dead"] * 99, "well/1": []}), []
+    with Crew(workers, lambda key, data: kept.append(key)) as crew:
+        crew.ask([work(key) for key in "abcdef"])
+        done_by(crew, set("abcdef"))
+    assert sorted(kept) == list("abcdef")
+    sick = [key for worker, key in workers.begun if worker == "sick/1"]
+    assert sick and len(sick) == len(set(sick)), "none was given to it twice"
+
+
+def test_a_piece_that_always_hangs_is_given_up_in_a_line():
+    with (
+        Crew(Hanging(w=[]), lambda key, data: None, least_late_s=0.05) as crew,
+        pytest.raises(WorkersError, match=r"a was begun 5 times and never came back, .*--resume"),
+    ):
+        crew.ask([work("a")])
+        done_by(crew, {"a"})
+
+
+def test_what_a_killed_process_leaves_goes_with_the_next_piece(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    (tmp_path / "temporary").mkdir()
+    with Crew(ProcessWorkers(1), lambda key, data: None) as crew:
+        crew.ask([work("a", leave_and_die_once, str(tmp_path / "once"))])
+        done_by(crew, {"a"})
+    assert (tmp_path / "once").exists() and list((tmp_path / "temporary").iterdir()) == []
 
 
 def test_machines_may_go_as_often_as_they_like():

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
+from wcsim.core.files import user_cache
 from wcsim.errors import TownError
 from wcsim.server.workers.worker_api import At
 
@@ -20,6 +22,11 @@ def echo(piece: Any, at: At) -> bytes:
 def tell_pid(piece: Any, at: At) -> bytes:
     """Which process does it."""
     return str(os.getpid()).encode()
+
+
+def tell_cache(piece: Any, at: At) -> bytes:
+    """Where this process keeps what it can make again."""
+    return str(user_cache()).encode()
 
 
 def read_parcel(piece: str, at: At) -> bytes:
@@ -44,6 +51,12 @@ def die_once(piece: str, at: At) -> bytes:
         Path(piece).write_text("x")
         os.kill(os.getpid(), signal.SIGKILL)
     return b"lived"
+
+
+def leave_and_die_once(piece: str, at: At) -> bytes:
+    """The same with a folder of temporary files open."""
+    with tempfile.TemporaryDirectory(prefix="wcsim-"):
+        return die_once(piece, at)
 
 
 def always_die(piece: Any, at: At) -> bytes:

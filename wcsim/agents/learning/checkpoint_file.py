@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from wcsim.errors import PolicyError
 STATE, MODEL, REPLAY = "state.json", "model.safetensors", "replay.safetensors"
 SCHEMA = 2  # 1 had no seal
 MOST_STEPS = 10**12  # of a run
-DAMAGED = ".damaged"  # added to the name of a checkpoint that was passed over
 KEEP = 3  # checkpoints of a run
 _STEP = re.compile(r"step-(\d{8,18})")
 _KEYS = frozenset(("num_timesteps", "n_updates", "episodes", "explore_rng", "replay_rng", "extra", "sha256"))
@@ -73,13 +71,6 @@ def left_behind(folder: Path) -> list[Path]:
 def step_of(path: Path) -> int:
     """The step of a checkpoint's folder."""
     return int(path.name.removeprefix("step-"))
-
-
-def set_aside(path: Path) -> Path:
-    """Rename a checkpoint that cannot be used, so that it is kept, and never meant again; returns its new place."""
-    names = (path.with_name(f"{path.name}{DAMAGED}{'' if k == 1 else f'-{k}'}") for k in count(1))
-    free = next(name for name in names if not os.path.lexists(name))
-    return path.rename(free)
 
 
 def write_sealed(path: Path, values: Mapping[str, Any]) -> None:

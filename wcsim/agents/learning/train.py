@@ -19,7 +19,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
-from wcsim.agents.learning.checkpoint_file import set_aside
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -290,7 +289,7 @@ def tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) ->
     What was passed over is set aside: it belongs to work that is done again, with another outcome.
     """
     for item in loaded.passed_over:
-        kept = set_aside(item.path)
+        kept = files.set_aside(item.path)
         say(f"{item.path}: passed over for {loaded.path.name} ({item.reason}); it is now {kept.name}")
         run.event("passed_over", checkpoint=kept.name, reason=item.reason)
     if not loaded.sealed:

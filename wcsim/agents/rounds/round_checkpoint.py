@@ -48,6 +48,12 @@ def newest_round(folder: Path) -> int:
     return next((number for number in reversed(_numbers(folder)) if _is_whole(checkpoint_path(folder, number))), -1)
 
 
+def damaged_rounds(folder: Path) -> list[Path]:
+    """Checkpoints that are newer than the last whole one: what they held is done again."""
+    newest = newest_round(folder)
+    return [checkpoint_path(folder, number) for number in _numbers(folder) if number > newest]
+
+
 def _numbers(folder: Path) -> list[int]:
     """Of the rounds that there is a checkpoint of."""
     return sorted(int(path.name[6:]) for path in folder.glob("round-*") if path.name[6:].isdecimal())

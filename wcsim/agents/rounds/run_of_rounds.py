@@ -6,13 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from wcsim.agents.collecting.segment_places import require_recordable
+from wcsim.agents.rounds.round_checkpoint import damaged_rounds, newest_round
 from wcsim.agents.rounds.towns_of_rounds import towns_of
 from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
-from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
+from wcsim.agents.runs.run_folder import ResolvedRun, RunFolder, with_whole_data
 from wcsim.config import RunConfig
 from wcsim.core import files
-from wcsim.errors import ConfigError, InterruptedRunError
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import Town
 
@@ -41,6 +42,7 @@ def train_danger(
     require_recordable(run.config)
     folder = folder_of(run, with_whole_data)
     with files.locked(folder.path):
+        _tell_damaged(folder, stage)
         towns = towns_of(town, folder.config, folder.path, folder.manifest.seed, stage)
         rounds = Rounds(folder=folder, towns=towns, machines=machines)
         total = folder.config.collect.rounds
@@ -55,6 +57,18 @@ def train_danger(
         folder.with_status("done", total * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)
     return folder.path
+
+
+def _tell_damaged(folder: RunFolder, say: Callable[[str], object]) -> None:
+    """Set checkpoints aside that cannot be gone on from. Raises PolicyError where no other is there."""
+    damaged, newest = damaged_rounds(folder.checkpoints), newest_round(folder.checkpoints)
+    if damaged and newest < 0:
+        names = ", ".join(path.name for path in damaged)
+        raise PolicyError(f"{folder.checkpoints} holds no sound checkpoint ({names}); restore one, or start a new run")
+    for path in damaged:
+        kept = files.set_aside(path)
+        say(f"{path}: damaged, passed over for the round before; it is now {kept.name}")
+        folder.event("passed_over", checkpoint=kept.name, reason="damaged")
 
 
 def _require_driving(config: RunConfig) -> None:

@@ -103,6 +103,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
                 lectures.add(lessons_of(segment, config))
                 crashes += int(segment.crashed.sum())
             lectures.begin(seeding.generator(seed, "agent", "lectures", number))
+            torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
             loss = learner.learn(lectures, config.danger.updates, told.learned)
             segments |= came
             _save(rounds, learner, f"round-{number:03d}")

@@ -72,18 +72,21 @@ def policy_at(name: str, at: At) -> str:
     return at(plain) + name.removeprefix(plain)
 
 
-def require_travels(config: RunConfig, settings: Collection[str] = (), own_code: Collection[str] = ()) -> None:
+def require_travels(
+    config: RunConfig, settings: Collection[str] = (), own_code: Collection[str] = (), users: Collection[str] = ()
+) -> None:
     """Refuse what other machines cannot have: code of the user's own, and files that settings name.
 
     Args:
         config: Of the run.
         settings: What else is set, as section.key=value.
         own_code: Classes that are named.
+        users: Profiles beside those of the configuration.
 
     Raises:
         ConfigError: It says what, and how to go on without a cluster.
     """
-    users = (config.env.profile, *config.collect.profiles)
+    users = (config.env.profile, *config.collect.profiles, *users)
     words = " ".join((*settings, *config.collect.variants)).split()
     found = [f"class {shown(name, 80)}" for name in own_code if ":" in name]
     found += [f"user {shown(user, 80)}" for user in users if is_of_file(user)]

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.cache.folder import cache_folder, write_whole
+from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
@@ -76,7 +76,7 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
             f"{culprit}: SUMO cannot run this scenario ({run.reason()}); correct the file; SUMO alone: "
             f"sumo -c {town.sumocfg}"
         )
-    write_whole(verdict, lambda path: path.write_text("ok\n", encoding="utf-8"))
+    write_verdict(verdict)
 
 
 def _trial(sumocfg: Path, step_s: float) -> ToolRun:

@@ -19,7 +19,7 @@ from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, said_of
 from wcsim.cli.shared.run_config import require_unset
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import Machines
 
@@ -105,7 +105,12 @@ def run_suites(words: list[str]) -> int:
     def say(text: str) -> None:
         told.print(text, style="dim", markup=False)
 
-    return (_disturb if options.sensitivity else _judge)(order, options, names, say)
+    try:
+        return (_disturb if options.sensitivity else _judge)(order, options, names, say)
+    except KeyboardInterrupt:
+        if not any(out.rglob("kept/*.json")):
+            raise
+        raise InterruptedRunError(f"stopped; {out} keeps the blocks that are done; continue with --resume") from None
 
 
 def _require_heard(options: SuiteOptions) -> None:

@@ -17,7 +17,7 @@ from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, InterruptedRunError
 
 
 @dataclass
@@ -78,7 +78,18 @@ def run(words: list[str]) -> int:
         policy=str(policy_path(options.policy)) if options.policy else "",
         machines=machines,
     )
-    sha256 = collect_data(order, lambda done, of: print(f"{done} of {of} segments", flush=True))
+    done = [0]
+
+    def told(now: int, of: int) -> None:
+        done[0] = now
+        print(f"{now} of {of} segments", flush=True)
+
+    try:
+        sha256 = collect_data(order, told)
+    except KeyboardInterrupt:
+        if not done[0]:
+            raise
+        raise InterruptedRunError(f"stopped; {out} keeps {done[0]} segments, the same command goes on") from None
     print(f"data folder: {out}, SHA-256 {sha256}    learn from it: wcsim train --preset laptop --data {out}")
     if options.json is not None:
         write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})

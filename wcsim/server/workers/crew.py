@@ -15,11 +15,12 @@ from typing import Final
 from wcsim.errors import WorkersError
 from wcsim.server.workers.worker_api import Work, WorkEnd, Workers
 
-MOST_DEATHS: Final = 5  # of workers at the same piece, before the run gives up
+MOST_DEATHS: Final = 5  # of workers at the same piece, or times that it was late, before the run gives up
 LATE: Final = 5.0  # times the longest piece so far: then it is done again by another one
 LEAST_LATE_S: Final = 180.0
 NOBODY_S: Final = 600.0  # without any worker before the run gives up
 _LOOK_S: Final = 0.1
+_KEPT: Final = "what is done is kept: the same command, with --resume where it has that, goes on"
 
 Keep = Callable[[str, bytes], object]
 """Told, in the crew's thread, of each piece by its key, before anybody else hears of it."""
@@ -64,6 +65,7 @@ class Crew:
         self._asked: set[str] = set()
         self._done: set[str] = set()
         self._deaths: dict[str, int] = {}
+        self._lost_on: dict[str, set[str]] = {}  # by piece, the machines that have lost it
         self._times_late: dict[str, int] = {}
         self._failed: BaseException | None = None
         self._somebody_s = time.monotonic()
@@ -134,16 +136,25 @@ class Crew:
                 self._somebody_s = time.monotonic()
             elif time.monotonic() - self._somebody_s > self._nobody_s:
                 raise WorkersError(
-                    f"there has been nobody to work for {self._nobody_s:.0f} s; expected a machine that joins: see to "
-                    "the machines, then go on with --resume"
+                    f"there has been nobody to work for {self._nobody_s:.0f} s; expected a machine that joins; "
+                    f"{_KEPT}"
                 )
             for name in names:
-                if self._left and name not in self._at:
-                    work = self._left.popleft()
+                if name not in self._at and (work := self._next_for(name, names)) is not None:
                     self._at[name] = _Task(work=work, since_s=time.monotonic())
                     given.append((name, work))
         for name, work in given:
             self._workers.begin(name, work)
+
+    def _next_for(self, name: str, names: Sequence[str]) -> Work | None:
+        """The next piece for a worker, but none that its machine has lost while there is another that has not."""
+        own, all_of_them = machine_of(name), {machine_of(other) for other in names}
+        for place, work in enumerate(self._left):
+            lost_on = self._lost_on.get(work.key, set())
+            if own not in lost_on or all_of_them <= lost_on:
+                del self._left[place]
+                return work
+        return None
 
     def _take_back(self, ended: WorkEnd) -> None:
         task = self._at.pop(ended.worker)
@@ -162,10 +173,11 @@ class Crew:
             return
         if ended.counts and not task.late:
             self._deaths[key] = self._deaths.get(key, 0) + 1
+            self._lost_on.setdefault(key, set()).add(machine_of(ended.worker))
         if self._deaths.get(key, 0) >= MOST_DEATHS:
             raise WorkersError(
                 f"{key} was begun {MOST_DEATHS} times and never done; the last time on {ended.worker}, where "
-                f"{ended.lost}; expected workers to live: is there memory left? Go on with --resume"
+                f"{ended.lost}; expected workers to live: is there room and memory left? {_KEPT}"
             )
         if not task.late:
             with self._lock:
@@ -182,8 +194,22 @@ class Crew:
                     task.stopped_s = now_s
                     self._workers.stop(name)
             elif now_s - task.since_s > LATE * self._longest_s * 2**times:
+                if times + 1 >= MOST_DEATHS:
+                    raise WorkersError(
+                        f"{key} was begun {MOST_DEATHS} times and never came back, the last time on {name} within "
+                        f"{now_s - task.since_s:.0f} s; expected a piece to end: see what it does there; {_KEPT}"
+                    )
                 self._times_late[key] = times + 1
                 task.late, task.stopped_s = True, now_s
                 with self._lock:
                     self._left.appendleft(task.work)
                 self._workers.stop(name)
+
+
+def machine_of(worker: str) -> str:
+    """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; a process of this one counts as a machine of its own.
+
+    >>> machine_of("10.0.0.2/3"), machine_of("process 1")
+    ('10.0.0.2', 'process 1')
+    """
+    return worker.rpartition("/")[0] or worker

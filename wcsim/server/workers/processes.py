@@ -10,6 +10,7 @@ from time import sleep
 
 from wcsim.server.launch.parent_death import die_with_parent
 from wcsim.server.launch.stop_signals import unheard_by_children
+from wcsim.server.workers.work_folders import work_folder
 from wcsim.server.workers.worker_api import Work, WorkEnd
 
 
@@ -83,4 +84,5 @@ class ProcessWorkers:
 
 def _do(work: Work) -> bytes:
     """In the process."""
-    return work.call(work.piece, str)
+    with work_folder():
+        return work.call(work.piece, str)

@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.cache.folder import cache_folder, write_whole
+from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import pave_cure, traffic_alone
 from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.outputs import OutputNames
@@ -53,7 +53,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
     if run.returncode:
         raise TownError(f"{net}: SUMO cannot open this net ({run.reason()}); build it again with netconvert")
     if len(files.read) == 1:  # what a net includes may change while its own bytes stay
-        write_whole(verdict, lambda path: path.write_text("ok\n", encoding="utf-8"))
+        write_verdict(verdict)
 
 
 def scan_net(root: Element, where: str) -> None:

@@ -71,6 +71,7 @@ def test_what_lies_on_this_machine_alone_is_refused():
         lambda: require_travels(config, own_code=("own_network:OwnNet",)),
         lambda: require_travels(config, ("chair.plant=my.toml",)),
         lambda: require_travels(config, ('chair.plant="my.toml"',)),
+        lambda: require_travels(config, users=("me.toml",)),
         lambda: require_travels(load_run_config("quick", ("collect.profiles=['recorded:mine.csv']",))),
     ):
         with pytest.raises(ConfigError, match=r"does not travel; expected .* without --cluster"):
@@ -83,6 +84,10 @@ def test_a_node_of_another_version_or_code_is_refused_and_a_small_one_is_not():
     assert "code 0000" in why_refused(replace(here, code="0000"), here)
     other = tuple((name, "9.9" if name == "libsumo" else version) for name, version in here.versions)
     assert "libsumo 9.9" in why_refused(replace(here, versions=other), here)
+    bare = tuple((name, "" if name == "onnxruntime" else version) for name, version in here.versions)
+    if dict(here.versions)["onnxruntime"]:
+        assert "onnxruntime none" in why_refused(replace(here, versions=bare), here)
+    assert why_refused(here, replace(here, versions=bare)) == "", "nobody needs it who has it not here"
     assert "wcsim 9.9" in why_refused(replace(here, versions=tuple((n, "9.9") for n, _ in here.versions)), here)
     assert "Python 3.12.1" in why_refused(replace(here, python="3.12.1"), here)
     small = notes_on(replace(here, shm_bytes=64 << 20, cpu="another"), here)

@@ -202,7 +202,7 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
                 told = "is a process of this machine; expected others, or --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
         own = [policy for policy in policies if is_own_class(policy)]
-        require_travels(RunConfig(), (*order.suite.file.settings, *order.settings), (*own, order.network))
+        require_travels(RunConfig(), all_settings(order), (*own, order.network), _users(order))
     return machines.open(order.out)
 
 
@@ -259,12 +259,21 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
-    file = order.suite.file
-    settings = [*file.settings, *(text for block in file.blocks for text in block.settings), *order.settings]
-    users = profiles_of(block for block in file.blocks if block.part != TIGHT)  # those of a scene lie in it
-    own = {word: file_digest(path) for word, path in own_files(settings, order.network, users).items()}
+    named = own_files(all_settings(order), order.network, _users(order))
+    own = {word: file_digest(path) for word, path in named.items()}
     said = [order.settings, order.forks, order.network, own, code_digest(), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+
+
+def all_settings(order: SuiteOrder) -> list[str]:
+    """What is set in the list, in any of its blocks, and over them."""
+    file = order.suite.file
+    return [*file.settings, *(text for block in file.blocks for text in block.settings), *order.settings]
+
+
+def _users(order: SuiteOrder) -> list[str]:
+    """The users of a list; those of a scene lie in it."""
+    return list(profiles_of(block for block in order.suite.file.blocks if block.part != TIGHT))
 
 
 def judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:

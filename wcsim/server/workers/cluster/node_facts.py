@@ -18,6 +18,7 @@ _PACKAGES: Final = (
     *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "numpy", "numba", "opencv-python-headless"),
     *("shapely", "networkx", "zstandard", "gymnasium"),
 )
+_EXTRAS: Final = ("onnxruntime",)  # asked for where this machine has them
 LEAST_SHM_BYTES: Final = 256 << 20
 _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 
@@ -39,7 +40,7 @@ def facts_here() -> NodeFacts:
     return NodeFacts(
         host=socket.gethostname(),
         python=platform.python_version(),
-        versions=tuple(sorted((name, _version(name)) for name in _PACKAGES)),
+        versions=tuple(sorted((name, _version(name)) for name in (*_PACKAGES, *_EXTRAS))),
         code=code_digest(),
         cpu=_cpu(),
         shm_bytes=shutil.disk_usage(_SHM).total if os.path.isdir(_SHM) else 0,  # noqa: PTH112
@@ -64,7 +65,8 @@ def why_refused(node: NodeFacts, here: NodeFacts) -> str:
             f"it has wcsim {there.get('wcsim')}, code {node.code[:12]}; expected wcsim {ours['wcsim']}, code "
             f"{here.code[:12]}, as here: install the same there, then `ray stop` and `ray start` it again"
         )
-    differ = [name for name in ours if there.get(name, "") != ours[name]]
+    asked = [name for name in ours if ours[name] or name not in _EXTRAS]
+    differ = [name for name in asked if there.get(name, "") != ours[name]]
     other = [f"{name} {there.get(name) or 'none'} (here {ours[name] or 'none'})" for name in differ]
     if node.python.split(".")[:2] != here.python.split(".")[:2]:
         other.append(f"Python {node.python} (here {here.python})")

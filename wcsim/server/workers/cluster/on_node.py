@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import signal
 import sys
@@ -16,7 +17,7 @@ from typing import Any
 from wcsim.core.files import alone
 from wcsim.errors import WcsimError
 from wcsim.server.workers.cluster.bundle import is_kept, keep, kept_folder, unpack
-from wcsim.server.workers.cluster.work_folders import find_in_work, work_folder
+from wcsim.server.workers.work_folders import find_in_work, work_folder
 from wcsim.server.workers.worker_api import Call
 from wcsim.towns.cache.folder import cache_folder
 
@@ -126,8 +127,7 @@ def _from_ray(ref: Any) -> bytes:
 
 
 def _pid_name(run: str, key: str, attempt: str) -> str:
-    name = "".join(letter if letter.isalnum() or letter in "-." else "_" for letter in key)
-    return f"{run}-{name}-{attempt}.pid"
+    return f"{run}-{hashlib.sha256(key.encode()).hexdigest()[:16]}-{attempt}.pid"  # a key may be a long path
 
 
 def _say(text: str) -> None:

@@ -124,6 +124,8 @@ class RayWorkers:
                 self._heard_s, timeout_s = time.monotonic(), 0.0
                 self._take(*self._pipe.recv())
         except (EOFError, OSError):
+            if self._ended:  # what has come is kept first
+                return
             raise self._lost() from None
         if time.monotonic() - self._heard_s > _SILENT_S:
             raise self._lost()
@@ -147,8 +149,8 @@ class RayWorkers:
 
     def _lost(self) -> WorkersError:
         return WorkersError(
-            f"the Ray cluster at {self._address} is lost; expected its head to live: start it again, then go on with "
-            f"--resume; what Ray said is in {self._folder / RAY_LOG}"
+            f"the Ray cluster at {self._address} is lost; expected its head to live: start it again, then go on "
+            f"(with --resume where the command has that); what Ray said is in {self._folder / RAY_LOG}"
         )
 
     def _note(self, ended: WorkEnd) -> None:

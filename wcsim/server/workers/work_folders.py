@@ -1,4 +1,4 @@
-"""Where a process of a node works: a folder named by it, which goes with the piece, or with the next on the node."""
+"""Where a worker works: a folder named by its process, which goes with the piece, or with the next on the machine."""
 
 from __future__ import annotations
 
@@ -11,27 +11,35 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-_PREFIX: Final = "wcsim-work-"
-_NAMED: Final = re.compile(rf"{_PREFIX}(\d+)-(\d+)-(\d+)-")  # namespace of its number, number, birth
+from wcsim.core.files import WORK_PREFIX
+
+_NAMED: Final = re.compile(rf"{WORK_PREFIX}(\d+)-(\d+)-(\d+)-")  # namespace of its number, number, birth
 
 
 @contextmanager
 def work_folder() -> Iterator[Path]:
-    """A folder that is there while this is open; those of processes that were killed go first. Raises OSError."""
+    """A folder that is there while this is open; those of processes that were killed go first. Raises OSError.
+
+    Meanwhile it is this process's place for temporary files, so that what a killed worker leaves is found again.
+    """
     _sweep()
-    own = f"{_PREFIX}{_namespace()}-{os.getpid()}-{_born(os.getpid())}-"
+    own = f"{WORK_PREFIX}{_namespace()}-{os.getpid()}-{_born(os.getpid())}-"
     with tempfile.TemporaryDirectory(prefix=own, ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
+        before, tempfile.tempdir = tempfile.tempdir, folder
+        try:
+            yield Path(folder)
+        finally:
+            tempfile.tempdir = before
 
 
 def find_in_work(name: str) -> Path | None:
     """A file of that name in the folder of whoever works on this machine now, or did when it was killed."""
-    return next(Path(tempfile.gettempdir()).glob(f"{_PREFIX}*/{name}"), None)
+    return next(Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*/{name}"), None)
 
 
 def _sweep() -> None:
     """Remove what processes have left that are gone."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+    for folder in Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*"):
         named = _NAMED.match(folder.name)
         if named is not None and int(named[1]) == _namespace() and named[3] != _born(int(named[2])):
             shutil.rmtree(folder, ignore_errors=True)

@@ -10,11 +10,12 @@ import time
 from pathlib import Path
 
 import pytest
+from pytest import MonkeyPatch
 
-from tests.support.cluster.workpieces import echo, hang_once, tell_pid
+from tests.support.cluster.workpieces import echo, hang_once, tell_cache, tell_pid
 from wcsim.server.workers.cluster import bundle
-from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, do_work, kill_worker
-from wcsim.server.workers.cluster.work_folders import _born, work_folder
+from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, _pid_name, do_work, kill_worker
+from wcsim.server.workers.work_folders import _born, work_folder
 from wcsim.server.workers.worker_api import Call, Parcel
 
 
@@ -47,14 +48,14 @@ def test_what_a_killed_worker_leaves_goes_with_the_next_piece(temporary: Path, t
     (net / "weights").write_text("w")
     code = f"from {__name__} import be_a_worker; import sys; be_a_worker(*sys.argv[1:3])"
     words = [sys.executable, "-c", code, str(net), str(tmp_path / "once"), "ray::stand-in"]
-    child = subprocess.Popen(words, cwd=Path(__file__).parents[4], stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(words, cwd=Path(__file__).parents[3], stderr=subprocess.DEVNULL)
     try:
         until_s = time.monotonic() + 60.0
         while not (tmp_path / "once").exists():
             assert child.poll() is None and time.monotonic() < until_s
             time.sleep(0.02)
         (left,) = temporary.iterdir()
-        assert {path.name for path in left.rglob("*")} == {"t-a_1-1.pid", "parcel-0", "net", "weights"}
+        assert {path.name for path in left.rglob("*")} == {_pid_name("t", "a/1", "1"), "parcel-0", "net", "weights"}
         assert work(str(net), tell_pid, "").data == str(os.getpid()).encode()
         assert list(temporary.iterdir()) == [left], "it lives, and its files stay"
         assert kill_worker("t", "a/1", "1")
@@ -66,6 +67,14 @@ def test_what_a_killed_worker_leaves_goes_with_the_next_piece(temporary: Path, t
     assert work(str(net), echo, "x").data == b"x"
     assert list(temporary.iterdir()) == []
     assert not kill_worker("t", "a/1", "1")
+
+
+def test_a_piece_may_have_a_very_long_key_and_the_cache_outlives_it(temporary: Path, monkeypatch: MonkeyPatch) -> None:
+    sent = SentWork(run="t", key="/far" * 90, attempt="1", call=tell_cache, piece="", parcels=())
+    (temporary.parent / "file").touch()
+    monkeypatch.setenv("HOME", str(temporary.parent / "file"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert do_work(sent).data.decode() == str(temporary / f"wcsim-cache-{os.getuid()}")
 
 
 def test_folders_of_others_stay(temporary: Path) -> None:
