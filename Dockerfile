@@ -10,6 +10,8 @@ RUN useradd --create-home --uid "$USER_ID" wcsim && install --directory --owner=
 USER wcsim
 WORKDIR /home/wcsim/wcsim
 COPY --chown=wcsim:wcsim . .
-RUN make setup TORCH_INDEX=https://download.pytorch.org/whl/cpu
+# Of a mirror of one's own: --build-arg TORCH_INDEX=ADDRESS; with nothing after the = pip takes what its configuration says.
+ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
+RUN make setup TORCH_INDEX="$TORCH_INDEX"
 ENV OMP_NUM_THREADS=1
-CMD ["make", "demo", "TORCH_INDEX=https://download.pytorch.org/whl/cpu"]
+CMD ["make", "demo"]

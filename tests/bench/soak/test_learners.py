@@ -9,7 +9,8 @@ import pytest
 
 from tests.cli.training.test_clients import SMALL, start
 from wcsim.bench.soak.planned import FaultOrder
-from wcsim.cli.bench.soak import SoakOptions, _of_learners, _soaked
+from wcsim.cli.bench.soak import SoakOptions, _soaked
+from wcsim.cli.bench.soak import run as soak
 from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.backoff import RestartRules, Restarts
 from wcsim.towns.scenario.town import find_town
@@ -48,9 +49,9 @@ def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp
         raise InterruptedRunError("stopped")
 
     monkeypatch.setattr("wcsim.cli.training.clients.train_clients", stopped)
-    options = SoakOptions(networks="small,patch", steps=100, twice=True)
-    with pytest.raises(InterruptedRunError, match="stopped"):
-        _of_learners(options, find_town(str(corner)), tmp_path)
+    options = SoakOptions(networks="small,patch", steps=100, twice=True, town=str(corner), out=tmp_path / "kept")
+    with pytest.raises(InterruptedRunError, match="stopped; a soak that was cut off shows nothing: begin it again"):
+        soak(options)
     assert len(begun) == 1
 
 

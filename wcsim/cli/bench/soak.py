@@ -17,7 +17,7 @@ from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, in_bounds, wri
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import load_run_config
-from wcsim.errors import ConfigError, WcsimError
+from wcsim.errors import ConfigError, InterruptedRunError, WcsimError
 from wcsim.towns.scenario.town import Town, find_town
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
@@ -75,7 +75,12 @@ def run(options: SoakOptions) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     try:
         if options.networks:
-            return _of_learners(options, town, folder)
+            try:
+                return _of_learners(options, town, folder)
+            except InterruptedRunError:  # its own words are those of a training, which goes on
+                raise InterruptedRunError(
+                    "stopped; a soak that was cut off shows nothing: begin it again, in another --out"
+                ) from None
         facts = _run(options, town.address, folder)
     finally:
         if kept is None:
