@@ -83,9 +83,10 @@ class Driver:
             self.states = {name: told[f"next_{name}"] for name in self.states}
             self.warning, self.danger = bool(told["warning"][0, 0] > 0.5), told["danger"][0]
             wanted = tuple(self.meaning["actions_xy"][int(told["values"][0].argmax())])
-        if not self.guard.step(wanted, finite, age_s, self.clock() - began_s):
-            self.warning = False
+        sure = self.guard.step(wanted, finite, age_s, self.clock() - began_s)
+        if not sure or self.guard.stick != wanted:  # its states say that what it wanted was sent
             self.forget()
+        self.warning = self.warning and sure
         return self.guard.stick
 
 

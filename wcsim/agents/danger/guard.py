@@ -3,7 +3,7 @@
 In each tick it is told what the policy wants and whether that can be trusted: numbers that are finite on both sides, a
 frame that is not old, an answer in time. Where it cannot, the command goes to zero within `stop_s`, whatever it was.
 It comes back when `good_ticks` good ticks have come one after the other; till then the policy is shown the user's stick
-at rest, so that what it believes to have sent is what was sent, unless rest itself looks unsafe to it.
+at rest, and begins anew wherever it wants something else than was sent, so that it never believes to have sent that.
 `examples/exported_policy.py` says the same in NumPy.
 """
 

@@ -113,7 +113,44 @@ def test_a_model_that_ends_in_an_error_stops_the_chair_and_drives_again_later():
     assert told == [wanted, wanted] and guard.warning
     told = [guard.drive(frames) for _ in range(RULE.good_ticks)]  # the bad one and those that do not count yet
     assert all(math.hypot(*stick) < math.hypot(*wanted) for stick in told) and told[-1] == (0.0, 0.0)
-    assert policy.resets == 1
+    assert policy.resets == RULE.good_ticks, "it wants to drive all the while, which is not sent"
     assert guard.drive(frames) == wanted
     with pytest.raises(RuntimeError):
         GuardedPolicy(Fails(at=1), actions).act(frames)
+
+
+class Follows(Fails):
+    """Follows the stick."""
+
+    def act(self, observation):
+        super().act(observation)
+        return action_set("square81").nearest(observation["joystick"])
+
+
+def test_who_rests_while_nothing_is_sent_forgets_no_more_than_what_was_on_the_way():
+    frames, policy = {"joystick": np.array([0.0, 1.0], np.float32)}, Follows(at=3)
+    guard = GuardedPolicy(policy, action_set("square81"), clock=lambda: 0.0)
+    sent = [guard.drive(frames) for _ in range(4 + RULE.good_ticks)]
+    on_the_way = sum(stick != (0.0, 0.0) for stick in sent[2:-1])
+    assert 0 < on_the_way < RULE.good_ticks / 2 and sent[-1] == (0.0, 1.0)
+    assert policy.resets == on_the_way
+
+
+@given(st.lists(st.tuples(st.sampled_from([None, (0.0, 0.0), (0.25, 0.75)]), AGES), max_size=40))
+def test_the_example_forgets_alike(ticks):
+    driver = EXAMPLE["Driver"].__new__(EXAMPLE["Driver"])
+    driver.meaning = {"guard": {key: getattr(RULE, key) for key in GuardRule.__slots__}, "states": {}}
+    driver.meaning["actions_xy"], driver.clock, forgot = [(0.0, 0.0), (0.25, 0.75)], lambda: 0.0, []
+    driver.forget = lambda: (setattr(driver, "states", {}), forgot.append(1))
+    driver.reset()
+    state, expected = GuardState(), 1
+    for wanted, age_s in ticks:
+        values = np.eye(2)[None, driver.meaning["actions_xy"].index(wanted)] if wanted else np.full((1, 2), np.nan)
+        told = {"values": values, "warning": np.ones((1, 1)), "danger": np.zeros((1, 2))}
+        driver.asked = lambda frames, told=told: told
+        stick = driver.step({"joystick": np.zeros(2)}, age_s)
+        asked = wanted if age_s <= RULE.oldest_s else None
+        state = guarded(RULE, state, GuardTick(wanted=asked, outputs_finite=asked is not None, age_s=age_s))
+        expected += bool(state.fault) or state.stick != asked
+        assert (stick, driver.warning and not state.fault) == (state.stick, driver.warning)
+        assert len(forgot) == expected

@@ -80,8 +80,8 @@ class GuardedPolicy:
                 took_s=clock() - began_s,
             ),
         )
-        if self.state.fault:
-            self.warning = False
+        self.warning = self.warning and not self.state.fault
+        if self.state.fault or self.state.stick != wanted:  # it remembers what it wanted as what was sent
             self._policy.reset()
         return self.state.stick
 
