@@ -2,7 +2,7 @@
 FROM python:3.11-slim-bookworm
 
 RUN apt-get update \
- && apt-get install --yes --no-install-recommends make libgl1 libglib2.0-0 libgomp1 \
+ && apt-get install --yes --no-install-recommends make libgl1 libxext6 libxrender1 libatomic1 \
  && rm -rf /var/lib/apt/lists/*
 # Its owner alone may read the token of a cluster, so a node's user has the number of whose token it is: docs/cluster.md
 ARG USER_ID=1000

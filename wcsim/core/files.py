@@ -181,6 +181,17 @@ def locked(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+def folder_bytes(folder: Path) -> int:
+    """Bytes of all regular files in a folder; what others remove meanwhile, folders too, is nothing."""
+    total = 0
+    for place, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(OSError):
+                status = os.lstat(os.path.join(place, name))  # noqa: PTH118 - a tenth of the time of paths
+                total += status.st_size if stat.S_ISREG(status.st_mode) else 0
+    return total
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:

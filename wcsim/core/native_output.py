@@ -1,14 +1,36 @@
-"""Keep a library's known line of chatter away from the user's terminal, and nothing else."""
+"""What native code says past Python: a known line of chatter, kept away, and what the loader does not find."""
 
 from __future__ import annotations
 
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Final
 
 _STDERR_FD = 2
+_NOT_FOUND: Final = re.compile(r"\b(lib[\w.+-]+?\.so[.\d]*): cannot open shared object file")
+SYSTEM_PACKAGES: Final = "libgl1 libxext6 libxrender1 libatomic1"
+"""Of Debian and Ubuntu: what SUMO's wheels leave to the system, and a machine without a screen may not have."""
+
+
+def missing_library(said: str) -> str:
+    """What to do where the loader says that a library of the system is not there; "" where it says nothing of the kind.
+
+    >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No such file or directory")[:35]
+    'this machine has no libXrender.so.1'
+    >>> missing_library("cannot open shared object file")
+    ''
+    """
+    found = _NOT_FOUND.search(said)
+    if found is None:
+        return ""
+    return (
+        f"this machine has no {found[1]}; expected the libraries that SUMO leaves to the system. On Debian or Ubuntu: "
+        f"sudo apt install {SYSTEM_PACKAGES}"
+    )
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
+from wcsim.core.files import folder_bytes
 from wcsim.server.launch.states import LaunchState
 
 RUN_H: Final = 600.0
@@ -151,7 +152,7 @@ class GrowthLog:
                 if pid:
                     self._sample(who, psutil.Process(pid), now_s, settled=settled, ours=pid != here)
         if settled:
-            self._disk.add(now_s, _folder_mb(self._folder))
+            self._disk.add(now_s, folder_bytes(self._folder) / 1e6)
 
     def orphans(self) -> int:
         """Processes that were started and still run."""
@@ -235,14 +236,6 @@ def long_run(
     error_mb = math.hypot(*errors_mb)
     disk_mb = disk.most + max(0.0, disk.upper_per_h) * RUN_H
     return LongRun(memory_gb=(expected_mb + error_mb) / 1e3, disk_gb=disk_mb / 1e3, recovery_s=recovery_s)
-
-
-def _folder_mb(folder: Path) -> float:
-    total = 0
-    for path in folder.rglob("*"):
-        with contextlib.suppress(OSError):
-            total += path.lstat().st_size if path.is_file() else 0
-    return total / 1e6
 
 
 def _lives(pid: int, born_s: float) -> bool:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import libsumo
 import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
@@ -21,9 +20,17 @@ from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import open_hook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.core.closing import Closing
+from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import Settings, forced
 from wcsim.types import F64, ActorState, SignalState
+
+try:
+    import libsumo
+except ImportError as error:
+    if not (cure := missing_library(str(error))):
+        raise
+    raise SumoError(f"libsumo cannot be loaded: {cure}") from error
 
 log = logging.getLogger("wcsim.bridge.sumo.session")
 

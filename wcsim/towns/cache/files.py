@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from wcsim.core.files import KERNELS
+from wcsim.core.files import KERNELS, folder_bytes
 from wcsim.towns.cache.folder import cache_folder
 
 WRITTEN_S = 3600.0  # a file that is being written is not older
@@ -48,7 +48,7 @@ def cache_facts() -> CacheFacts:
         kernels=sum(path.suffix == ".nbi" for path in found),
         driven=len(folders),
         unfinished=sum(_BEGUN.fullmatch(path.name) is not None for path in found),
-        size_bytes=sum(found.values()) + sum(map(_size, folders)),
+        size_bytes=sum(found.values()) + sum(map(folder_bytes, folders)),
     )
 
 
@@ -93,16 +93,6 @@ def _is_left(folder: Path) -> bool:
         made = not folder.name.startswith(".") or time.time() - status.st_mtime > WRITTEN_S
         return made and stat.S_ISDIR(status.st_mode)
     return False
-
-
-def _size(folder: Path) -> int:
-    """Of all regular files in it."""
-    total = 0
-    for path in folder.rglob("*"):
-        with suppress(OSError):
-            status = path.lstat()
-            total += status.st_size if stat.S_ISREG(status.st_mode) else 0
-    return total
 
 
 def _entries(folder: Path) -> list[Path]:

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError
 
 _TAIL_BYTES = 1 << 20
+_NOT_STARTED = 127  # what the loader ends with where a library is not there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +66,10 @@ def run_tool(name: str, arguments: Sequence[str], folder: Path, limits: Limits |
     home = sumo_home()
     projections = str(home / "data" / "proj")  # without it netconvert says "Cannot find proj.db"
     environment = os.environ | {"SUMO_HOME": str(home), "PROJ_LIB": projections, "PROJ_DATA": projections}
-    return run_child(name, [str(home / "bin" / name), *arguments], folder, environment, limits or Limits())
+    run = run_child(name, [str(home / "bin" / name), *arguments], folder, environment, limits or Limits())
+    if run.returncode == _NOT_STARTED and (cure := missing_library(run.output)):
+        raise SumoError(f"{name} cannot be started: {cure}")
+    return run
 
 
 def by_file(option: str, names: Sequence[str], config: Path) -> list[str]:
