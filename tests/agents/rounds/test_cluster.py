@@ -18,7 +18,7 @@ from tests.agents.rounds.small_runs import outcome, run_in
 from tests.support.cluster.ray_nodes import RayNode, quiet_environment
 from wcsim.agents.rounds.run_of_rounds import train_danger
 from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
-from wcsim.errors import WorkersError
+from wcsim.errors import ConfigError, WorkersError
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import find_town
 
@@ -103,6 +103,24 @@ def test_a_node_that_joins_works_and_a_town_comes_to_each_node_once(by_processes
     assert set(fetched.values()) == {1}, rows
     for cache in ("head", "late"):
         assert len([p for p in (tmp_path / cache / "wcsim" / "parcels").iterdir() if p.is_dir()]) == 1
+
+
+def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(
+    by_processes, corner, tmp_path, monkeypatch
+):
+    token, other = tmp_path / "token", tmp_path / "other"
+    token.write_text("ab" * 32)
+    other.write_text("cd" * 32)
+    guarded = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)}
+    monkeypatch.delenv("RAY_AUTH_MODE")
+    monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(token))
+    with RayNode(tmp_path / "a", environment=guarded) as head:
+        assert trained(corner, tmp_path / "in", Machines(cluster=head.address)) == by_processes
+        monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(other))
+        with pytest.raises(ConfigError, match="lets in who knows its token, and this user has none or another"):
+            trained(corner, tmp_path / "out", Machines(cluster=head.address))
+    with RayNode(tmp_path / "b") as head:
+        assert trained(corner, tmp_path / "free", Machines(cluster=head.address)) == by_processes
 
 
 def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoint(by_processes, corner, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -131,3 +132,25 @@ def test_help_and_refusals_load_no_ray():
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stderr.splitlines()[-1] == "False"
+
+
+@pytest.mark.parametrize("place", ["home", "RAY_AUTH_TOKEN_PATH", "RAY_AUTH_TOKEN", ""])
+def test_who_has_a_token_shows_it_and_a_word_of_the_users_own_stays(tmp_path, monkeypatch, place):
+    for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    token = tmp_path / ".ray" / "auth_token"
+    if place == "home":
+        token.parent.mkdir()
+        token.write_text("abc")
+    elif place:
+        monkeypatch.setenv(place, str(token))
+    spec = LinkSpec(address="10.0.0.1:6379", count=0, run="r", log=tmp_path / "log")
+    for name in ("RAY_USAGE_STATS_ENABLED", *joining._PATIENCE):  # what is set beside is taken back at the end
+        monkeypatch.setenv(name, "1")
+    joining._prepare(spec)
+    assert os.environ.get("RAY_AUTH_MODE") == ("token" if place else None)
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    joining._prepare(spec)
+    assert os.environ["RAY_AUTH_MODE"] == "disabled"

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.core.files import home
 from wcsim.errors import ConfigError
 
 LOCAL: Final = "local"
@@ -70,6 +71,15 @@ def _prepare(spec: LinkSpec) -> None:
     if spec.address == LOCAL:
         os.environ["RAY_AUTH_MODE"] = "token"
         os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)  # known to nobody else, and on no disk
+    elif _has_token():
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # without a word Ray shows a token to no cluster that it joins
+
+
+def _has_token() -> bool:
+    """Whether this user has one, in any of the places where Ray looks."""
+    own = home()
+    named = any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
+    return named or (own is not None and (own / ".ray" / "auth_token").is_file())
 
 
 def is_loopback(address: str) -> bool:
