@@ -125,6 +125,15 @@ def test_what_ray_says_against_it_becomes_one_line(error, told, tmp_path):
     assert re.search(told, text) and "\n" not in text and "abc" not in text
 
 
+def test_a_token_that_was_asked_for_is_found_in_what_ray_wrote_for_this_try_alone(tmp_path):
+    spec = LinkSpec(address="10.0.0.1:6379", count=1, run="x", log=tmp_path / "ray.log")
+    assert joining._logged(spec.log, 0) == ""
+    spec.log.write_text("W 1 Unauthenticated: RPC error: InvalidAuthToken: Authentication token is missing\n")
+    before, error = spec.log.stat().st_size, ConnectionError("Failed to connect to Ray cluster")
+    assert "~/.ray/auth_token" in joining._told(spec, error, _Ray, joining._logged(spec.log, 0))
+    assert "cannot join (ConnectionError" in joining._told(spec, error, _Ray, joining._logged(spec.log, before))
+
+
 def test_help_and_refusals_load_no_ray():
     code = (
         "import sys; from wcsim.cli.main import main; main(['train', '--help']); main(['train', '--cluster', 'x']);"

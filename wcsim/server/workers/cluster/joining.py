@@ -7,6 +7,7 @@ import re
 import secrets
 import signal
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -41,6 +42,7 @@ def join(spec: LinkSpec) -> Any:
     _prepare(spec)
     import ray
 
+    before = spec.log.stat().st_size if spec.log.exists() else 0
     try:
         if spec.address == LOCAL:
             ray.init(
@@ -56,7 +58,7 @@ def join(spec: LinkSpec) -> Any:
         else:
             ray.init(address=spec.address, log_to_driver=False, configure_logging=False)
     except Exception as error:
-        raise ConfigError(_told(spec, error, ray)) from None
+        raise ConfigError(_told(spec, error, ray, _logged(spec.log, before))) from None
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler waits
     return ray
 
@@ -91,7 +93,15 @@ def is_loopback(address: str) -> bool:
     return _LOOPBACK.fullmatch(address.rpartition(":")[0]) is not None
 
 
-def _told(spec: LinkSpec, error: Exception, ray: Any) -> str:
+def _logged(log: Path, before: int) -> str:
+    """What Ray has written beside what it raises, which names no token where none was shown."""
+    with suppress(OSError), log.open("rb") as file:
+        file.seek(before)
+        return file.read(1 << 20).decode("utf-8", "replace")
+    return ""
+
+
+def _told(spec: LinkSpec, error: Exception, ray: Any, logged: str = "") -> str:
     text = str(error)
     found = _VERSIONS.findall(text)
     if "ersion mismatch" in text and found:
@@ -101,7 +111,7 @@ def _told(spec: LinkSpec, error: Exception, ray: Any) -> str:
             f"{ours[1]}, as here: install that on its nodes, or python -m pip install 'ray=={theirs}' here"
         )
     kind = type(error).__name__
-    if kind == "AuthenticationError" or "auth" in text.lower():
+    if kind == "AuthenticationError" or "auth" in text.lower() or "InvalidAuthToken" in logged:
         return (
             f"--cluster {spec.address} lets in who knows its token, and this user has none or another; expected the "
             "head's file ~/.ray/auth_token here too, readable by you alone (chmod 600)"
