@@ -6,8 +6,10 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
 from tests.agents.danger.sights import a_segment, small_config
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
@@ -66,6 +68,14 @@ def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_
     town, words = find_town(str(corner)), (*SETTINGS, 'collect.data=["mine"]', "collect.rounds=2")
     monkeypatch.chdir(tmp_path)
     held = others_drive(Path("mine"), 2)
+    learn, drawn = DangerLearner.learn, []
+
+    def drawing(*given: Any) -> float:
+        """As a network with dropout."""
+        drawn.append(float(torch.rand(1)))
+        return learn(*given)
+
+    monkeypatch.setattr(DangerLearner, "learn", drawing)
     straight, stopped = (whole(run_in(corner, tmp_path / name, *words)) for name in ("straight", "stopped"))
     train_danger(straight, town)
 
@@ -79,6 +89,7 @@ def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_
     monkeypatch.chdir(tmp_path.parent)
     train_danger(replace(stopped, resume=True), town)
     assert outcome(stopped.out) == outcome(straight.out)
+    assert drawn[:2] == [drawn[2], drawn[-1]] and drawn[0] != drawn[1], "as in a run that was not stopped"
     assert json.loads((stopped.out / "learned_data.json").read_text())["folders"] == {str(tmp_path / "mine"): held}
 
 

@@ -171,6 +171,21 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
     assert only(desk.say(0, m.Respawn(session_of(0), 0, 1, 0)), RespawnSeats).seats == (0,)
 
 
+def test_a_client_that_comes_again_has_what_is_left_of_its_time_to_think() -> None:
+    desk = Desk(members=1, lease_s=100.0, max_think_s=50.0)
+    assert desk.wait(40.0) == []
+    desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
+    assert desk.core.cycle.roll.at(0).session == session_of(7)
+    assert desk.wait(9.0) == []
+    assert failure(desk.wait(2.0)) == ("EvictedError", "the server gave this client up: no action within 50 s")
+    desk = Desk(members=2, lease_s=300.0, max_think_s=50.0)
+    desk.act(0)
+    desk.wait(45.0)
+    desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
+    desk.act(1)
+    assert len(desk.core.cycle.roll.members) == 2, "who has acted owed nothing"
+
+
 def test_seat_taken() -> None:
     desk = Desk()
     error, text = failure(desk.say(5, join_of(5, seat=1)))

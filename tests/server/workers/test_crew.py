@@ -17,7 +17,7 @@ import pytest
 
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, leave_and_die_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
-from wcsim.server.workers.crew import Crew
+from wcsim.server.workers.crew import MOST_DEATHS, Crew, _Task
 from wcsim.server.workers.processes import ProcessWorkers
 from wcsim.server.workers.worker_api import Work, WorkEnd
 
@@ -97,6 +97,15 @@ class Hanging(Scripted):
         return found
 
 
+class HangingBeside(Hanging):
+    """The same, of sick machines; what others are given is done."""
+
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
+        well = [name for name in self.at if not name.startswith("sick")]
+        done = [WorkEnd(worker=name, key=self.at[name], data=self.at.pop(name).encode()) for name in well]
+        return [*super().ended(timeout_s), *done]
+
+
 def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
     kept: dict[str, bytes] = {}
     with Crew(ProcessWorkers(2), kept.__setitem__) as crew:
@@ -150,6 +159,24 @@ def test_a_sick_machine_ends_no_run_while_another_is_well():
     assert sorted(kept) == list("abcdef")
     sick = [key for worker, key in workers.begun if worker == "sick/1"]
     assert sick and len(sick) == len(set(sick)), "none was given to it twice"
+
+
+def test_a_machine_on_which_all_hangs_ends_no_run_while_another_is_well():
+    workers, kept = HangingBeside(**{"sick/1": [], "sick/2": [], "well/1": []}), []
+    with Crew(workers, lambda key, data: kept.append(key), least_late_s=0.05) as crew:
+        crew.ask([work(key) for key in "abcdef"])
+        done_by(crew, set("abcdef"))
+    assert sorted(kept) == list("abcdef")
+    sick = [key for worker, key in workers.begun if worker.startswith("sick")]
+    assert sick and len(sick) == len(set(sick)), "none was given to it twice"
+
+
+def test_a_late_piece_that_has_come_is_neither_asked_for_again_nor_a_reason_to_give_up():
+    crew = Crew(Scripted(w=[]), lambda key, data: None, least_late_s=0.0)
+    late = _Task(work=work("a"), since_s=time.monotonic() - 1e6)
+    crew._at, crew._done, crew._times_late = {"w": late}, {"a"}, {"a": MOST_DEATHS - 1}
+    crew._hurry()
+    assert late.late and not crew._left
 
 
 def test_a_piece_that_always_hangs_is_given_up_in_a_line():

@@ -130,8 +130,8 @@ def learn(
             train_online(run, lambda: env, listeners)
         else:
             train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **told)
-    except InterruptedRunError as error:
-        if growth.told:
+    except (InterruptedRunError, DiskFullError) as error:
+        if growth.told:  # with or without a last checkpoint, as any other one may fail
             raise ProcessGrownError(f"{growth.told}; a fresh one goes on") from error
         raise
     finally:

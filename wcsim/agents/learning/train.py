@@ -124,7 +124,7 @@ def stopped_error(path: Path, step: int, total: int, unsaved: str) -> Interrupte
     if unsaved:
         return DiskFullError(
             f"{told}; the policy so far is kept, but the last checkpoint could not be written ({unsaved}): --resume "
-            f"goes on from the one before it in {path}; make room for the next one"
+            f"goes on from the one before it in {path}, or begins again where there is none; make room for the next one"
         )
     return InterruptedRunError(f"{told}; {path} holds the policy so far and can be continued with --resume")
 

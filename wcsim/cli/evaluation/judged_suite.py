@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
 _TOLD_EVERY_S = 20.0
+_KEPT = "kept/*.json"  # blocks that are done
 _LISTED = {
     "env.profile": "each episode of a list has its own user: expected --town and --profile without --suite",
     "env.max_steps": "each episode of a list has its own steps: expected --town and --max-steps without --suite",
@@ -105,10 +106,11 @@ def run_suites(words: list[str]) -> int:
     def say(text: str) -> None:
         told.print(text, style="dim", markup=False)
 
+    before = set() if options.resume else set(out.rglob(_KEPT))  # of another test in the same folder
     try:
         return (_disturb if options.sensitivity else _judge)(order, options, names, say)
     except KeyboardInterrupt:
-        if not any(out.rglob("kept/*.json")):
+        if not set(out.rglob(_KEPT)) - before:
             raise
         raise InterruptedRunError(f"stopped; {out} keeps the blocks that are done; continue with --resume") from None
 

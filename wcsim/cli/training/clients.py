@@ -299,7 +299,8 @@ def _told(
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
-        print(f"wcsim: {outcome.message}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
+        lost = "".join(f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved)
+        print(f"wcsim: {outcome.message}{lost}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
         return Exit.FAILED
     print_crossings(folder.path)
     if run.last:
@@ -310,7 +311,9 @@ def _told(
 
 def _told_stop(path: Path, clients: Sequence[ClientState]) -> str:
     """What a run leaves that was stopped, by all of its clients or by some."""
-    lost = [f"client {client.name} {client.unsaved}" for client in clients if client.unsaved]
+    given_up = {client.name: client.reason for client in clients if client.standing == "given up"}
+    why = {client.name: client.unsaved for client in clients} | given_up
+    lost = [f"client {name} {told}" for name, told in why.items() if told]
     if not lost:
         return f"stopped; {path} holds what was learned so far; continue with --resume"
     return (

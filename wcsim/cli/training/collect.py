@@ -66,6 +66,7 @@ def run(words: list[str]) -> int:
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
+    from wcsim.agents.collecting.data_folder import SEGMENTS
     from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here
     from wcsim.agents.runs.run_folder import policy_path
 
@@ -78,18 +79,13 @@ def run(words: list[str]) -> int:
         policy=str(policy_path(options.policy)) if options.policy else "",
         machines=machines,
     )
-    done = [0]
-
-    def told(now: int, of: int) -> None:
-        done[0] = now
-        print(f"{now} of {of} segments", flush=True)
-
     try:
-        sha256 = collect_data(order, told)
+        sha256 = collect_data(order, lambda done, of: print(f"{done} of {of} segments", flush=True))
     except KeyboardInterrupt:
-        if not done[0]:
+        kept = len(list(out.glob(f"{SEGMENTS}/*.npz.zst")))
+        if not kept:
             raise
-        raise InterruptedRunError(f"stopped; {out} keeps {done[0]} segments, the same command goes on") from None
+        raise InterruptedRunError(f"stopped; {out} keeps {kept} segments, the same command goes on") from None
     print(f"data folder: {out}, SHA-256 {sha256}    learn from it: wcsim train --preset laptop --data {out}")
     if options.json is not None:
         write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})

@@ -24,6 +24,7 @@ class SupervisedClient(Supervised[ClientStatus]):
         super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, spawner, log)
         self.plan, self._rules = plan, rules
         self.reason = self.unsaved = ""
+        self._crash = ""  # how its last life ended, until the next one is heard
         self._world: WorldStatus | None = None  # as last seen
         self._best_step = 0  # of the lives before this one
         self._left_alone = 0  # deaths in a row that were the world's fault
@@ -64,7 +65,7 @@ class SupervisedClient(Supervised[ClientStatus]):
         """Ask it to save its work and leave; it is not started again."""
         super().ask_to_end()
         if not (self.running or self.settled):
-            self.standing = "stopped"
+            self.standing, self.unsaved = "stopped", self._crash
 
     def wait_no_more(self) -> None:
         """Have one that was asked to end do so without its world, which does not go on."""
@@ -81,7 +82,7 @@ class SupervisedClient(Supervised[ClientStatus]):
         self._seat_epoch, self._unseated_s = None, None
 
     def _heard(self, status: ClientStatus, now_s: float) -> None:
-        self.standing = "running"
+        self.standing, self._crash = "running", ""
         self._recovered(now_s, step=status.step)
 
     @property
@@ -98,7 +99,7 @@ class SupervisedClient(Supervised[ClientStatus]):
                 self.unsaved = f"{how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
             self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
         elif code == ClientExit.GROWN:
-            self._replaced += 1
+            self._replaced, self._crash = self._replaced + 1, ""
             self._log.add("replaced", who=self.plan.name, reason=words, step=self._step)
             self.standing, self._due_s, self._died_s = "down", now_s, now_s
         elif code == ClientExit.USER_ERROR:
@@ -118,6 +119,7 @@ class SupervisedClient(Supervised[ClientStatus]):
         progressed = self._step > self._best_step or excused
         self._best_step = max(self._best_step, self._step)
         self.reason = self._died(code, words, now_s, step=self._step)
+        self._crash = self.reason if self._step > 0 else ""
         if not self._start_later(now_s, progressed):
             self.standing = "given up"
             self._log.add("given up", who=self.plan.name, deaths=self._restarts.deaths)

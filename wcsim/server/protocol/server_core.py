@@ -132,6 +132,8 @@ class ServerCore:
     def _take_over(self, holder: Member, peer: Peer, join: m.Join, now_s: float) -> None:
         cycle, old = self.cycle, holder.session
         cycle.roll.retire(old)
+        if not (holder.vacant or holder.ready):  # a client that comes again has what is left of its time to think
+            holder.thought_s += now_s - holder.asked_s
         holder.session, holder.peer, holder.claim = join.session, peer, join.claim
         holder.heard_s = holder.asked_s = now_s
         holder.progress = -1  # a new life counts anew

@@ -65,7 +65,7 @@ class Crew:
         self._asked: set[str] = set()
         self._done: set[str] = set()
         self._deaths: dict[str, int] = {}
-        self._lost_on: dict[str, set[str]] = {}  # by piece, the machines that have lost it
+        self._lost_on: dict[str, set[str]] = {}  # by piece, the machines that have lost it, or were late
         self._times_late: dict[str, int] = {}
         self._failed: BaseException | None = None
         self._somebody_s = time.monotonic()
@@ -194,22 +194,29 @@ class Crew:
                     task.stopped_s = now_s
                     self._workers.stop(name)
             elif now_s - task.since_s > LATE * self._longest_s * 2**times:
-                if times + 1 >= MOST_DEATHS:
-                    raise WorkersError(
-                        f"{key} was begun {MOST_DEATHS} times and never came back, the last time on {name} within "
-                        f"{now_s - task.since_s:.0f} s; expected a piece to end: see what it does there; {_KEPT}"
-                    )
-                self._times_late[key] = times + 1
+                if key not in self._done:  # an earlier attempt may have come all the same
+                    self._ask_again(name, task.work, now_s - task.since_s)
                 task.late, task.stopped_s = True, now_s
-                with self._lock:
-                    self._left.appendleft(task.work)
                 self._workers.stop(name)
+
+    def _ask_again(self, name: str, work: Work, for_s: float) -> None:
+        """Have a piece that is late done by somebody else."""
+        times = self._times_late.get(work.key, 0) + 1
+        if times >= MOST_DEATHS:
+            raise WorkersError(
+                f"{work.key} was begun {MOST_DEATHS} times and never came back, the last time on {name} within "
+                f"{for_s:.0f} s; expected a piece to end: see what it does there; {_KEPT}"
+            )
+        self._times_late[work.key] = times
+        self._lost_on.setdefault(work.key, set()).add(machine_of(name))
+        with self._lock:
+            self._left.appendleft(work)
 
 
 def machine_of(worker: str) -> str:
-    """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; a process of this one counts as a machine of its own.
+    """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; "" for a process of this one.
 
     >>> machine_of("10.0.0.2/3"), machine_of("process 1")
-    ('10.0.0.2', 'process 1')
+    ('10.0.0.2', '')
     """
-    return worker.rpartition("/")[0] or worker
+    return worker.rpartition("/")[0]

@@ -12,7 +12,7 @@ from typing import Final
 from wcsim.core.files import home, user_cache
 from wcsim.core.reading import shown
 
-MOST_VERDICTS: Final = 4000  # of a kind: generated scenes leave one each
+MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
 
 
 def cache_folder() -> Path:
