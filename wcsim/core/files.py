@@ -187,7 +187,7 @@ def folder_bytes(folder: Path) -> int:
     for place, _, names in os.walk(folder):
         for name in names:
             with contextlib.suppress(OSError):
-                status = os.lstat(os.path.join(place, name))  # noqa: PTH118 - a tenth of the time of paths
+                status = os.lstat(f"{place}/{name}")
                 total += status.st_size if stat.S_ISREG(status.st_mode) else 0
     return total
 

@@ -61,8 +61,8 @@ def train_danger(
 
 def _tell_damaged(folder: RunFolder, say: Callable[[str], object]) -> None:
     """Set checkpoints aside that cannot be gone on from. Raises PolicyError where no other is there."""
-    damaged, newest = damaged_rounds(folder.checkpoints), newest_round(folder.checkpoints)
-    if damaged and newest < 0:
+    damaged = damaged_rounds(folder.checkpoints)
+    if damaged and newest_round(folder.checkpoints) < 0:
         names = ", ".join(path.name for path in damaged)
         raise PolicyError(f"{folder.checkpoints} holds no sound checkpoint ({names}); restore one, or start a new run")
     for path in damaged:

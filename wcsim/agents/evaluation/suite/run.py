@@ -202,7 +202,7 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
                 told = "is a process of this machine; expected others, or --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
         own = [policy for policy in policies if is_own_class(policy)]
-        require_travels(RunConfig(), all_settings(order), (*own, order.network), _users(order))
+        require_travels(RunConfig(), _all_settings(order), (*own, order.network), _users(order))
     return machines.open(order.out)
 
 
@@ -259,13 +259,13 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
-    named = own_files(all_settings(order), order.network, _users(order))
+    named = own_files(_all_settings(order), order.network, _users(order))
     own = {word: file_digest(path) for word, path in named.items()}
     said = [order.settings, order.forks, order.network, own, code_digest(), *identity_of(name, order.preset)]
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 
-def all_settings(order: SuiteOrder) -> list[str]:
+def _all_settings(order: SuiteOrder) -> list[str]:
     """What is set in the list, in any of its blocks, and over them."""
     file = order.suite.file
     return [*file.settings, *(text for block in file.blocks for text in block.settings), *order.settings]
