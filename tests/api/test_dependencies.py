@@ -12,6 +12,8 @@ from pathlib import Path
 
 from packaging.specifiers import SpecifierSet
 
+from tests.support.tracked import tracked
+
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 OWN = {"wcsim", "tests", "tools", "examples"}
@@ -40,7 +42,7 @@ def top_names(text: str) -> set[str]:
 
 def imported(folder: str) -> set[str]:
     """Distributions of what the files of a folder import."""
-    names = {name for path in (ROOT / folder).rglob("*.py") for name in top_names(path.read_text(encoding="utf-8"))}
+    names = {name for path in tracked(folder, ".py") for name in top_names(path.read_text(encoding="utf-8"))}
     homes = packages_distributions()
     names = {name for name in names - set(sys.stdlib_module_names) - OWN if name in homes}
     return {homes[name][0].lower().replace("_", "-") for name in names}

@@ -16,11 +16,12 @@ import networkx
 import pytest
 
 import wcsim
+from tests.support.tracked import tracked
 from wcsim.agents.networks import encoder
 from wcsim.server.specs import SeatRequest
 
 ROOT = Path(__file__).parents[2]
-SOURCES = sorted((ROOT / "wcsim").rglob("*.py"))
+SOURCES = tracked("wcsim", ".py")
 FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
 
 
@@ -111,7 +112,7 @@ def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     return (node.end_lineno or 0) - node.lineno
 
 
-FOLDERS = sorted({path.parent for path in SOURCES} | {path.parent for path in (ROOT / "tests").rglob("*.py")})
+FOLDERS = sorted({path.parent for path in (*SOURCES, *tracked("tests", ".py"))})
 STAY = ("scenarios/sumo", "wcsim/bridge", "wcsim/physics", "wcsim/agents", "wcsim/supervisor", "tests")
 MOST_ENTRIES = 14
 MOST_ROOMS = 17  # the tests' folder has one of support beside the product's
@@ -123,16 +124,14 @@ def entries(folder: Path) -> set[str]:
     hidden = {
         "__init__.py",
         "__main__.py",
-        "__pycache__",
         "conftest.py",
         "py.typed",
         "plants",
         "presets",
-        "build",
-        "dist",
     }
-    seen = (path for path in folder.iterdir() if not path.name.startswith(".") and path.name not in hidden)
-    return {path.name for path in seen if path.is_dir() or path.suffix not in (".xml", ".toml") or folder == ROOT}
+    inside = (path.relative_to(folder) for path in tracked() if folder in path.parents)
+    code = (path for path in inside if len(path.parts) > 1 or folder == ROOT or path.suffix not in (".xml", ".toml"))
+    return {path.parts[0] for path in code if not path.parts[0].startswith(".")} - hidden
 
 
 def test_a_folder_is_seen_at_a_glance():
@@ -308,8 +307,8 @@ def test_a_file_name_is_used_twice_only_where_the_folder_makes_it_plain():
     assert doubles(path.stem for path in SOURCES if not path.stem.startswith("__")) == set(SAME_FILE_NAME)
 
 
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-FOLDERS_NAMED = {path.name for path in (ROOT / "wcsim").iterdir() if path.is_dir()} | {
+PAGES = [path for path in tracked("", ".md") if path.parent == ROOT or ROOT / "docs" in path.parents]
+FOLDERS_NAMED = {path.parts[len(ROOT.parts) + 1] for path in SOURCES if path.parent != ROOT / "wcsim"} | {
     "wcsim",
     "tests",
     "docs",

@@ -11,12 +11,13 @@ from typing import Any
 import pytest
 import tyro
 
+from tests.support.tracked import tracked
 from wcsim.cli.main import main
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *tracked("docs", ".md")])
 SHELL = ("", "bash", "sh", "console")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.tracked import tracked
 from wcsim.agents.runs.shipped import FILES, HELD
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -40,15 +41,14 @@ def test_towns_and_scenes_are_inside(unpacked, tmp_path):
     towns = run(unpacked, tmp_path, "town", "list")
     for name in ("helsinki", "manhattan", "monaco"):
         assert str(unpacked / "wcsim" / "scenarios" / "sumo" / name) in towns
-    shipped = {path.parent.name for path in (ROOT / "scenarios" / "sumo" / "scenes").glob("*/scene.toml")}
+    shipped = {path.parent.name for path in tracked("scenarios/sumo/scenes", "scene.toml")}
     scenes = run(unpacked, tmp_path, "scene", "list")
     assert all(name in scenes for name in shipped)
 
 
 def test_every_file_that_is_no_code_is_inside(unpacked):
-    data = {path.relative_to(ROOT) for path in (ROOT / "wcsim").rglob("*") if path.is_file()}
-    data = {path for path in data if "__pycache__" not in path.parts}
-    data |= {Path("wcsim") / path.relative_to(ROOT) for path in (ROOT / "scenarios").rglob("*") if path.is_file()}
+    data = {path.relative_to(ROOT) for path in tracked("wcsim")}
+    data |= {Path("wcsim") / path.relative_to(ROOT) for path in tracked("scenarios")}
     data.add(Path("wcsim/examples/exported_policy.py"))
     assert {path for path in data if not (unpacked / path).is_file()} == set()
 

@@ -1,0 +1,21 @@
+"""The files that belong to the project: what commands and people leave beside them is nobody's subject."""
+
+from __future__ import annotations
+
+import subprocess
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+@cache
+def tracked(under: str = "", suffix: str = "") -> tuple[Path, ...]:
+    """Files that git tracks in a folder, sorted; in an unpacked source archive, where there is no git, all files."""
+    if not (ROOT / ".git").exists():
+        found = {path for path in (ROOT / under).rglob("*") if "__pycache__" not in path.parts}
+    else:
+        words = ["git", "ls-files", "-z", "--", under or "."]
+        listed = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, check=True)
+        found = {ROOT / name for name in listed.stdout.decode().split("\0") if name}
+    return tuple(sorted(path for path in found if path.is_file() and path.name.endswith(suffix)))
