@@ -110,7 +110,8 @@ def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_pat
 def test_a_hook_of_the_users_own_is_loaded_from_the_command_line_only(corner, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (
-        "class Stop:\n    def __init__(self, libsumo): pass\n    def before_step(self, time_s): raise ValueError('x')\n"
+        "class Stop:\n    def __init__(self, libsumo): pass\n"
+        "    def before_step(self, time_s, chairs): raise ValueError('x')\n"
     )
     (tmp_path / "stops_at_once.py").write_text(text)
     words = ["town", "run", str(corner), "--seconds", "1", "--chairs", "0", "--hook", "stops_at_once:Stop"]

@@ -49,7 +49,7 @@ class RunOptions:
     allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Let a .sumocfg name files outside of its own folder, which SUMO then reads."""
     hook: str = ""
-    """Your own step hook as module:Class; it gets the libsumo module, and before_step(time_s), after_step(time_s)."""
+    """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around every step."""
     preset: str = "quick"
     """Settings to begin with: quick, laptop, best, dqn or paper."""
     set: Repeated = ()
