@@ -76,7 +76,7 @@ class World(Closing):
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = TileLoader(self.street.tiles, rig, range_m)
-            self.scenario, self._sumo = open_session(town, config, seed, place, self.street.net_z_m, self._held)
+            self.scenario, self._sumo = open_session(town, config, seed, place, self.street.net_origin_m[2], self._held)
             self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
@@ -190,9 +190,7 @@ class World(Closing):
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""
         with self.stopwatch.measure("sumo"):
-            self._sumo.step(
-                lambda: tuple(hook_chair(seat, self.street, self.town.file.origin_m) for seat in self.seats)
-            )
+            self._sumo.step(lambda: tuple(hook_chair(seat, self.street) for seat in self.seats))
 
     def _mirror(self) -> None:
         """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""

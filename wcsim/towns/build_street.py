@@ -67,7 +67,7 @@ def build_street(town: Town) -> Packed:
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
     mesh = build_mesh(ground, walls, large, pieces, relief)
     grid = GridMaker(ground, [*(b.outline for b in buildings), *footprints_of(things)], relief)
-    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, net.z_origin_m)
+    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
 
 
 def _block(building: Building, ground_m: float, relief: Relief) -> Solid:

@@ -280,7 +280,7 @@ class Street:
     grid: Ground
     walk: WalkGraph
     signal_heads: tuple[SignalHead, ...] = ()
-    net_z_m: float = 0.0  # height in the net's coordinates of W's z = 0
+    net_origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the place of W's origin in SUMO's net
 
     @property
     def mesh(self) -> StreetMesh:
