@@ -41,11 +41,11 @@ WINDOW_WORD = np.uint32(0x6C5C4E)
 @kernel
 def draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
     """Put the colours of marks on the ground into the words of a drawn picture; its depth and classes stay."""
-    if len(marks.spheres) == 0:
-        return
     height, width = out.inverse_z.shape
     depth = np.zeros(len(marks.spheres), np.float32)
     cull(marks.spheres, view, width, height, depth)
+    if not np.any(depth > OUT):
+        return
     size = 1
     for chunk in range(len(depth)):
         size = max(size, marks.chunk_vertices[chunk + 1] - marks.chunk_vertices[chunk])
