@@ -23,7 +23,7 @@ import wcsim.types
 from wcsim.agents import policy_api
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.networks import registry
-from wcsim.bridge.sumo.step_hook import StepHook
+from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.server.specs import Patience, SeatRequest
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import decode_depth
@@ -48,7 +48,7 @@ def page() -> str:
         ("`wcsim.agents.policy_api`: what can drive", "`examples/own_policy.py`, `docs/suites.md`.", _policies()),
         ("A network", "`examples/own_network.py`; the contract is the text of its module.", _named(registry.register)),
         ("A reward term", "`examples/own_reward.py`.", _with_methods(RewardTerm)),
-        ("A step hook", "`examples/own_signals.py`; either method may be missing.", _with_methods(StepHook)),
+        ("A step hook", "`examples/own_signals.py`; either method may be missing.", _hook()),
         ("Towns without a map", "`docs/authoring.md`.", _named(make_town, Wishes)),
         ("A seat in a running world", "`docs/clients.md`.", _named(SeatRequest, Patience)),
         ("`wcsim.errors`: what is raised", "Their tree is at the top of `wcsim/errors.py`.", _errors()),
@@ -93,6 +93,11 @@ def _with_methods(kind: type) -> Iterator[tuple[str, str]]:
     for name, member in vars(kind).items():
         if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
             yield f".{name}", _first_line(member)
+
+
+def _hook() -> Iterator[tuple[str, str]]:
+    yield from _with_methods(StepHook)
+    yield from _named(HookChair)
 
 
 def _named(*things: type | object) -> Iterator[tuple[str, str]]:

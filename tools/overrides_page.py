@@ -54,8 +54,12 @@ their top.
 ## Your own logic: a step hook
 
 `--hook module:Class` (`town run`, `train`, `test`) names a class of yours, in the current folder or on the Python path.
-It is made with the libsumo module for every epoch of the world; `before_step(time_s)` and `after_step(time_s)` are
-called around each step of SUMO, either may be missing. An example is `examples/own_signals.py`. Code is loaded from
+It is made with the libsumo module for every epoch of the world; `before_step(time_s, chairs)` and
+`after_step(time_s, chairs)` are called around each step of SUMO, either may be missing. `chairs` are the wheelchairs,
+which SUMO has not: for each a `HookChair` with seat, place, angle and speed as in the net, its way as points and as
+edges, and the light whose button it has pressed. Both calls tell those before the step; `--chairs 0` gives none.
+`examples/own_signals.py` has lights that are red at times, and a crossing that stays green while a chair is on it.
+Code is loaded from
 your own command line alone: a town cannot name a hook, because towns are made by others. What a hook does to vehicles
 and signals is up to you; do not step, load or close the simulation in it.
 """

@@ -30,7 +30,7 @@ def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(co
             signals.append(snapshot.signals)
             assert all(client.first is None for client in snapshot.clients), "nobody is put elsewhere"
     with ExitStack() as held:
-        _, sumo = open_session(town, config, 4, RunPlace(), street.net_z_m, held)
+        _, sumo = open_session(town, config, 4, RunPlace(), street.net_origin_m[2], held)
         warm_up(sumo, warmup_s(town, config), config.world.tick_s)
         habits = street_habits(config.world, seeding.derive(4, "street"))
         traffic = ReactingTraffic(config.world, street.grid, sumo, habits)

@@ -57,7 +57,7 @@ class JournaledWorld:
             seats=seats,
             fingerprint=fingerprint(),
             origin_m=town.file.origin_m,
-            origin_z_m=self.world.street.net_z_m,
+            origin_z_m=self.world.street.net_origin_m[2],
             chair_box_m=chair_box_m(config.chair),
         )
         self.trace = TraceWriter(run / "beside.trace", trace)

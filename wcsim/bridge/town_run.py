@@ -14,8 +14,9 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.town_session import warmup_s
 from wcsim.bridge.traffic import TownTraffic
 from wcsim.bridge.world import World, as_users_wish
-from wcsim.config import RunConfig
+from wcsim.config import RewardConfig, RunConfig
 from wcsim.errors import SumoError
+from wcsim.supervisor.fault import fault
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.stage import Scenario, require_files
 from wcsim.towns.scenario.town import Town
@@ -49,6 +50,8 @@ class CrashFact:
     reason: str  # as in `Events`
     time_s: float  # SUMO's own time
     at_m: tuple[float, float]  # in the net's coordinates
+    fault: str  # own or other
+    told: str  # as `Events.crash`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +112,7 @@ def record_town(
     stage(f"starting SUMO, and warming its traffic up for {warmup_s(town, config):g} s")
     with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
         opened(world.scenario)
-        with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_z_m)) as writer:
+        with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_origin_m[2])) as writer:
             return _run(world, ticks, writer, progress)
 
 
@@ -127,7 +130,7 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
 
 
 def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(world.snapshot.time_s, world.jams, world.town.file.origin_m)
+    meter = _Meter(world.snapshot.time_s, world.jams, world.town.file.origin_m, world.config.reward)
     for tick in range(ticks):
         commands = as_users_wish(world.snapshot)
         after = world.tick(commands)
@@ -203,8 +206,14 @@ def _rounded(actor: ActorState) -> ActorState:
 class _Meter:
     """Counts what the facts say."""
 
-    def __init__(self, begin_s: float, jams: int, origin_m: tuple[float, float] = (0.0, 0.0)) -> None:
-        self._begin_s, self._jams = begin_s, jams
+    def __init__(
+        self,
+        begin_s: float,
+        jams: int,
+        origin_m: tuple[float, float] = (0.0, 0.0),
+        reward: RewardConfig = RewardConfig(),  # noqa: B008 - frozen
+    ) -> None:
+        self._begin_s, self._jams, self._reward = begin_s, jams, reward
         self._origin_m = origin_m
         self._crashed: list[CrashFact] = []
         self._seen: set[str] = set()
@@ -224,9 +233,11 @@ class _Meter:
         self._ended += sum(client.first is not None for client in clients)
         for client in (client for client in clients if client.events.crashed):
             x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
-            at_m = (round(x_m, 2), round(y_m, 2))
-            reason = client.events.crash_reason
-            self._crashed.append(CrashFact(seat=client.seat, reason=reason, time_s=time_s, at_m=at_m))
+            reason, told = client.events.crash_reason, client.events.crash
+            whose, at_m = fault(reason, client.contacts, self._reward), (round(x_m, 2), round(y_m, 2))
+            self._crashed.append(
+                CrashFact(seat=client.seat, reason=reason, time_s=time_s, at_m=at_m, fault=whose, told=told)
+            )
 
     def facts(self, ticks: int, end_s: float, chairs: int) -> TrafficFacts:
         """The sums."""

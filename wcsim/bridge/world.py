@@ -16,6 +16,7 @@ from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots
+from wcsim.bridge.ego.hooked import hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import in_street
 from wcsim.bridge.recording.trace import state_hash
@@ -75,7 +76,7 @@ class World(Closing):
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = TileLoader(self.street.tiles, rig, range_m)
-            self.scenario, self._sumo = open_session(town, config, seed, place, self.street.net_z_m, self._held)
+            self.scenario, self._sumo = open_session(town, config, seed, place, self.street.net_origin_m[2], self._held)
             self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
@@ -189,7 +190,7 @@ class World(Closing):
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""
         with self.stopwatch.measure("sumo"):
-            self._sumo.step()
+            self._sumo.step(lambda: tuple(hook_chair(seat, self.street) for seat in self.seats))
 
     def _mirror(self) -> None:
         """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""

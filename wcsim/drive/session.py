@@ -13,7 +13,6 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.bridge.drives.beside import let_wait
 from wcsim.bridge.world import World
-from wcsim.config import RewardConfig
 from wcsim.core.closing import Closing
 from wcsim.core.frames import wrap
 from wcsim.drive.assistance import Answer, Assistance
@@ -21,7 +20,6 @@ from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.fault import hardest
 from wcsim.types import F64, ClientSnapshot, Command, Joystick, PlantState, Route
 from wcsim.users.hand import on_disc
 
@@ -123,9 +121,8 @@ class DriveSession(Closing):
 
     @property
     def crash(self) -> str:
-        """What the last tick crashed into, in words; "" where it did not."""
-        events = self._client.events
-        return crash_words(self._client, self.place.config.reward) if self._ended and events.crashed else ""
+        """What the last tick crashed into, in words, without the place; "" where it did not."""
+        return self._client.events.crash.partition(", at x ")[0] if self._ended else ""
 
     @property
     def ended(self) -> bool:
@@ -379,16 +376,3 @@ def in_gate(stick: Joystick) -> Joystick:
     if not (math.isfinite(stick.x) and math.isfinite(stick.y)):
         return AT_REST
     return Joystick(*on_disc(stick.x, stick.y))
-
-
-_CRASHES = {"drop": "fell off a kerb", "tilt": "tilted too far", "acceleration": "was shaken too hard"}
-_PARTNERS = {"ground": "the ground", "static": "something that stands in the street", "other": "somebody"}
-
-
-def crash_words(client: ClientSnapshot, reward: RewardConfig) -> str:
-    """What ended an episode, for a person."""
-    reason = client.events.crash_reason
-    if reason != "collision":
-        return _CRASHES.get(reason, reason)
-    hit = hardest(client.contacts, reward)
-    return "hit something" if hit is None else f"hit {_PARTNERS.get(hit.kind, f'a {hit.kind}')}"

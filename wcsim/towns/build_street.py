@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from wcsim.towns.cache.street_arrays import pack_street
 from wcsim.towns.furniture.author_obstacles import author_things
 from wcsim.towns.furniture.buildings import Building, buildings_of
 from wcsim.towns.furniture.everything import fittings_of
+from wcsim.towns.furniture.lane_marks import lane_marks
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import FreeGround, HeightAt, footprints_of, set_on_ground
 from wcsim.towns.furniture.traffic_lights import all_phases
@@ -65,9 +67,10 @@ def build_street(town: Town) -> Packed:
     things = fittings_of(items, net, additional, place, placed)
     pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
-    mesh = build_mesh(ground, walls, large, pieces, relief)
+    paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
+    mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
     grid = GridMaker(ground, [*(b.outline for b in buildings), *footprints_of(things)], relief)
-    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, net.z_origin_m)
+    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
 
 
 def _block(building: Building, ground_m: float, relief: Relief) -> Solid:

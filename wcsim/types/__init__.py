@@ -41,6 +41,8 @@ from wcsim.types.sensors import Reading as Reading
 from wcsim.types.sensors import SensorFrame as SensorFrame
 from wcsim.types.street import ClassId as ClassId
 from wcsim.types.street import Ground as Ground
+from wcsim.types.street import GroundPaint as GroundPaint
+from wcsim.types.street import Mark as Mark
 from wcsim.types.street import OneTile as OneTile
 from wcsim.types.street import Relief as Relief
 from wcsim.types.street import Route as Route

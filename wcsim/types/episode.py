@@ -72,6 +72,7 @@ class Events:
     on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
     crossed: bool = False  # it got over a crossing: in from one pavement, out on the opposite one
     entered_red: bool = False  # it sets out over a crossing that had red at the kerb line
+    crash: str = ""  # in words: with whom, who came into whom, on which edge, where in SUMO's net
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

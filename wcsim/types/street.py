@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.types.arrays import F32, F64, I32, U8, ComparesArrays
+from wcsim.types.arrays import F32, F64, I32, U8, Bool, ComparesArrays
 
 
 class ClassId(IntEnum):
@@ -50,6 +50,25 @@ class ClassId(IntEnum):
     CROSSWALK = 36
 
 
+class Mark(IntEnum):
+    """What is painted on a road."""
+
+    LINE = 0
+    CYCLE_LANE = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GroundPaint(ComparesArrays):
+    """Lines on the road as flat pieces a little above it: seen in coloured pictures, and nowhere else."""
+
+    quads_W_m: F32 = field(default_factory=lambda: np.zeros((0, 4, 3), np.float32))  # counter-clockwise from above
+    mark: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))  # (M,) Mark
+
+    def part(self, which: Bool) -> GroundPaint:
+        """The pieces (M,) for which this is true."""
+        return GroundPaint(quads_W_m=self.quads_W_m[which], mark=self.mark[which])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetMesh(ComparesArrays):
     """Everything that stands still, as one triangle soup for wheels and cameras alike.
@@ -63,6 +82,7 @@ class StreetMesh(ComparesArrays):
     face_class: U8  # (F,) ClassId
     chunk_vertices: I32  # (C + 1,)
     chunk_faces: I32  # (C + 1,)
+    paint: GroundPaint = field(default_factory=GroundPaint)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -280,7 +300,7 @@ class Street:
     grid: Ground
     walk: WalkGraph
     signal_heads: tuple[SignalHead, ...] = ()
-    net_z_m: float = 0.0  # height in the net's coordinates of W's z = 0
+    net_origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # the place of W's origin in SUMO's net
 
     @property
     def mesh(self) -> StreetMesh:
@@ -304,5 +324,9 @@ def joined_mesh(parts: Sequence[StreetMesh]) -> StreetMesh:
         ),
         chunk_faces=np.concatenate(
             [none, *(p.chunk_faces[:-1] + f for p, f in zip(parts, faces, strict=False)), faces[-1:]]
+        ),
+        paint=GroundPaint(
+            quads_W_m=np.concatenate([GroundPaint().quads_W_m, *(part.paint.quads_W_m for part in parts)]),
+            mark=np.concatenate([GroundPaint().mark, *(part.paint.mark for part in parts)]),
         ),
     )

@@ -18,7 +18,8 @@ from wcsim.types import Events, Joystick, Truth
 
 KEYS = (
     "policy", "episodes", "kpi1_mean", "kpi1_within", "kpi1_free_mean", "kpi1_moving_mean", "kpi1_moving_within",
-    "free_share", "blocked_share", "freezes", "kpi2_mean_steps", "crashes", "crash_reasons", "km", "crashes_per_km",
+    "free_share", "blocked_share", "freezes", "kpi2_mean_steps", "crashes", "crash_reasons", "crashed", "km",
+    "crashes_per_km",
     "speed_mps", "routes_completed", "routes_given_up", "crossings", "crossings_per_km", "standing_on_carriageway_s",
     "red_entries", "crashes_own", "crashes_other", "crashes_per_km_ci", "kpi1_moving_within_ci", "kpi2_median",
     "alive_at_end", "alive_at_end_ci", "accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s",
@@ -42,6 +43,7 @@ class Script(gym.Env):
             episode=0, step=self.k, crashed=self.k == self.crash_at, truncated=False, arrived=self.k == 2,
             crash_reason="tilt" if self.k == self.crash_at else "", gave_up=self.k == 3,
             crossed=self.k in (1, 2), entered_red=self.k == 1, on_carriageway=self.k >= 4,
+            crash="tilted too far, at x 1.0 y 2.0 in the net, edge e" if self.k == self.crash_at else "",
         )  # fmt: skip
         return {
             "joystick_distance": distance, "speed_mps": self.speed_mps, "truth": truth if self.truth else None,
@@ -81,6 +83,10 @@ def test_the_indicators_of_a_scripted_drive():
     assert (row.routes_completed, row.routes_given_up, row.crossings, row.red_entries) == (2, 2, 4, 2)
     assert row.crossings_per_km == pytest.approx(4 / 0.12)
     assert row.crash_reasons == {"tilt": 2}
+    told = "tilt, own fault: it tilted too far, at x 1.0 y 2.0 in the net, edge e"
+    assert row.crashed == (f"episode 1: {told}", f"episode 2: {told}")
+    result = TestResult(town="helsinki", seed=7, profile="ataxic", rows=(row,))
+    assert result.crashed[1] == f"follow, episode 2: {told}"
     assert (row.freezes, row.standing_on_carriageway_s) == (0, 0.0)  # it never stands
 
 

@@ -1,20 +1,28 @@
 from __future__ import annotations
 
 import math
+import sys
+from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.support.worlds import quick_config
+from tests.bridge.sumo.test_session import options
+from tests.support.lit_road import CROSSING_LINKS, lit_road
+from tests.support.worlds import follow, quick_config
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.bridge.sumo.session import SumoSession, world_in_this_process
+from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.bridge.world import World
+from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import HookError
 from wcsim.server.links.child_world import ProcessLink
 from wcsim.server.specs import WorldOrder
 from wcsim.towns.scenario.town import find_town
-from wcsim.types import SeatSpec
+from wcsim.towns.sumo.net import LaneKind, read_net
+from wcsim.types import SeatSpec, StartSpec
 
 MODULE = '''
 MADE = []
@@ -23,22 +31,24 @@ class Signals:
     """Puts up a sign of its own, and keeps what it was told."""
 
     def __init__(self, libsumo):
-        self.libsumo, self.calls = libsumo, []
+        self.libsumo, self.calls, self.chairs = libsumo, [], []
         MADE.append(self)
 
-    def before_step(self, time_s):
+    def before_step(self, time_s, chairs):
         self.calls.append(("before", time_s))
+        self.chairs.append(chairs)
         if len(self.calls) == 1:
             self.libsumo.poi.add("mine", 1.0, 2.0, (255, 0, 0, 255))
 
-    def after_step(self, time_s):
+    def after_step(self, time_s, chairs):
         self.calls.append(("after", time_s))
+        self.chairs.append(chairs)
 
 class Fails:
     def __init__(self, libsumo):
         pass
 
-    def after_step(self, time_s):
+    def after_step(self, time_s, chairs):
         if time_s > 0.25:
             raise RuntimeError("no more")
 
@@ -51,7 +61,7 @@ class CannotBeMade:
         pass
 
     before_step = None
-    def after_step(self, time_s):
+    def after_step(self, time_s, chairs):
         pass
 '''
 
@@ -65,13 +75,11 @@ def signals(tmp_path, monkeypatch):
     return name
 
 
-def world(corner, hook: str) -> World:
-    return World(find_town(str(corner)), quick_config(), (), 1, RunPlace(hook=hook))
+def world(corner, hook: str, *specs: SeatSpec) -> World:
+    return World(find_town(str(corner)), quick_config(), specs, 1, RunPlace(hook=hook))
 
 
 def test_a_hook_is_called_around_every_step_with_libsumo(corner, signals):
-    import sys
-
     with world(corner, f"{signals}:Signals") as here:
         for _ in range(3):
             here.tick(())
@@ -80,6 +88,7 @@ def test_a_hook_is_called_around_every_step_with_libsumo(corner, signals):
         assert [name for name, _ in hook.calls] == ["before", "after"] * 3
         assert [time_s for _, time_s in hook.calls] == pytest.approx(times)
         assert hook.libsumo.poi.getIDList() == ("mine",)
+        assert hook.chairs == [()] * 6
         here.rebuild(2)
         here.tick(())
         assert len(sys.modules[signals].MADE) == 2  # traffic made anew meets a hook made anew
@@ -87,10 +96,33 @@ def test_a_hook_is_called_around_every_step_with_libsumo(corner, signals):
         assert len(hook.calls) == 6  # the drain step before a reload is none of the hook's business
 
 
+def test_a_hook_is_told_of_the_chairs_before_the_step_in_the_coordinates_of_the_net(corner, signals):
+    start = StartSpec(p_W_m=(-20.0, 5.0), yaw_rad=0.0, goal_W_m=(20.0, -5.0))
+    with world(corner, f"{signals}:Signals", SeatSpec(start=start, profile="competent")) as here:
+        plants = [here.snapshot.clients[0].plant]
+        for _ in range(30):
+            plants.append(follow(here).clients[0].plant)
+        told = sys.modules[signals].MADE[0].chairs
+        assert [len(chairs) for chairs in told] == [1] * 60
+        origin_m, lanes = np.array(here.town.file.origin_m), read_net(here.town.net).lanes(*LaneKind)
+    for k, plant in enumerate(plants[:-1]):
+        chair = told[2 * k][0]
+        assert chair is told[2 * k + 1][0] and chair.seat == 0 and chair.button_tls_id == ""
+        assert chair.p_net_m[:2] == pytest.approx(plant.p_WB_m[:2] + origin_m)
+        assert (chair.speed_mps, chair.angle_deg) == pytest.approx((plant.v_B_mps[0], sumo_from_yaw(plant.yaw_rad)))
+        assert chair.way_net_m[0] == chair.p_net_m[:2]
+        assert chair.way_net_m[-1] == pytest.approx(origin_m + start.goal_W_m, abs=1.5)
+        assert 0.0 < np.hypot(*np.subtract(chair.way_net_m[1], chair.way_net_m[0])) < 3.0
+    assert plants[-2].v_B_mps[0] > 0.3  # it has driven
+    assert len(told[-1][0].way_net_m) < len(told[0][0].way_net_m)
+    kinds = [next(lane.kind for lane in lanes if lane.edge_id == name) for name in told[0][0].edges]
+    assert kinds[0] is LaneKind.SIDEWALK and kinds[-1] is LaneKind.SIDEWALK and LaneKind.CROSSING in kinds
+
+
 def test_a_failing_hook_is_named_with_its_line(corner, signals):
     with (
         world(corner, f"{signals}:Fails") as here,
-        pytest.raises(HookError, match=rf"{signals}:Fails.*no more.*line 25"),
+        pytest.raises(HookError, match=rf"{signals}:Fails.*no more.*line 27"),
     ):
         for _ in range(5):
             here.tick(())
@@ -131,3 +163,24 @@ def test_the_example_turns_every_light_red_and_back(monkeypatch):
         for _ in range(80):
             here.tick(())
         assert set("".join(light.colours for light in here._sumo.signals(np.zeros((1, 2)), math.inf))) > {"r"}
+
+
+def test_the_example_keeps_a_crossing_green_while_a_chair_is_on_it(tmp_path, monkeypatch):
+    road = lit_road(tmp_path, "static").folder
+    monkeypatch.chdir(Path(__file__).parents[3] / "examples")
+    chair = HookChair(
+        seat=0, p_net_m=(0.0, 0.0, 0.0), angle_deg=0.0, speed_mps=0.0, way_net_m=((0.0, 0.0),), edges=(":C_c0",),
+        button_tls_id="",
+    )  # fmt: skip
+
+    def green_steps(chairs) -> int:
+        with SumoSession(replace(options(road), hook="own_signals:GreenForChairs")) as sumo:
+            seen = []
+            for _ in range(1000):
+                sumo.step(lambda: chairs)
+                seen.append(sumo.signals(np.zeros((1, 2)), 500.0)[0].colours[CROSSING_LINKS[0]])
+        return next(len(list(steps)) for shown, steps in groupby(seen) if shown in "gG")
+
+    usual = green_steps(())
+    assert usual == 50 and green_steps((chair,)) == 200
+    assert green_steps((replace(chair, edges=("WC",)),)) == usual

@@ -110,7 +110,8 @@ def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_pat
 def test_a_hook_of_the_users_own_is_loaded_from_the_command_line_only(corner, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (
-        "class Stop:\n    def __init__(self, libsumo): pass\n    def before_step(self, time_s): raise ValueError('x')\n"
+        "class Stop:\n    def __init__(self, libsumo): pass\n"
+        "    def before_step(self, time_s, chairs): raise ValueError('x')\n"
     )
     (tmp_path / "stops_at_once.py").write_text(text)
     words = ["town", "run", str(corner), "--seconds", "1", "--chairs", "0", "--hook", "stops_at_once:Stop"]
@@ -183,14 +184,16 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
 
 
 def test_the_first_crashes_are_listed(corner, tmp_path, capsys):
-    crashed = tuple(CrashFact(seat=1, reason="tilt", time_s=2.5, at_m=(10.0, float(k))) for k in range(7))
+    told = "was hit by car cars.8.1, at x 10.0 y 0.0 in the net, edge :C_c0"
+    fact = CrashFact(seat=1, reason="collision", time_s=2.5, at_m=(10.0, 0.0), fault="other", told=told)
+    crashed = (fact,) * 7
     lines = crash_lines(crashed)
-    assert lines[0] == "crash of wheelchair 1: tilt, at 2.5 s, at x 10.0 y 0.0 in the net"
+    assert lines[0] == f"wheelchair 1, 2.5 s: collision, other fault: it {told}"
     assert len(lines) == 6 and lines[-1] == "and 2 more crashes; all of them are in the manifest"
     assert crash_lines(()) == [] and len(crash_lines(crashed[:5])) == 5
     jolts = ["--set", "reward.accel_window_mps2=[0.001, 0.002]", "--set", "imu.saturation_mps2=10"]
     words = ["town", "run", str(corner), "--seconds", "2", "--out", str(tmp_path / "run"), *QUICK, *jolts]
     assert main(words) == 0
     told = capsys.readouterr()
-    assert "crash of wheelchair 0: acceleration, at " in told.out
+    assert "s: acceleration, own fault: it was shaken too hard, at x " in told.out and " in the net, edge " in told.out
     assert "building the street of" in told.err and "warming its traffic up for 0 s" in told.err

@@ -72,7 +72,7 @@ def test_hilly_ground_is_sound_and_the_grid_agrees_with_the_mesh(hill: Net, hill
     assert_sound(hill, relief_of(hill))
     assert mesh_faults(hill_street, rays=3000) <= 1
     z_m = hill_street.mesh.vertices_W_m[:, 2]
-    assert hill_street.net_z_m == hill.z_origin_m and abs(hill.z_origin_m - 62.0) < 6.0
+    assert hill_street.net_origin_m[2] == hill.z_origin_m and abs(hill.z_origin_m - 62.0) < 6.0
     assert z_m.min() > -12.0 and np.ptp(z_m) > 8.0
 
 

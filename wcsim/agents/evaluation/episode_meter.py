@@ -52,7 +52,7 @@ class EpisodeMeter:
         self._walk(info)
 
     def crash(self, info: Mapping[str, Any]) -> dict[str, Any]:
-        """Status, reason, fault and partner of the crash that `info` tells of, under their names in a record.
+        """Status, reason, fault, partner and words of the crash that `info` tells of, under their names in a record.
 
         The other's fault is the chair's own where it had stood on a carriageway or had come onto it at red.
         """
@@ -62,7 +62,8 @@ class EpisodeMeter:
             whose = "own"
         hit = hardest(contacts, self._reward) if events.crash_reason == "collision" else None
         partner = "" if hit is None else hit.kind
-        return {"status": CRASHED, "reason": events.crash_reason, "fault": whose, "partner": partner}
+        found = {"status": CRASHED, "reason": events.crash_reason, "fault": whose, "partner": partner}
+        return {**found, "crash": events.crash}
 
     def sums(self, crash_reason: str = "") -> dict[str, Any]:
         """The sums of all steps under their names in a record; the episode is over then."""

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
-from wcsim.agents.evaluation.suite.records import TIMED_OUT, EpisodeRecord
+from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import Row, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth, calling, tell_delay
 from wcsim.config import RewardConfig
@@ -42,6 +42,7 @@ class EvalRow:
     kpi2_mean_steps: float | None  # steps an episode lived (KPI 2)
     crashes: int
     crash_reasons: Mapping[str, int]
+    crashed: tuple[str, ...]  # each with its episode, reason, fault, with whom, and where in SUMO's net
     km: float
     crashes_per_km: float | None  # of the chair's own
     speed_mps: float | None
@@ -64,7 +65,7 @@ class EvalRow:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
-        return asdict(self)
+        return {**asdict(self), "crashed": list(self.crashed)}
 
 
 def evaluate(
@@ -108,14 +109,19 @@ def evaluate(
         seen = partial(_tell, watch, episode, episodes)
         records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen))
         logs.append(meter.log())
-    return _row(policy.name, summarise(joined(logs)), row_of(policy.name, "", records, ()))
+    crashed = tuple(
+        f"episode {number}: {record.reason}, {record.fault} fault: it {record.crash}"
+        for number, record in enumerate(records, 1)
+        if record.status == CRASHED
+    )
+    return _row(policy.name, summarise(joined(logs)), row_of(policy.name, "", records, ()), crashed)
 
 
 def _tell(watch: Watch, episode: int, of: int, share: float) -> None:
     watch((episode + share) / of)
 
 
-def _row(name: str, row: KpiRow, judged: Row) -> EvalRow:
+def _row(name: str, row: KpiRow, judged: Row, crashed: tuple[str, ...]) -> EvalRow:
     return EvalRow(
         policy=name,
         episodes=row.episodes,
@@ -130,6 +136,7 @@ def _row(name: str, row: KpiRow, judged: Row) -> EvalRow:
         kpi2_mean_steps=row.steps_alive_mean,
         crashes=row.crashes,
         crash_reasons=row.crash_reasons,
+        crashed=crashed,
         km=row.km,
         speed_mps=row.speed_mean_mps,
         routes_completed=row.routes_completed,

@@ -112,6 +112,11 @@ class TestResult:
         shown = {tuple(_texts(row, (*_FOLLOWING, *_GETTING_THERE))) for row in followers}
         return len(followers) > 1 and len(shown) == 1 and not any(row.crashes for row in followers)
 
+    @property
+    def crashed(self) -> list[str]:
+        """Every crash, with its policy, episode, reason, fault, with whom and where."""
+        return [f"{row.policy}, {told}" for row in self.rows for told in row.crashed]
+
     def tables(self, width: int = 80) -> tuple[Table, Table]:
         """The rows for a console of `width` characters, at least 80: no number is folded, and no name in a row.
 

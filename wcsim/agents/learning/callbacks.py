@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any
@@ -20,6 +20,7 @@ from wcsim.agents.learning.watching.tensorboard import BoardLog
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.server.launch.states import WAIT_NO_MORE
+from wcsim.types import Events
 
 GREEDY_EVERY = 5  # steps between two looks at what the agent would do while the user's action is executed
 
@@ -90,18 +91,30 @@ class SeqCallback(BaseCallback):
         return True
 
 
-class JamWatch(SeqCallback):
-    """Reports every tick in which SUMO took vehicles out of a jam."""
+class EventWatch(SeqCallback):
+    """Reports every tick in which SUMO took vehicles out of a jam, and every crash."""
 
-    def __init__(self, report: Callable[[int, int], None]) -> None:
+    def __init__(self, report: Callable[..., None]) -> None:
+        """`report` is `RunFolder.event`."""
         super().__init__()
         self.report = report
 
     def _on_step(self) -> bool:
-        jammed = [info["events"].jam_teleports for info in self.locals["infos"] if info.get("events") is not None]
-        if any(jammed):
-            self.report(self.learner.num_timesteps, max(jammed))
+        report_events(
+            self.report,
+            self.learner.num_timesteps,
+            [info["events"] for info in self.locals["infos"] if info.get("events") is not None],
+        )
         return True
+
+
+def report_events(report: Callable[..., None], step: int, events: Sequence[Events]) -> None:
+    """Report what a line of events.jsonl tells of a step: of a jam once, of crashes each."""
+    if jammed := max((each.jam_teleports for each in events), default=0):
+        report("jam", step=step, teleported=jammed)
+    for each in events:
+        if each.crashed:
+            report("crash", step=step, reason=each.crash_reason, told=each.crash)
 
 
 class EpisodeMetrics(SeqCallback):

@@ -17,7 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim.agents.learning.build import build_model, with_window
-from wcsim.agents.learning.callbacks import EpisodeMetrics, Every, JamWatch, StopRequest, StopWhenAsked, TrainProgress
+from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, Every, StopRequest, StopWhenAsked, TrainProgress
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
@@ -163,7 +163,7 @@ class _Session:
         self.callbacks: list[BaseCallback] = [
             self.episodes,
             self.switch,
-            JamWatch(lambda step, vehicles: self.run.event("jam", step=step, teleported=vehicles)),
+            EventWatch(self.run.event),
             Every(self.learn_config.checkpoint_every, self._checkpoint),
             Every(progress_every, self._report),
             StopWhenAsked(request),

@@ -24,7 +24,7 @@ from wcsim.agents.danger.rule import rule_of
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.envs.episode_view import EpisodeStep, delay_ticks
 from wcsim.agents.learning.build import phase_plan, with_window
-from wcsim.agents.learning.callbacks import GREEDY_EVERY, EpisodeSums, StopRequest, TrainProgress
+from wcsim.agents.learning.callbacks import GREEDY_EVERY, EpisodeSums, StopRequest, TrainProgress, report_events
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.train import PROGRESS_EVERY, MakeEnv, Progress, stopped_error, tell_loaded, torch_settings
 from wcsim.agents.learning.watching.metrics import MetricsFile
@@ -167,8 +167,8 @@ class _OnlineSession:
         self._ride.add(self._agent.sight, DrivenRow(seen=seen, said=said, choice=choice, step=after, delay=self._delay))
         self._sums.add(after.reward, after.info)
         events = after.info.get("events")
-        if events is not None and events.jam_teleports:
-            self.run.event("jam", step=self._now.step, teleported=events.jam_teleports)
+        if events is not None:
+            report_events(self.run.event, self._now.step, (events,))
         if after.done:
             self._note(after, turn)
             return self._begin(*self._env.reset())

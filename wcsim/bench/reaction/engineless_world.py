@@ -139,5 +139,5 @@ def _options(town: Town, street: Street, config: WorldConfig, seed: int) -> Sumo
         step_s=config.tick_s,
         seed=seed,
         jam_teleport_s=config.jam_teleport_s,
-        z_origin_m=street.net_z_m,
+        z_origin_m=street.net_origin_m[2],
     )

@@ -30,9 +30,10 @@ from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.fault import crash_words
 from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.rewards import crash_reason
-from wcsim.towns.walking.routes import Router
+from wcsim.towns.walking.routes import Router, edges_ahead
 from wcsim.types import (
     F64,
     ActorKind,
@@ -59,6 +60,7 @@ from wcsim.users.user import SimulatedUser
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
 AT_REST = Joystick(0.0, 0.0)
+_LONGEST_ID = 60
 
 XY = tuple[float, float]
 
@@ -259,7 +261,15 @@ class Ego:
             on_carriageway=self._on_road.on_carriageway,
             crossed=self._on_road.crossed,
             entered_red=self._on_road.entered_red,
+            crash=self._crash_told(reason) if reason else "",
         )
+
+    def _crash_told(self, reason: str) -> str:
+        chair, street = self.chair, self._street
+        east_m, north_m, _ = chair.state().p_WB_m + street.net_origin_m
+        (edge, *_) = edges_ahead(street.walk, self.route, self.user.route_progress_m)
+        words = crash_words(reason, chair.contacts(), self._config.reward)
+        return f"{words}, at x {east_m:.1f} y {north_m:.1f} in the net, edge {edge[:_LONGEST_ID]}"
 
     def _crash_reason(self) -> str:
         chair, config = self.chair, self._config.reward

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
 from wcsim.bridge.sumo.signal_control import SignalControl
-from wcsim.bridge.sumo.step_hook import open_hook
+from wcsim.bridge.sumo.step_hook import HookChair, open_hook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.core.closing import Closing
 from wcsim.core.native_output import missing_library
@@ -126,13 +127,17 @@ class SumoSession(Closing):
         """Who came into being in the last step, as in `ActorState.id`: departed, or ended a teleport."""
         return self._come
 
-    def step(self) -> None:
-        """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved."""
+    def step(self, chairs: Callable[[], tuple[HookChair, ...]] = tuple) -> None:
+        """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved.
+
+        `chairs` are those before the step; they are asked for only where there is a hook.
+        """
+        told = () if self._hook is None else chairs()
         if self._hook is not None:
-            self._hook.before_step(self.time_s())
+            self._hook.before_step(self.time_s(), told)
         self._guarded(libsumo.simulationStep)
         if self._hook is not None:
-            self._hook.after_step(self.time_s())
+            self._hook.after_step(self.time_s(), told)
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()

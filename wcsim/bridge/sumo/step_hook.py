@@ -1,12 +1,14 @@
 """A user's own step hook: a class that gets the libsumo module and may run its own logic around every step of SUMO.
 
-It is named `module:Class` on the user's own command line, and nowhere else: a town that somebody else made cannot
+SUMO has no wheelchairs, so the hook is told of them beside it: those of tick n, around the step that leads to n + 1. It
+is named `module:Class` on the user's own command line, and nowhere else: a town that somebody else made cannot
 bring code along.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -20,8 +22,23 @@ def find_hook(name: str) -> type:
     """The class that `module:Class` names. Raises HookError when there is none, or it has no method to call."""
     kind = find_class(name, "step hook", HookError)
     if not any(callable(getattr(kind, method, None)) for method in _METHODS):
-        raise HookError(f"step hook {name!r} has neither {' nor '.join(_METHODS)}; expected a method (self, time_s)")
+        raise HookError(
+            f"step hook {name!r} has neither {' nor '.join(_METHODS)}; expected a method (self, time_s, chairs)"
+        )
     return kind
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HookChair:
+    """A wheelchair as a step hook sees it, in the coordinates of SUMO's net."""
+
+    seat: int
+    p_net_m: tuple[float, float, float]  # on the ground, below the middle of the drive axle
+    angle_deg: float  # as SUMO's: clockwise from north
+    speed_mps: float  # ahead
+    way_net_m: tuple[tuple[float, float], ...]  # from where it is to its destination
+    edges: tuple[str, ...]  # of that way, in SUMO's ids: pavements, walking areas, crossings; first where it is
+    button_tls_id: str  # the traffic light whose button it has pressed and that is red; "" for none
 
 
 class StepHook:
@@ -32,23 +49,23 @@ class StepHook:
         self.name = name
         self._own = self._run("__init__", find_hook(name), libsumo)
 
-    def before_step(self, time_s: float) -> None:
+    def before_step(self, time_s: float, chairs: Sequence[HookChair]) -> None:
         """Call the user's `before_step`, if there is one. Raises HookError when it fails."""
-        self._call("before_step", time_s)
+        self._call("before_step", time_s, chairs)
 
-    def after_step(self, time_s: float) -> None:
+    def after_step(self, time_s: float, chairs: Sequence[HookChair]) -> None:
         """Call the user's `after_step`, if there is one. Raises HookError when it fails."""
-        self._call("after_step", time_s)
+        self._call("after_step", time_s, chairs)
 
-    def _call(self, method: str, time_s: float) -> None:
+    def _call(self, method: str, time_s: float, chairs: Sequence[HookChair]) -> None:
         own = getattr(self._own, method, None)
         if own is not None:
-            self._run(method, own, time_s)
+            self._run(method, own, time_s, chairs)
 
-    def _run(self, what: str, call: Callable[..., Any], argument: object) -> Any:
+    def _run(self, what: str, call: Callable[..., Any], *arguments: object) -> Any:
         what = f"step hook {self.name!r} failed in {what}"
         with running_own(what, "correct it, or run without --hook", HookError):
-            return call(argument)
+            return call(*arguments)
 
 
 def open_hook(name: str, libsumo: ModuleType) -> StepHook | None:

@@ -80,7 +80,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
 
 def _tell(console: Console, played: Played, tick_s: float) -> None:
     record = played.record
-    how = " ".join(word for word in (record.status, record.reason, record.fault, record.partner) if word)
+    how = " ".join(word for word in (record.status, record.reason, record.fault, record.crash) if word)
     table = Table(title=escape(f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}"))
     for heading in ("s", "m/s", "asked", "given", "nearest"):
         table.add_column(heading, justify="right", no_wrap=True)

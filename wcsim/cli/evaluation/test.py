@@ -18,7 +18,7 @@ from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.agents.runs.run_folder import config_of, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
-from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, parse, says, some_words, write_json
+from wcsim.cli.shared.common import OutFile, Repeated, first_few, in_bounds, parse, says, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
@@ -88,6 +88,8 @@ def run(words: list[str]) -> int:
     console = stdout_console()
     for result in results:
         console.print(*result.tables(console.width))
+        for line in first_few(result.crashed, "crashes; --json FILE writes all"):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
         if result.uneventful:
             console.print(UNEVENTFUL)
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")

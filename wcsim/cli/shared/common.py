@@ -29,6 +29,7 @@ OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 MAX_SEED = (1 << 31) - 1
 MOST_JOBS = 256  # processes that a command may start
+_TOLD = 5
 _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
 
 
@@ -135,6 +136,12 @@ def some_words(option: str, text: str) -> tuple[str, ...]:
     if not found:
         raise ConfigError(f"{option} {text!r} names nothing; expected one or more, joined by commas")
     return found
+
+
+def first_few(lines: Sequence[str], what: str) -> list[str]:
+    """The first five lines, and how many more of `what` there are."""
+    more = len(lines) - _TOLD
+    return [*lines[:_TOLD], f"and {more} more {what}"] if more > 0 else list(lines)
 
 
 def in_bounds(option: str, value: float, low: float, high: float) -> None:

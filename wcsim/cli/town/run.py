@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, words_of, write_json
+from wcsim.cli.shared.common import (
+    OutFile,
+    OutFolder,
+    Repeated,
+    check_folder,
+    first_few,
+    in_bounds,
+    words_of,
+    write_json,
+)
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
@@ -27,7 +36,6 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 
 MANIFEST = "manifest.json"
 MAX_CHAIRS = 64
-_TOLD_CRASHES = 5
 
 
 @dataclass
@@ -49,7 +57,7 @@ class RunOptions:
     allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Let a .sumocfg name files outside of its own folder, which SUMO then reads."""
     hook: str = ""
-    """Your own step hook as module:Class; it gets the libsumo module, and before_step(time_s), after_step(time_s)."""
+    """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around every step."""
     preset: str = "quick"
     """Settings to begin with: quick, laptop, best, dqn or paper."""
     set: Repeated = ()
@@ -171,14 +179,9 @@ def _table(name: str, facts: TrafficFacts) -> Table:
 
 
 def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
-    """Up to five crashes of wheelchairs, each with its reason, second and place."""
-    lines = []
-    for crash in crashed[:_TOLD_CRASHES]:
-        x_m, y_m = crash.at_m
-        what = f"crash of wheelchair {crash.seat}: {crash.reason}"
-        lines.append(f"{what}, at {crash.time_s:.1f} s, at x {x_m:.1f} y {y_m:.1f} in the net")
-    more = len(crashed) - _TOLD_CRASHES
-    return [*lines, f"and {more} more crashes; all of them are in the manifest"] if more > 0 else lines
+    """Up to five crashes of wheelchairs, each with its second, reason, fault, with whom, and where."""
+    lines = [f"wheelchair {c.seat}, {c.time_s:.1f} s: {c.reason}, {c.fault} fault: it {c.told}" for c in crashed]
+    return first_few(lines, "crashes; all of them are in the manifest")
 
 
 def _no_persons(town: Town) -> str:

@@ -65,7 +65,7 @@ class FilmChair(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
     stick: XY | None = None  # what its user asked for in this tick
     commanded: XY | None = None  # what it was given
     flags: int = 0
-    reason: str = ""  # of a crash, in words: hit a car
+    reason: str = ""  # of a crash, as `Events.crash`
     episode: int = -1
     step: int = -1  # of the episode, 1 after its first tick
     way: int = -1  # number of its route, -1 where it is not known

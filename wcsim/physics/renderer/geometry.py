@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.physics.renderer.models.catalog import ActorTemplates, actor_templates
+from wcsim.physics.renderer.models.paint import MARK_CLASS
 from wcsim.physics.renderer.street_paint import SurfacePaint, paint_street
-from wcsim.types import F32, I32, U8, StreetMesh
+from wcsim.types import F32, I32, U8, GroundPaint, StreetMesh
 
 CHUNK_M = 16.0  # a chunk much larger is mostly outside the view, one much smaller costs more to cull than to draw
 
@@ -28,6 +29,7 @@ class GeometryStore:
         self.paint = SurfacePaint(rgb=paint.rgb[order], pattern=paint.pattern[order], frame=paint.frame[order])
         self.spheres_W_m = _spheres(self.vertices_W_m, self.chunk_vertices)  # (C, 4) x, y, z, radius
         self.templates: ActorTemplates = actor_templates()
+        self.marks = GeometryStore(_as_mesh(mesh.paint)) if len(mesh.paint.mark) else None  # drawn in colours alone
 
     @classmethod
     def joined(cls, parts: Sequence[GeometryStore]) -> GeometryStore:
@@ -45,6 +47,8 @@ class GeometryStore:
         )
         store.spheres_W_m = np.concatenate([part.spheres_W_m for part in parts])
         store.templates = actor_templates()
+        marks = [part.marks for part in parts if part.marks is not None]
+        store.marks = cls.joined(marks) if marks else None
         return store
 
     @property
@@ -56,6 +60,19 @@ class GeometryStore:
         """Faces (F, 3) that index `vertices_W_m` as a whole."""
         start = np.repeat(self.chunk_vertices[:-1], np.diff(self.chunk_faces))
         return np.asarray(self.faces + start[:, None], np.int32)
+
+
+def _as_mesh(paint: GroundPaint) -> StreetMesh:
+    """Marks as a mesh of one chunk, whose classes are `paint.mark_class`."""
+    count = len(paint.mark)
+    corners = np.arange(4 * count, dtype=np.int32).reshape(-1, 4)
+    return StreetMesh(
+        vertices_W_m=paint.quads_W_m.reshape(-1, 3),
+        faces=corners[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3),
+        face_class=np.repeat(paint.mark + MARK_CLASS, 2).astype(np.uint8),
+        chunk_vertices=np.array([0, 4 * count], np.int32),
+        chunk_faces=np.array([0, 2 * count], np.int32),
+    )
 
 
 def _end_to_end(starts: Sequence[I32]) -> I32:

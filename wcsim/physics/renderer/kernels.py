@@ -197,8 +197,8 @@ def on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float, 
 
 
 @kernel
-def draw_chunk(street: StreetArrays, chunk: int, view: View, p: F32, screen: F64, out: Target) -> None:
-    """Draw one chunk of the street.
+def draw_chunk(street: StreetArrays, chunk: int, plain: bool, view: View, p: F32, screen: F64, out: Target) -> None:
+    """Draw one chunk of the street; its words are its faces, or with `plain` their colours.
 
     Here and in `draw_model` only what is on the screen is handed on: a call with arrays costs more than most triangles.
     """
@@ -211,12 +211,13 @@ def draw_chunk(street: StreetArrays, chunk: int, view: View, p: F32, screen: F64
         az, bz, cz = p[a, 2], p[b, 2], p[c, 2]
         if min(az, bz, cz) > view.range_m or max(az, bz, cz) < view.near_m:
             continue
+        word = int(COLOURED | street.rgb[face]) if plain else face
         if min(az, bz, cz) < view.near_m:
-            clip_and_fill(p, a, b, c, street.face_class[face], face, view, out)
+            clip_and_fill(p, a, b, c, street.face_class[face], word, view, out)
             continue
         x0, y0, x1, y1, x2, y2 = screen[0, a], screen[1, a], screen[0, b], screen[1, b], screen[0, c], screen[1, c]
         if on_screen(x0, y0, x1, y1, x2, y2, width, height):
-            fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], face, out)
+            fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], word, out)
 
 
 @kernel
@@ -355,7 +356,7 @@ def draw(
     for k in range(count):
         i = order[k]
         if i < chunks:
-            draw_chunk(street, i, view, p, screen, out)
+            draw_chunk(street, i, False, view, p, screen, out)
             continue
         i -= chunks
         T = actors.T_WM[i]

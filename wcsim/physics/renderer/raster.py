@@ -11,6 +11,7 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB, paint_table
 from wcsim.types import F64, Bool
+from wcsim.types.street import joined_mesh
 
 
 class RasterRenderer:
@@ -22,17 +23,8 @@ class RasterRenderer:
     def __init__(self, store: GeometryStore, cull: bool = True) -> None:
         """`cull=False` draws what is out of view too; it is for tests."""
         self._cull = cull
-        self._street = kernels.StreetArrays(
-            vertices=store.vertices_W_m,
-            faces=store.faces,
-            face_class=store.face_class,
-            chunk_vertices=store.chunk_vertices,
-            chunk_faces=store.chunk_faces,
-            spheres=store.spheres_W_m,
-            rgb=store.paint.rgb,
-            pattern=store.paint.pattern,
-            frame=store.paint.frame,
-        )
+        self._street = _arrays(store)
+        self._marks = _arrays(store.marks or GeometryStore(joined_mesh(())))
         templates = store.templates
         self._models = kernels.ModelArrays(
             vertices=templates.vertices,
@@ -45,9 +37,7 @@ class RasterRenderer:
         )
         self._light = np.array([AMBIENT, DIFFUSE, *HORIZON_RGB, *ZENITH_RGB])
 
-    def render(
-        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
-    ) -> None:
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
         wordless = out.rgb is None and out.instance is None
@@ -62,6 +52,7 @@ class RasterRenderer:
         if out.instance is None or out.rgb is not None:
             kernels.draw(self._street, self._models, actors, shown, view, self._cull, False, target)
         if out.rgb is not None:
+            shading.draw_marks(self._marks, view, target)
             shading.colour(self._street, view, _inverse(view.T_CW), out.depth_m, words, out.rgb)
 
     def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
@@ -74,6 +65,20 @@ class RasterRenderer:
             sun_C=T_CW[:, :3] @ SUN_W,
             light=self._light,
         )
+
+
+def _arrays(store: GeometryStore) -> kernels.StreetArrays:
+    return kernels.StreetArrays(
+        vertices=store.vertices_W_m,
+        faces=store.faces,
+        face_class=store.face_class,
+        chunk_vertices=store.chunk_vertices,
+        chunk_faces=store.chunk_faces,
+        spheres=store.spheres_W_m,
+        rgb=store.paint.rgb,
+        pattern=store.paint.pattern,
+        frame=store.paint.frame,
+    )
 
 
 def warm_up(renderer: RasterRenderer) -> None:

@@ -8,7 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from wcsim.core.jit import kernel
-from wcsim.physics.renderer.kernels import COLOURED, PLAIN, SKY_ID, STRIPES, StreetArrays, U32Array, View
+from wcsim.physics.renderer.kernels import (
+    COLOURED,
+    OUT,
+    PLAIN,
+    SKY_ID,
+    STRIPES,
+    StreetArrays,
+    Target,
+    U32Array,
+    View,
+    cull,
+    draw_chunk,
+)  # fmt: skip
 from wcsim.types import F32, F64, I32, U8
 
 # Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.
@@ -24,6 +36,24 @@ BYTE, TWO_BYTES = np.uint32(8), np.uint32(16)
 NO_WORD = np.uint32(0)
 STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
 WINDOW_WORD = np.uint32(0x6C5C4E)
+
+
+@kernel
+def draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
+    """Put the colours of marks on the ground into the words of a drawn picture; its depth and classes stay."""
+    height, width = out.inverse_z.shape
+    depth = np.zeros(len(marks.spheres), np.float32)
+    cull(marks.spheres, view, width, height, depth)
+    if not np.any(depth > OUT):
+        return
+    size = 1
+    for chunk in range(len(depth)):
+        size = max(size, marks.chunk_vertices[chunk + 1] - marks.chunk_vertices[chunk])
+    p, screen = np.empty((size, 3), np.float32), np.empty((3, size))
+    beside = Target(np.float32(1.0) / out.inverse_z, np.empty_like(out.class_id), out.words)
+    for chunk in range(len(depth)):
+        if depth[chunk] > OUT:
+            draw_chunk(marks, chunk, True, view, p, screen, beside)
 
 
 @kernel

@@ -196,7 +196,7 @@ def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
         seats=header.capacity,
         fingerprint=header.fingerprint,
         origin_m=world.town.file.origin_m,
-        origin_z_m=world.street.net_z_m,
+        origin_z_m=world.street.net_origin_m[2],
         chair_box_m=chair_box_m(world.config.chair),
     )
 

@@ -295,6 +295,7 @@ def _packed_events(events: Events) -> PackedEvents:
         events.on_carriageway,
         events.crossed,
         events.entered_red,
+        events.crash,
     )
 
 
@@ -312,6 +313,7 @@ def _events(events: PackedEvents) -> Events:
         on_carriageway=events.on_carriageway,
         crossed=events.crossed,
         entered_red=events.entered_red,
+        crash=events.crash,
     )
 
 

@@ -106,6 +106,7 @@ class PackedEvents(_Part, frozen=True):
     on_carriageway: bool
     crossed: bool
     entered_red: bool
+    crash: b.Line
 
 
 class PackedDrawn(_Part, frozen=True):

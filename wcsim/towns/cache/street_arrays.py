@@ -10,13 +10,17 @@ from wcsim.types.street import FLAT
 
 
 def pack_street(
-    tiles: Packed, walk: WalkGraph, relief: Relief, signal_heads: tuple[SignalHead, ...], net_z_m: float = 0.0
+    tiles: Packed,
+    walk: WalkGraph,
+    relief: Relief,
+    signal_heads: tuple[SignalHead, ...],
+    net_origin_m: tuple[float, float, float],
 ) -> dict[str, np.ndarray]:
     """A street as named arrays; `tiles` are those of `pack_tiles`."""
     arrays = dict(tiles)
     arrays["relief_z_m"] = relief.z_m
     arrays["relief_place"] = np.array([*relief.origin_W_m, relief.cell_m])
-    arrays["net_z_m"] = np.array(net_z_m)
+    arrays["net_origin_m"] = np.array(net_origin_m, np.float64)
     arrays["nodes_W_m"] = walk.nodes_W_m
     arrays["edge_points_W_m"] = np.concatenate([edge.points_W_m for edge in walk.edges] or [np.zeros((0, 2))])
     arrays["edge_sizes"] = np.array([len(edge.points_W_m) for edge in walk.edges], dtype=np.int64)
@@ -33,7 +37,7 @@ def pack_street(
 
 def street_of(packed: Packed) -> Street:
     """The inverse of `pack_street`. Raises KeyError or ValueError for arrays that are none."""
-    x_m, y_m, cell_m = (float(value) for value in packed["relief_place"])
+    (x_m, y_m, cell_m), (east_m, north_m, up_m) = packed["relief_place"].tolist(), packed["net_origin_m"].tolist()
     relief = Relief(origin_W_m=(x_m, y_m), cell_m=cell_m, z_m=packed["relief_z_m"])
     store = TileStore(packed, FLAT if relief.flat else relief)
     points = np.split(packed["edge_points_W_m"], np.cumsum(packed["edge_sizes"])[:-1])
@@ -52,7 +56,7 @@ def street_of(packed: Packed) -> Street:
         grid=store,
         walk=WalkGraph(nodes_W_m=packed["nodes_W_m"], edges=edges),
         signal_heads=tuple(_head(name, place) for name, place in heads),
-        net_z_m=float(packed["net_z_m"]),
+        net_origin_m=(east_m, north_m, up_m),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import zstandard
 
 from wcsim.errors import TownError
-from wcsim.types import F64, U8, Relief, StreetGrid, StreetMesh, TileKey
+from wcsim.types import F64, U8, GroundPaint, Relief, StreetGrid, StreetMesh, TileKey
 from wcsim.types.street import AROUND_M
 
 if TYPE_CHECKING:  # what makes streets is heavy, and no world needs it where a street is built
@@ -31,6 +31,7 @@ _KEPT = 24  # rasters in memory, whatever is asked for; a chair and those around
 _MOST_KEPT = 108
 _FRESH_ASKS = 4_000  # what was asked for since stays, up to _MOST_KEPT: 6 chairs ask 80 times a tick, one 27 times
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
+_PAINT = ("quads_W_m", "mark")
 
 Box = tuple[float, float, float, float]  # west, south, east, north
 Packed = Mapping[str, np.ndarray]
@@ -44,11 +45,14 @@ def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
     last = np.floor(np.array([east, north]) / TILE_M - 1e-9).astype(int)
     keys = [(x, y) for x in range(first[0], last[0] + 1) for y in range(first[1], last[1] + 1)]
     owner = _tile_of_chunk(mesh, first, last)
+    painted = np.clip(np.floor(mesh.paint.quads_W_m[:, :, :2].mean(axis=1) / TILE_M).astype(int), first, last)
     arrays: dict[str, np.ndarray] = {"tile_range": np.array([*first, *last])}
     spans = []
     for key in keys:
         part = _chunks_of(mesh, np.flatnonzero((owner == key).all(axis=1)))
+        paint = mesh.paint.part((painted == key).all(axis=1))
         arrays |= {_name(key, name): getattr(part, name) for name in _MESH}
+        arrays |= {_name(key, name): getattr(paint, name) for name in _PAINT}
         spans.append(_span(key, part))
     arrays["tile_spans"] = np.array(spans)
     return arrays | _packed_rasters(grid)
@@ -108,7 +112,11 @@ class TileStore:
 
     def mesh(self, key: TileKey) -> StreetMesh:
         """See `StreetTiles`."""
-        return self._guarded(lambda: StreetMesh(**{name: self._packed[_name(key, name)] for name in _MESH}))
+
+        def arrays(names: tuple[str, ...]) -> dict[str, np.ndarray]:
+            return {name: self._packed[_name(key, name)] for name in names}
+
+        return self._guarded(lambda: StreetMesh(**arrays(_MESH), paint=GroundPaint(**arrays(_PAINT))))
 
     def height_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""

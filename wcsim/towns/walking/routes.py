@@ -235,3 +235,11 @@ def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
 
 def _turned(yaw_rad: float) -> float:
     return yaw_rad - np.pi if yaw_rad > 0.0 else yaw_rad + np.pi
+
+
+def edges_ahead(walk: WalkGraph, route: Route, arc_m: float) -> tuple[str, ...]:
+    """SUMO's edges of a route in their order, the first is that at `arc_m`: the graph knows the lanes of most."""
+    first = max(0, int(np.searchsorted(route.arc_m, arc_m, side="right")) - 1)
+    pieces = (walk.edges[k] for k in route.edge_index[first:].tolist())
+    ids = (p.sumo_id if p.kind is WayKind.WALKINGAREA else p.sumo_id.rpartition("_")[0] for p in pieces)
+    return tuple(dict.fromkeys(ids))

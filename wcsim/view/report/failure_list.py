@@ -102,7 +102,7 @@ def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) 
         f"Episode {record.block}.{record.seat}: {record.m:.1f} m and {record.time_s:.1f} s driven, "
         f"{_done(record)}score {record.score:.3f}, "
         f"{len(record.interventions)} interventions{', none in the 5 s before the crash' if record.missed else ''}. "
-        f"The user alone in the same episode: {failure.unaided}."
+        f"{f'It {record.crash}. ' if record.crash else ''}The user alone in the same episode: {failure.unaided}."
     )
     parts: list[object] = [el("p", said)]
     if record.status == "policy_failed" or record.status == "refused":

@@ -48,6 +48,7 @@ class EpisodeRecord:
     reason: str = ""  # of a crash as in `Events.crash_reason`, of a failure what went wrong
     fault: str = ""  # own or other, of a crash
     partner: str = ""  # kind of what was hit
+    crash: str = ""  # as `Events.crash`: with whom, and where in SUMO's net
     steps: int = 0  # that the policy drove
     time_s: float = 0.0
     m: float = 0.0

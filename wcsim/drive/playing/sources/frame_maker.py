@@ -10,9 +10,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.bridge.world import World
-from wcsim.config import RewardConfig
 from wcsim.drive.playing.film_states import ACTOR_ROW, XY, FilmBody, FilmChair, FilmFrame, FilmStep, Flag
-from wcsim.drive.session import crash_words
 from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import ActorState, ClientSnapshot, Joystick, Outline, Route, SignalState
 
@@ -58,8 +56,7 @@ class FrameMaker:
                 seat = next(seat for seat in world.seats if seat.index == client.seat)
                 self._note_way(seat.index, seat.route, seat.user.route_progress_m)
         chairs = [
-            self._chair(client, outlines[client.seat], said.get(client.seat, NOTHING_SAID), world.config.reward)
-            for client in now.clients
+            self._chair(client, outlines[client.seat], said.get(client.seat, NOTHING_SAID)) for client in now.clients
         ]
         return self.step(now.epoch, now.tick, now.time_s, now.actors, chairs, now.signals)
 
@@ -118,7 +115,7 @@ class FrameMaker:
             self._new.ways.append(route.points_W_m.astype("<f4").tobytes())
         self._on[seat] = (number, done_m, max(0.0, float(route.arc_m[-1]) - done_m))
 
-    def _chair(self, client: ClientSnapshot, outline: Outline, said: TickSays, reward: RewardConfig) -> FilmChair:
+    def _chair(self, client: ClientSnapshot, outline: Outline, said: TickSays) -> FilmChair:
         events, plant = client.events, client.plant
         way, done_m, left_m = self._on.get(client.seat, (-1, 0.0, -1.0))
         flags = said.flags
@@ -139,7 +136,7 @@ class FrameMaker:
             stick=stick_of(said.stick),
             commanded=stick_of(said.commanded),
             flags=int(flags),
-            reason=crash_words(client, reward) if events.crashed else "",
+            reason=events.crash,
             episode=events.episode,
             step=events.step,
             way=way,

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from wcsim.types import F32, F64, ClassId
+from wcsim.types import F32, F64, ClassId, Mark
 
 VARIANTS = 16  # colours a paint can take; a power of two, the rasteriser masks the seed with it
 
@@ -72,6 +72,9 @@ _GROUND_RGB: tuple[tuple[ClassId, tuple[int, int, int]], ...] = (
     (ClassId.STATIC, (150, 128, 104)),
     (ClassId.DYNAMIC, (124, 96, 128)),
 )
+
+MARK_CLASS = 200  # and on: what marks have in place of a class
+_MARK_RGB = ((Mark.LINE, (224, 226, 222)), (Mark.CYCLE_LANE, (138, 92, 82)))
 
 TRUNK_RGB = (112, 86, 62)
 
@@ -146,4 +149,6 @@ def class_paint_table() -> F64:
     table = np.full((256, 3), 150.0)
     for class_id, colour in _GROUND_RGB:
         table[class_id] = colour
+    for mark, colour in _MARK_RGB:
+        table[MARK_CLASS + mark] = colour
     return table

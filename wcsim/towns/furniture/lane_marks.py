@@ -1,0 +1,142 @@
+"""Lines and coloured cycle lanes on the road, from SUMO's lanes: thin paint for pictures, without class or body.
+
+Widths and lengths follow the usual urban ones: lines of 0.12 m, dashes of 3 m with 6 m between them.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from shapely import LineString
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring
+
+from wcsim.towns.ground.surfaces import Surfaces, walkable_lanes
+from wcsim.towns.ground.tiled_geometry import Patches
+from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net
+from wcsim.types import F64, GroundPaint, Mark, Relief
+
+_LINE_M, _STOP_M = 0.12, 0.4
+_DASH_M, _EVERY_M = 3.0, 9.0
+_SAME_M = 0.6  # apart at most are the inner borders of the two directions of one street
+_SLOW_MPS = 6.0  # slower streets, yards and ways among parked cars, have no lines
+_NARROW_M = 5.0  # nor has a street of two directions that is narrower a line between them
+_BEFORE_M = 0.6  # of the end of the free road lies the middle of a stop line
+_SHORT_M = 4.0  # a lane that is shorter has none
+_CLEAR_M = 0.2  # between paint and junctions or crossings
+_PIECE_M, _HILL_PIECE_M = 6.0, 1.0  # a piece belongs to one tile, and follows the land
+_LIFT_M = {Mark.CYCLE_LANE: 0.006, Mark.LINE: 0.012}  # what lies higher is seen
+_HILL_LIFT_M = 0.02
+
+
+def lane_marks(net: Net, surfaces: Surfaces, chair_ways: tuple[str, ...], relief: Relief) -> GroundPaint:
+    """The marks of all streets of a net; none on crossings and in junctions."""
+    return _Painter(net, surfaces, chair_ways, relief).paint()
+
+
+class _Painter:
+    def __init__(self, net: Net, surfaces: Surfaces, chair_ways: tuple[str, ...], relief: Relief) -> None:
+        self._net, self._relief = net, relief
+        self._inward = -1.0 if net.lefthand else 1.0  # lanes are numbered from the kerb to the middle of the street
+        self._raised = {lane.id for lane in walkable_lanes(net, chair_ways)}
+        junctions = [shapely.Polygon(j.outline_m).buffer(0.0) for j in net.junctions if len(j.outline_m) > 2]
+        self._road = Patches(surfaces.low)
+        self._taken = Patches(shapely.union_all([surfaces.crossing, *junctions]).buffer(_CLEAR_M, quad_segs=1))
+        self._quads: dict[Mark, list[F64]] = {mark: [] for mark in Mark}
+
+    def paint(self) -> GroundPaint:
+        streets = [edge for edge in self._net.edges if not edge.function and edge.lanes]
+        for edge in streets:
+            self._lanes(edge)
+        self._middles([edge for edge in streets if edge.lanes[0].speed_mps > _SLOW_MPS])
+        self._stops(streets)
+        quads = {mark: np.concatenate([np.zeros((0, 4, 2)), *found]) for mark, found in self._quads.items()}
+        hill_m = 0.0 if self._relief.flat else _HILL_LIFT_M
+        lifted = [np.dstack([q, self._relief.at(q) + _LIFT_M[mark] + hill_m]) for mark, q in quads.items()]
+        marks = np.repeat([int(mark) for mark in quads], [len(found) for found in quads.values()])
+        return GroundPaint(quads_W_m=np.concatenate(lifted).astype(np.float32), mark=marks.astype(np.uint8))
+
+    def _lanes(self, edge: Edge) -> None:
+        """Cycle lanes, and what parts the lanes of an edge."""
+        low = [lane for lane in edge.lanes if lane.id not in self._raised and len(lane.points_m) > 1]
+        for lane in low:
+            if lane.kind is LaneKind.BIKE:
+                for line in self._free(LineString(lane.points_m)):
+                    self._add(Mark.CYCLE_LANE, line, lane.width_m)
+        for outer, inner in pairwise(low):
+            kinds = {outer.kind, inner.kind}
+            if inner.index != outer.index + 1 or LaneKind.MOTOR not in kinds or outer.speed_mps <= _SLOW_MPS:
+                continue
+            for line in self._free(self._inner_border(outer)):
+                if LaneKind.BIKE in kinds:
+                    self._add(Mark.LINE, line, _LINE_M)
+                elif kinds == {LaneKind.MOTOR}:
+                    for at_m in np.arange(0.5 * _DASH_M, line.length - 0.5 * _DASH_M, _EVERY_M):
+                        self._add(Mark.LINE, substring(line, at_m, at_m + _DASH_M), _LINE_M)
+
+    def _middles(self, streets: list[Edge]) -> None:
+        """A line between the two directions of a street, where their borders are one."""
+        between: dict[tuple[str, str], list[Edge]] = defaultdict(list)
+        for edge in streets:
+            between[edge.start, edge.end].append(edge)
+        for edge in streets:
+            for other in between[edge.end, edge.start] if edge.start < edge.end else ():
+                wide = _road_width_m(edge) + _road_width_m(other) >= _NARROW_M
+                if wide and edge.lanes[-1].kind is other.lanes[-1].kind is LaneKind.MOTOR:
+                    mine, theirs = self._inner_border(edge.lanes[-1]), self._inner_border(other.lanes[-1])
+                    for line in self._free(mine.intersection(theirs.buffer(_SAME_M))):
+                        self._add(Mark.LINE, line, _LINE_M)
+
+    def _stops(self, streets: list[Edge]) -> None:
+        """A line across each lane before a signal or a crossing."""
+        signalled = {(link.start, link.start_lane) for link in self._net.connections if link.tls_id}
+        crossed = {
+            (edge.id[1:].rpartition("_c")[0], name)
+            for edge in self._net.edges
+            if edge.function == "crossing"
+            for name in edge.crossed
+        }
+        for edge in streets:
+            for lane in edge.lanes:
+                if lane.kind not in (LaneKind.MOTOR, LaneKind.BIKE) or lane.id in self._raised:
+                    continue
+                if (edge.id, lane.index) in signalled or (edge.end, edge.id) in crossed:
+                    self._stop(lane)
+
+    def _stop(self, lane: Lane) -> None:
+        lines = self._free(LineString(lane.points_m)) if len(lane.points_m) > 1 else []
+        if not lines or lines[-1].length < _SHORT_M or lines[-1].distance(shapely.Point(lane.points_m[-1])) > _SHORT_M:
+            return
+        middle_m = lines[-1].length - _BEFORE_M
+        along = substring(lines[-1], middle_m - 0.5 * _STOP_M, middle_m + 0.5 * _STOP_M)
+        self._add(Mark.LINE, along, lane.width_m)
+
+    def _inner_border(self, lane: Lane) -> BaseGeometry:
+        aside_m = 0.5 * self._inward * lane.width_m
+        return LineString(lane.points_m).offset_curve(aside_m, join_style="mitre", mitre_limit=2.0)
+
+    def _free(self, line: BaseGeometry) -> list[LineString]:
+        """What of a line lies on the road, and neither in a junction nor on a crossing; in its direction."""
+        bounds = line.buffer(1.0).bounds
+        free = line.intersection(self._road.near(bounds)).difference(self._taken.near(bounds))
+        parts = shapely.get_parts(shapely.line_merge(free) if free.geom_type == "MultiLineString" else free)
+        return [part for part in parts if part.geom_type == "LineString" and part.length > _STOP_M]
+
+    def _add(self, mark: Mark, line: LineString, width_m: float) -> None:
+        """A strip along a line, piece by piece; corners run counter-clockwise from above."""
+        piece_m = _PIECE_M if self._relief.flat else _HILL_PIECE_M
+        points_m = shapely.get_coordinates(shapely.segmentize(line, piece_m))
+        steps = np.diff(points_m, axis=0)
+        steps /= np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-9)
+        ahead = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
+        ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+        aside = 0.5 * width_m * np.column_stack([-ahead[:, 1], ahead[:, 0]])
+        left, right = points_m + aside, points_m - aside
+        self._quads[mark].append(np.stack([right[:-1], right[1:], left[1:], left[:-1]], axis=1))
+
+
+def _road_width_m(edge: Edge) -> float:
+    return sum(lane.width_m for lane in edge.lanes if lane.kind is LaneKind.MOTOR)
