@@ -101,5 +101,5 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from wcsim.towns.street import load_street
 
     build_scene(find_scene(str(ROOT / "scenarios" / "sumo" / "scenes" / "pedestrian-crossing")), work)
-    load_street(find_town(str(work)), lambda told: None)  # once, so that no command has to say it
+    load_street(find_town(str(work)))  # once, for all commands
     return work

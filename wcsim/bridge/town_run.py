@@ -105,9 +105,8 @@ def record_town(
             opened(traffic.scenario)
             with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
                 return _run_alone(traffic, ticks, writer, progress)
-    stage(f"building the street of {town.name}, unless that was done before")
     validate_net(town.net, border=town.border)
-    load_street(town, lambda told: None)  # it was said just now
+    load_street(town, stage)
     spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
     stage(f"starting SUMO, and warming its traffic up for {warmup_s(town, config):g} s")
     with World(town, config, (spec,) * order.chairs, order.seed, place) as world:

@@ -50,18 +50,20 @@ class World(Closing):
         place: RunPlace = RunPlace(),  # noqa: B008 - frozen
         *,
         epoch: int = 0,
+        say: Callable[[str], object] | None = None,
     ) -> None:
         """Load the town and warm its traffic up.
 
         There is a seat for each of `specs`, free where it is None; `place` says where the outputs of the SUMO scenario
-        go, `epoch` is the number of the first epoch. Raises TownError for a net that cannot be used, ConfigError for a
-        camera inside the chair's body, WorldInUseError while another world lives in this process.
+        go, `epoch` is the number of the first epoch, `say` hears how far the street is, as `load_street` tells. Raises
+        TownError for a net that cannot be used, ConfigError for a camera inside the chair's body, WorldInUseError while
+        another world lives in this process.
         """
         refuse_second_world()
         validate_net(town.net, border=town.border)
         self.town = town
         self.config = config
-        self.street = load_street(town)
+        self.street = load_street(town, say)
         self._seating = EgoSlots(specs, config, self.street, town)
         self.stopwatch = Stopwatch()
         self.epoch = epoch - 1

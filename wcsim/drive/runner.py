@@ -333,11 +333,13 @@ class DriveRunner:
 
     def _open_place(self, start: DriveStart) -> DriveSession:
         """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""
-        self._say(m.Busy(told="Opening the street. The first time in a town this takes up to a minute ..."))
+        self._say(m.Busy(told="Opening the street ..."))
         self.close()
         self._pictures, self._last = None, None
         self._watch.require_rest()
-        self.session = session = DriveSession(start, (PageTeller(self._say), *self._observers()))
+        self.session = session = DriveSession(
+            start, (PageTeller(self._say), *self._observers()), lambda told: self._say(m.Busy(told=told))
+        )
         if self._names is not None:
             session.look_on(DriveKeeper(session, self._names, self._tell_kept))
         self._pictures = DrivePictures(session)

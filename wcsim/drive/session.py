@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -47,8 +47,13 @@ class DriveSession(Closing):
         observers: Who looks on; they are closed with the session.
     """
 
-    def __init__(self, start: DriveStart, observers: Sequence[DriveObserver] = ()) -> None:
-        """Open the town and the policy. Raises ConfigError, TownError or PolicyError, see `starting.open_place`."""
+    def __init__(
+        self,
+        start: DriveStart,
+        observers: Sequence[DriveObserver] = (),
+        say: Callable[[str], object] | None = None,
+    ) -> None:
+        """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
         self.tally, self.driver = DriveTally(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
         self._ticks, self._episode, self._help = 0, 0, False  # `_help`: asked for since the last tick
@@ -65,7 +70,7 @@ class DriveSession(Closing):
             self.assistance = Assistance(self.place.policy, self.actions)
             self._held.callback(self.assistance.close)
             spec, config = self.place.spec, self.place.config
-            self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed))
+            self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
             self._chair, self._link = Chair(config), HeldLink()
             self._begin()
             self.assistance.begin(self._client.drawn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -33,17 +34,30 @@ from wcsim.towns.ground.tiles import Packed, pack_tiles
 from wcsim.towns.ground.triangulation import build_ground
 from wcsim.towns.scenario.includes import with_included
 from wcsim.towns.sumo.additional import read_items
-from wcsim.towns.sumo.net import read_net
+from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.walking.graph import build_walk_graph, free_space
 from wcsim.types import F64, ClassId, Relief, WalkGraph
 
 if TYPE_CHECKING:
     from wcsim.towns.scenario.town import Town
 
+_AREAS_S, _TILES_S = 0.1, 0.03  # that a km of lane costs; roughly, as six towns did
+_GROUND_S = 0.6  # that a square km of tiles costs
 
-def build_street(town: Town) -> Packed:
-    """Make the street of a town from its net and polygons, without any cache; `street_of` opens it."""
+
+def build_street(town: Town, at: Callable[[str, float], object] = lambda part, left_s: None) -> Packed:
+    """Make the street of a town from its net and polygons, without any cache; `street_of` opens it.
+
+    Args:
+        town: The town.
+        at: Called with each part that begins, and about how much work is left from there on, in s of an idle core.
+
+    Raises:
+        TownError: The town cannot be used.
+    """
     whole = read_net(town.net, town.file.origin_m)
+    areas_s, tiles_s = _work_s(whole)
+    at("roads and pavements", areas_s + tiles_s)
     additional = with_included(town.additional, town.border)
     items = read_items(additional, town.file.origin_m, whole)
     relief = relief_of(whole)
@@ -51,10 +65,12 @@ def build_street(town: Town) -> Packed:
     surfaces = covered(surfaces_of(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
         raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
+    at("ground and kerbs", 0.45 * areas_s + tiles_s)
     kerbing = kerbing_of(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
     ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
     placed = author_things(items, surfaces.hull)
+    at("ways, and what stands beside them", 0.3 * areas_s + tiles_s)
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
     buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
@@ -70,7 +86,16 @@ def build_street(town: Town) -> Packed:
     paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
     mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
     grid = GridMaker(ground, [*(b.outline for b in buildings), *footprints_of(things)], relief)
-    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
+    tiles = pack_tiles(mesh, grid, lambda share: at("tiles", share * tiles_s))
+    return pack_street(tiles, walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
+
+
+def _work_s(net: Net) -> tuple[float, float]:
+    """About how long an idle core works on the areas of a net, and on its tiles."""
+    lanes = [lane for edge in net.edges for lane in edge.lanes]
+    km = sum(lane.length_m for lane in lanes) / 1e3
+    wide_m, high_m = np.ptp(np.concatenate([np.zeros((1, 2)), *(lane.points_m for lane in lanes)]), axis=0).tolist()
+    return _AREAS_S * km, _TILES_S * km + _GROUND_S * wide_m * high_m / 1e6
 
 
 def _block(building: Building, ground_m: float, relief: Relief) -> Solid:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
+from threading import Event, Thread
 from types import MappingProxyType
 
 from wcsim.core.sources import sources_of
@@ -32,15 +35,17 @@ LIBRARIES = MappingProxyType(
 )
 """What a street is made with: modules, and the distributions they come from."""
 _BUILDER = "wcsim.towns.build_street"
+_EVERY_S = 5.0  # most streets are there before anything is said
 
 
-def load_street(town: Town, say: Callable[[str], object] = log.warning) -> Street:
+def load_street(town: Town, say: Callable[[str], object] | None = None) -> Street:
     """The street of a town, from the cache where it is there.
 
     Args:
         town: The town.
-        say: Called with a line before a street is built. By default a warning is logged: Python shows those on
-            standard error to whoever has set up no logging, as the user of an environment.
+        say: Called every few seconds while a street is built, from a thread of its own, with a line: which part, and
+            about how long it takes yet. By default a warning is logged: Python shows those on standard error to
+            whoever has set up no logging, as the user of an environment.
 
     Raises:
         TownError: The town cannot be used.
@@ -49,14 +54,36 @@ def load_street(town: Town, say: Callable[[str], object] = log.warning) -> Stree
     def built() -> Packed:
         from wcsim.towns.build_street import build_street  # heavy, and not needed where the street is there
 
-        say(f"building the street of {town.name}, up to a minute; it is done once, and kept in {shown_cache()}")
-        return build_street(town)
+        with _telling(town, say or log.warning) as at:
+            return build_street(town, at)
 
-    if town.passing:
-        from wcsim.towns.build_street import build_street
+    return street_of(built()) if town.passing else cached_street(street_key(town), built)
 
-        return street_of(build_street(town))
-    return cached_street(street_key(town), built)
+
+@contextmanager
+def _telling(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str, float], object]]:
+    """Tell how far a street is, as long as it is built, from what the builder says of its parts."""
+    over, began_s, marks = Event(), time.monotonic(), [("net", 0.0, time.process_time())]
+    once = "" if town.passing else f"; it is done once, and kept in {shown_cache()}"
+
+    def tell() -> None:
+        more = once
+        while not over.wait(_EVERY_S):
+            part, left_s, cpu_s = marks[-1]
+            work_s = max(mark[1] for mark in marks)
+            done_s = max(0.01, work_s - left_s + time.process_time() - cpu_s)
+            takes_s = (work_s - done_s) / done_s * (time.monotonic() - began_s)
+            about = f", about {takes_s:.0f} s left" if takes_s >= 1.0 else ""
+            say(f"building the street of {town.name}: {part}{about}{more}")
+            more = ""
+
+    teller = Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield lambda part, left_s: marks.append((part, left_s, time.process_time()))
+    finally:
+        over.set()
+        teller.join()
 
 
 def street_key(town: Town) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import libsumo
 import numpy as np
@@ -129,3 +130,19 @@ def test_poses_are_those_of_frames(running):
         yaw = frames.yaw_from_sumo(domain.getAngle(actor.id[2:]))
         centre = frames.centre_from_front(front, yaw, actor.pitch_rad, actor.size_lwh_m[0])
         assert actor.p_W_m == pytest.approx(centre, abs=1e-9)
+
+
+def test_who_has_no_place_for_a_while_is_not_there_and_comes_back():
+    places = {"a": (1.0, 2.0, 0.0), "b": (-(2.0**30), -(2.0**30))}  # as SUMO says of who is nowhere
+    people = SimpleNamespace(getIDList=lambda: list(places), getPosition3D=places.get, getVehicle=lambda name: "")
+    for method in ("getAngle", "getSpeed", "getLength", "getWidth", "getHeight", "getVehicleClass"):
+        known = "pedestrian" if method == "getVehicleClass" else 0.5
+        setattr(people, method, lambda name, known=known: known)
+    nobody = SimpleNamespace(getIDList=list, getPosition3D=None)
+    reader = ActorReader(SimpleNamespace(person=people, vehicle=nobody, TraCIException=RuntimeError), (0, 0, 0), 0.1)
+    seen = []
+    for here in (places["b"], places["b"], (3.0, 2.0, 0.0)):
+        places["b"] = here
+        reader.stepped((), (), unsure=False)
+        seen.append((names(reader, np.zeros((1, 2))), [actor.id for actor in reader.at(np.zeros((1, 2)), np.inf)]))
+    assert seen == [(["p:a"], ["p:a"])] * 2 + [(["p:a", "p:b"], ["p:a", "p:b"])]

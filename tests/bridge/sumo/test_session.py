@@ -108,3 +108,19 @@ def test_a_collision_is_counted_once_however_long_it_lasts(corner, monkeypatch):
             counted.append(sumo.collisions())
         assert counted == [1, 1, 0, 0, 1]
         monkeypatch.undo()
+
+
+def test_people_who_jump_from_street_to_street_are_seen_where_they_land(corner, tmp_path):
+    walks = (f'<person id="w{k}" depart="{k}"><walk edges="WC C{"NES"[k % 3]}"/></person>' for k in range(40))
+    (tmp_path / "a.rou.xml").write_text(f"<routes>{''.join(walks)}</routes>")
+    inputs = f"<n value='{find_town(str(corner)).net}'/><r value='a.rou.xml'/>"
+    (tmp_path / "a.sumocfg").write_text(f"<c>{inputs}<pedestrian.model value='nonInteracting'/></c>")
+    landing_m = np.array([[8.0, -5.0]])
+    with SumoSession(options(corner, sumocfg=tmp_path / "a.sumocfg")) as sumo:
+        seen = set()
+        for _ in range(500):
+            sumo.step()
+            near = [actor.id for actor in sumo.actors(landing_m, 5.0)]
+            assert near == [actor.id for actor in sumo.actors_at(landing_m, 5.0)]
+            seen |= set(near)
+    assert len(seen) > 2

@@ -9,45 +9,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from tests.cli.conftest import QUICK, files_in
 from wcsim.cli import serve
 from wcsim.server.transport.keys import make_keys
 
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
-BUILDING = "building the street of pedestrian-crossing"
-LOOP = """
-import sys, gymnasium, wcsim
-small = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
-env = gymnasium.make(wcsim.ENV_ID, town=sys.argv[1], overrides=small)
-print("made", file=sys.stderr)
-env.reset(seed=1)
-env.close()
-"""
-
-
-def test_a_street_that_is_built_is_announced_to_the_user_of_an_environment_once(tmp_path, corner):
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    for number in range(2):
-        command = [sys.executable, "-c", LOOP, str(corner)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=tmp_path)
-        told = [line for line in done.stderr.splitlines() if line.startswith(("made", "building"))]
-        assert [line.split(",")[0] for line in told] == (["made", BUILDING] if number == 0 else ["made"])
-    assert list((tmp_path / "wcsim").glob("street-*.npz"))
-
-
-@pytest.mark.proof
-def test_a_street_that_is_built_is_announced_by_the_commands_once(tmp_path, corner):
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    words = ("test", "follow", "--town", str(corner), "--episodes", "1", "--max-steps", "2", *QUICK)
-    command = [sys.executable, "-m", "wcsim", *words]
-    first, second = (
-        subprocess.run(command, capture_output=True, text=True, check=True, env=environment, cwd=tmp_path).stderr
-        for _ in range(2)
-    )
-    assert (first.count(BUILDING), second.count("building")) == (1, 0)
-    assert str(tmp_path / "cache") in first
 
 
 def test_what_is_overridden_is_one_line_and_a_table_when_it_is_asked_for(wcsim, corner):

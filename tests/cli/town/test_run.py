@@ -196,4 +196,4 @@ def test_the_first_crashes_are_listed(corner, tmp_path, capsys):
     assert main(words) == 0
     told = capsys.readouterr()
     assert "s: acceleration, own fault: it was shaken too hard, at x " in told.out and " in the net, edge " in told.out
-    assert "building the street of" in told.err and "warming its traffic up for 0 s" in told.err
+    assert "warming its traffic up for 0 s" in told.err

@@ -54,7 +54,7 @@ def test_every_file_that_is_no_code_is_inside(unpacked):
 
 
 def test_a_shipped_town_opens(unpacked, tmp_path):
-    load_street(find_town("manhattan"), lambda told: None)  # once, so that the command has not to say it
+    load_street(find_town("manhattan"))  # once, so that no command has to
     assert "faults in the mesh" in run(unpacked, tmp_path, "town", "check", "manhattan")
 
 

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from wcsim.errors import TownError
+from wcsim.towns import street
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import cached_street
 from wcsim.towns.ground.tiles import Packed
@@ -19,7 +22,7 @@ KEY = "0" * 32
 def test_what_is_driven_once_is_not_kept(corner_town, own_cache):
     passing = load_street(replace(corner_town, passing=True))
     assert not list(own_cache.rglob("street-*"))
-    assert len(passing.walk.edges) == len(load_street(corner_town, lambda told: None).walk.edges) > 0
+    assert len(passing.walk.edges) == len(load_street(corner_town).walk.edges) > 0
     assert list(own_cache.rglob("street-*"))
 
 
@@ -64,3 +67,21 @@ def test_where_no_lock_can_be_had_it_is_built_all_the_same(corner_town, own_cach
 
     monkeypatch.setattr(os, "open", refused)
     assert cached_street(KEY, lambda: build_street(corner_town)).walk.edges
+
+
+def test_who_waits_for_a_street_hears_which_part_it_is_and_how_long_it_takes_yet(corner_town, monkeypatch):
+    packed, told = build_street(corner_town), []
+
+    def build(town, at):
+        for part, left_s in (("ground", 1000.0), ("tiles", 999.0)):
+            at(part, left_s)
+            give_up_s = time.monotonic() + 60.0
+            while not any(part in line for line in told) and time.monotonic() < give_up_s:
+                time.sleep(0.01)
+        return packed
+
+    monkeypatch.setattr("wcsim.towns.build_street.build_street", build)
+    monkeypatch.setattr(street, "_EVERY_S", 0.05)
+    load_street(corner_town, told.append)
+    assert "it is done once, and kept in " in told[0] and not any("kept in" in line for line in told[1:])
+    assert re.search(r": tiles, about \d+ s left$", told[-1])

@@ -86,7 +86,7 @@ def test_cached_street_is_the_same_and_fast(
 ) -> None:
     key = street.street_key(manhattan_town)
     street_cache.cached_street(key, lambda: manhattan_packed)
-    monkeypatch.setattr(build_street, "build_street", lambda town: pytest.fail("built although it is in the cache"))
+    monkeypatch.setattr(build_street, "build_street", lambda town, at: pytest.fail("built although it is in the cache"))
     found = load_street(manhattan_town)
     assert multiple(lambda: load_street(manhattan_town), turns=5) < 150  # about 25
     assert found.tiles.keys == manhattan.tiles.keys

@@ -38,6 +38,24 @@ def test_a_scenario_becomes_a_town_of_its_own(corner_town: Town, tmp_path: Path)
     assert [path.name for path in (tmp_path / "towns").iterdir()] == ["mine"]
 
 
+@pytest.mark.parametrize(
+    ("theirs", "copied"),
+    [
+        ("<gui-settings><delay value='20'/></gui-settings>",) * 2,
+        ("<bank><account/></bank>", "<viewsettings/>\n"),
+        ("secret", "<viewsettings/>\n"),
+    ],
+)
+def test_settings_of_a_window_never_refuse_a_copy_and_are_no_way_for_private_files(
+    corner_town: Town, tmp_path: Path, theirs: str, copied: str
+) -> None:
+    sumocfg = hostile.scenario(corner_town, tmp_path / "theirs", "<gui-settings-file value='look.xml'/>")
+    (tmp_path / "theirs" / "look.xml").write_text(theirs)
+    town = adopt_scenario(sumocfg, "mine", tmp_path / "mine")
+    assert (town.folder / "look.xml").read_text() == copied
+    assert changes_of(town).all == ()
+
+
 def test_an_edit_of_an_adopted_scenario_is_noted_and_no_fault(corner_town: Town, tmp_path: Path) -> None:
     town = adopt_scenario(hostile.scenario(corner_town, tmp_path / "theirs"), "mine", tmp_path / "mine")
     assert own_work(town.folder) and changes_of(town).all == ()

@@ -105,6 +105,9 @@ class ActorReader:
             except self._api.TraCIException:
                 self._bodies.pop(kind + name, None)
                 continue
+            except ValueError:  # no place for now: people who jump from street to street are nowhere between them
+                soon.append(name)
+                continue
             gap_m = math.hypot(x - first_x, y - first_y)
             for cx, cy in others:
                 gap_m = min(gap_m, math.hypot(x - cx, y - cy))
@@ -126,8 +129,9 @@ class ActorReader:
         if kind not in self._all:
             names = list(domain.getIDList())
             self._tidy(kind, names)
-            places = np.array([domain.getPosition3D(name) for name in names], np.float64).reshape(-1, 3)
-            self._all[kind] = names, np.asarray(places - self._origin, np.float64)
+            there = {name: place for name in names if len(place := domain.getPosition3D(name)) == 3}
+            places = np.array(list(there.values()), np.float64).reshape(-1, 3)
+            self._all[kind] = list(there), np.asarray(places - self._origin, np.float64)
         names, p_W_m = self._all[kind]
         if not names:
             return []

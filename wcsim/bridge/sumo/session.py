@@ -23,7 +23,7 @@ from wcsim.bridge.sumo.vehicle_control import VehicleControl
 from wcsim.core.closing import Closing
 from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError, WorldInUseError
-from wcsim.towns.scenario.overrides import Settings, forced
+from wcsim.towns.scenario.overrides import JUMPING, Settings, forced
 from wcsim.types import F64, ActorState, SignalState
 
 try:
@@ -108,6 +108,7 @@ class SumoSession(Closing):
         try:
             self._hook = open_hook(options.hook, libsumo)
             self._signals = SignalReader(libsumo, options.origin_m)
+            self._jumpers = libsumo.simulation.getOption("pedestrian.model") == JUMPING
         except BaseException:
             self.close()
             raise
@@ -141,7 +142,8 @@ class SumoSession(Closing):
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
-        self._reader.stepped(vehicles, people, unsure=bool(jammed or landed or self._hook is not None))
+        unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
+        self._reader.stepped(vehicles, people, unsure=unsure)
         self._teleports = len(jammed)
         self._jams += len(jammed)
         pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())

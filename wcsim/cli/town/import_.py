@@ -142,7 +142,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
 
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
-        made = import_town(_order(options, osm, box, out), _built_in_silence, stage)
+        made = import_town(_order(options, osm, box, out), _built, stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic keeps to the {made.side}")
     report = checked(made.town, made.walkable_share, stage)
@@ -151,10 +151,10 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
     return replace(report, notes=(*made.notes, *report.notes)), more
 
 
-def _built_in_silence(town: Town) -> Street:
+def _built(town: Town) -> Street:
     from wcsim.towns.street import load_street
 
-    return load_street(town, lambda told: None)  # the import says its own stages
+    return load_street(town, _say)
 
 
 def _say(told: str) -> None:

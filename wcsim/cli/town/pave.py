@@ -56,7 +56,7 @@ def run(options: PaveOptions) -> int:
     town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
     told.print("letting SUMO run its first steps", style="dim")
     try_town(town)
-    told.print("building the street of it, and checking it", style="dim")
+    told.print("checking it", style="dim")
     report = check_town(town)
     _print(paved)
     print_report(report)

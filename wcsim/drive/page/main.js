@@ -20,7 +20,7 @@ let lastSaid = "";
 let crash = "";
 let standing = ""; // why the chair does not go
 let sayTimer = 0;
-let busyTimer = 0;
+let busyTimer = 0, busySince = 0;
 
 // Told to a screen reader, and gone before somebody reads the page and takes it for what is so now.
 function say(text) {
@@ -108,12 +108,12 @@ function tellStanding(state) {
 
 // What is waited for, and for how long already: the server says nothing while it builds a street.
 function setBusy(told, counts = true) {
+  if (!busy) busySince = performance.now();
   busy = told;
   clearInterval(busyTimer);
   big(busy);
   if (!told || !counts) return;
-  const began = performance.now();
-  busyTimer = setInterval(() => big(`${busy} ${Math.round((performance.now() - began) / 1000)} s`), 1000);
+  busyTimer = setInterval(() => big(`${busy} (${Math.round((performance.now() - busySince) / 1000)} s)`), 1000);
 }
 
 function askForHelp() {

@@ -261,7 +261,7 @@ class PlayRunner:
 
     def _open(self, source: FilmSource) -> None:
         """Start the process of a source."""
-        self._say(m.Busy(told="Opening the street. The first time in a town this takes up to a minute ..."))
+        self._say(m.Busy(told="Opening the street ..."))
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
         context = get_context("spawn")

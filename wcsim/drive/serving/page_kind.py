@@ -30,7 +30,7 @@ DRIVE: Final = PageKind(
     page="index.html",
     of_page=m.of_page,
     run=run_drive,
-    begins="the simulator starts, then the street is opened: seconds, the first time in a town up to a minute",
+    begins="the simulator starts, then the street is opened; the page says how long it takes",
     ended="The drive's process has ended. Start wcsim drive again.",
 )
 PLAY: Final = PageKind(

@@ -10,7 +10,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.seeding import generator
-from wcsim.towns.ground.tiled_geometry import Patches
+from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
 from wcsim.towns.osm.lengths import metres
 from wcsim.towns.osm.levels import STOREY_M, number, rise_m
 from wcsim.towns.sumo.additional import Item
@@ -59,7 +59,7 @@ def buildings_of(items: list[Item], street: BaseGeometry, hull: BaseGeometry) ->
     overhead: list[Building] = []
     for body in _apart(solid):
         near = patches.near(_around(body.area, 1.0))
-        cleared = _cleared(body.area.difference(near.buffer(GAP_M, join_style="mitre", mitre_limit=2.0)))
+        cleared = _cleared(body.area.difference(buffered(near, GAP_M, join_style="mitre", mitre_limit=2.0)))
         parts = [part for part in cleared if not part.intersects(near)]
         standing += [Building(outline=part, height_m=body.height_m) for part in parts]
         overhead += _over_passages(body, near)
@@ -190,7 +190,7 @@ def _raised(body: _Body, street: BaseGeometry) -> list[Building]:
 
 def _widened(street: BaseGeometry) -> BaseGeometry:
     """The street and a little more, so that what hangs over it leaves no slot beside the walls below."""
-    return street.buffer(2.0 * GAP_M, join_style="mitre", mitre_limit=2.0)
+    return buffered(street, 2.0 * GAP_M, join_style="mitre", mitre_limit=2.0)
 
 
 def _over_passages(body: _Body, street: BaseGeometry) -> list[Building]:
@@ -209,7 +209,7 @@ def _cleared(area: BaseGeometry) -> list[Polygon]:
     """The polygons of an area without crumbs and thin strips, on a centimetre grid."""
     if area.is_empty:
         return []
-    opened = shapely.set_precision(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1), 0.01)
+    opened = shapely.set_precision(valid(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1)), 0.01)
     parts = [part for part in shapely.get_parts(opened) if part.geom_type == "Polygon" and part.is_valid]
     return [part for part in parts if part.area >= _SMALLEST_M2]
 

@@ -11,7 +11,7 @@ from wcsim.core.frames import yaw_from_sumo
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood_if_free
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.tiled_geometry import Patches
+from wcsim.towns.ground.tiled_geometry import Patches, valid
 from wcsim.towns.osm.lengths import metres
 from wcsim.towns.osm.levels import off_ground
 from wcsim.towns.sumo.additional import Item
@@ -146,7 +146,7 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
         height_m = float(np.clip(mapped_m, 0.3, 6.0))
     if item.filled and item.tags.get("area") == "yes" and len(item.points_W_m) > 3:
         shape = shapely.make_valid(Polygon(item.points_W_m)).intersection(site.place.hull)
-        band: BaseGeometry = shape.simplify(0.1)
+        band: BaseGeometry = valid(shape.simplify(0.1))
     else:
         line = shapely.LineString(item.points_W_m).simplify(0.1).intersection(site.place.hull)
         band = line.buffer(thick_m / 2, cap_style="flat", join_style="mitre")

@@ -10,7 +10,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
-from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.ground.tiled_geometry import buffered, valid
 from wcsim.towns.sumo.additional import Item
 
 BESIDE_M = 8.0  # of a building the ground is paved
@@ -64,7 +64,7 @@ def _area(items: Iterable[Item]) -> BaseGeometry:
 
 def _on_land(area: BaseGeometry, surfaces: Surfaces) -> BaseGeometry:
     """What of an area is terrain, on the grid of all ground points, without crumbs."""
-    rest = area.simplify(_SIMPLE_M).intersection(surfaces.hull)
+    rest = valid(area.simplify(_SIMPLE_M)).intersection(surfaces.hull)
     rest = rest.difference(shapely.union_all([surfaces.low, surfaces.pavement]))
     return _polygons(shapely.set_precision(rest, GRID_M))
 

@@ -10,7 +10,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.tiled_geometry import Patches, buffered
+from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 
 GRID_M = 0.01  # all ground points lie on this grid
@@ -93,7 +93,7 @@ def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> Ba
     if rail.is_empty:
         return MultiPolygon()
     others = [lane_area(lane) for lane in lanes if lane.kind is not LaneKind.RAIL]
-    own = _opened(rail.difference(shapely.union_all([*others, *taken])), _STRIP_M).simplify(_SIMPLIFY_M)
+    own = valid(_opened(rail.difference(shapely.union_all([*others, *taken])), _STRIP_M).simplify(_SIMPLIFY_M))
     parts = shapely.get_parts(_areas(shapely.set_precision(own.intersection(low), GRID_M)))
     return MultiPolygon([part for part in parts if part.area > _POCKET_M2])
 
@@ -169,7 +169,7 @@ def _polygon(points_m: np.ndarray) -> BaseGeometry:
 
 def _cleaned(area: BaseGeometry) -> BaseGeometry:
     """Gaps closed, points thinned and put on the grid."""
-    return _areas(shapely.set_precision(_closed(area, _CLOSE_M).simplify(_SIMPLIFY_M), GRID_M))
+    return _areas(shapely.set_precision(valid(_closed(area, _CLOSE_M).simplify(_SIMPLIFY_M)), GRID_M))
 
 
 def _closed(area: BaseGeometry, half_m: float) -> BaseGeometry:

@@ -15,10 +15,15 @@ WHOLE_M = 1200.0  # areas up to this size are buffered as they are
 _ARC = 16  # segments a quarter circle: shapely's own
 
 
+def valid(area: BaseGeometry) -> BaseGeometry:
+    """The same area, mended where it crosses itself, at which overlays fail: buffers on a grid and fast clips do."""
+    return area if area.is_valid else shapely.make_valid(area, method="structure", keep_collapsed=False)
+
+
 def clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
     """The part of an area inside a rectangle; GEOS 3.14's fast clipping fails where an area only touches it."""
     try:
-        return shapely.clip_by_rect(area, *bounds)
+        return valid(shapely.clip_by_rect(area, *bounds))
     except shapely.GEOSException:
         return area.intersection(shapely.box(*bounds))
 
@@ -70,7 +75,7 @@ def buffered(
     """As shapely's own buffer, which takes the square of the time for an area with many parts or holes."""
 
     def buffer(part: BaseGeometry) -> BaseGeometry:
-        return part.buffer(distance_m, quad_segs=quad_segs, join_style=join_style, mitre_limit=mitre_limit)
+        return valid(part.buffer(distance_m, quad_segs=quad_segs, join_style=join_style, mitre_limit=mitre_limit))
 
     x0, y0, x1, y1 = area.bounds if not area.is_empty else (0.0, 0.0, 0.0, 0.0)
     if max(x1 - x0, y1 - y0) <= WHOLE_M:

@@ -10,7 +10,7 @@ from pathlib import Path
 from wcsim.core.reading import is_file
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.importing.adopt_files import copy_file, copy_notices, is_picture, require_kind, require_root
+from wcsim.towns.importing.adopt_files import copy_file, copy_notices, copy_settings, is_picture, require_kind
 from wcsim.towns.importing.folder_texts import foreign_license_text, town_toml_text
 from wcsim.towns.scenario.border import require_file, require_inside
 from wcsim.towns.scenario.files import FilteredFiles
@@ -20,7 +20,7 @@ from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
 from wcsim.towns.sumo.xml_io import content_digest
 
 _MAX_FILES = 500
-_SETTINGS = ("gui-settings-file",)  # not needed, but it makes the town look as its author likes it
+_SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its author likes it
 
 
 def adopt_scenario(
@@ -59,7 +59,10 @@ def adopt_scenario(
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
         work = Path(folder) / out.name
         base, files = copy_scenario(config, border, work)
-        (work / "town.toml").write_text(_town_toml(config, name, (split, source), base, files), encoding="utf-8")
+        names = [path.relative_to(base) for path in files]
+        hashes = {str(place): content_digest(work / place) for place in names}
+        toml = _town_toml(config, name, (split, source), config.path.relative_to(base), hashes)
+        (work / "town.toml").write_text(toml, encoding="utf-8")
         if out.is_dir():
             out.rmdir()
         work.replace(out)
@@ -87,10 +90,11 @@ def copy_scenario(
     files = files_of(config, border)
     whole = (Path(os.path.normpath(around.absolute())),) if around is not None else ()
     base = Path(os.path.commonpath([*(path.parent for path in files), *whole]))
+    settings = {Path(os.path.normpath(path.absolute())) for path in config.files(_SETTINGS)}
     for path in files:
         place = work / path.relative_to(base)
         place.parent.mkdir(parents=True, exist_ok=True)
-        copy_file(path, place)
+        (copy_settings if path in settings else copy_file)(path, place)
     _stay_inside(read_configuration(work / start.relative_to(base)), work)
     notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
     if not (work / "LICENSE-DATA").exists():
@@ -118,12 +122,9 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
         for path in met.read:
             require_kind(path, text=path in met.texts)
         found = {config.path, *met.read, *(path for path in met.pictures if is_picture(path, border))}
-    for name in _SETTINGS:
-        for path in config.files(name):
-            require_inside(path, border, config.path)
-            if is_file(path):
-                require_root(path)
-                found.add(path)
+    for path in filter(is_file, config.files(_SETTINGS)):
+        require_inside(path, border, config.path)
+        found.add(path)
     if len(found) > _MAX_FILES:
         raise TownError(f"{config.path}: names {len(found)} files; expected at most {_MAX_FILES}")
     return tuple(sorted({Path(os.path.normpath(path.absolute())) for path in found}))
@@ -137,16 +138,16 @@ def _net_of(config: Configuration, border: Path | None) -> Path:
     return nets[0]
 
 
-def _town_toml(config: Configuration, name: str, told: tuple[str, str], base: Path, files: tuple[Path, ...]) -> str:
+def _town_toml(config: Configuration, name: str, told: tuple[str, str], sumocfg: Path, hashes: dict[str, str]) -> str:
     split, source = told
     text = town_toml_text(
         name=name,
         split=split,
         origin_m=net_middle(_net_of(config, None)),
         source=source or f"scenario {config.path.name} of somebody else; ask its author for the licence",
-        hashes={str(path.relative_to(base)): content_digest(path) for path in files},
+        hashes=hashes,
     )
-    return text.replace("\nsource = ", f"\nsumocfg = {_toml(config.path.relative_to(base))}\nsource = ", 1)
+    return text.replace("\nsource = ", f"\nsumocfg = {_toml(sumocfg)}\nsource = ", 1)
 
 
 def _toml(path: Path) -> str:

@@ -18,7 +18,7 @@ ROOTS = frozenset(
         "net", "routes", "trips", "vehicles", "additional", "additionals", "add", "vTypes", "vss",
         "variableSpeedSign", "rerouter", "calibrator", "snapshot", "meandata", "data", "netstats",
         "edgedata", "weights", "interval", "tlLogics", "tls", "shapes", "polygons", "pois", "detectors",
-        "busStops", "stops", "taz", "tazs", "viewsettings", "fcd-export", "emission-export",
+        "busStops", "stops", "taz", "tazs", "viewsettings", "gui-settings", "fcd-export", "emission-export",
         "edgeRelations", "routes-info", "persons"
     )
 )  # fmt: skip
@@ -35,6 +35,16 @@ def copy_file(path: Path, place: Path) -> None:
     """Copy a regular file. Raises TownError when it is none."""
     with opened(path, _COPIED) as source, place.open("wb") as target:
         shutil.copyfileobj(source, target)
+
+
+def copy_settings(path: Path, place: Path) -> None:
+    """Copy the settings of a window; of what is none of SUMO's goes an empty one, for SUMO wants the file."""
+    try:
+        _require_root(path)
+    except TownError:
+        place.write_text("<viewsettings/>\n", encoding="utf-8")
+    else:
+        copy_file(path, place)
 
 
 def copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...]:
@@ -55,12 +65,12 @@ def copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...
 def require_kind(path: Path, *, text: bool) -> None:
     """Return for a file of SUMO's, XML or else a list of edges. Raises TownError."""
     if not text:
-        require_root(path)
+        _require_root(path)
     elif not all(line.startswith(_SELECTED) for line in read_text(path, _SELECTION).split()):
         raise TownError(f"{path}: is no list of edges; expected lines as edge:ID: remove it, or correct its lines")
 
 
-def require_root(path: Path) -> None:
+def _require_root(path: Path) -> None:
     """Raise TownError for XML that is none of SUMO's: it may be anybody's, and a town is made to be passed on."""
     tags: list[str] = []
     scan(read_bytes(path, MAX_XML_BYTES), str(path), lambda tag, _: tags.append(tag) if not tags else None)

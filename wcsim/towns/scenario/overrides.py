@@ -54,6 +54,8 @@ class Rule:
 
 
 STEP, _ACTION_STEP = "step-length", "default.action-step-length"
+JUMPING = "nonInteracting"
+"""Of the models of pedestrians, the one whose people have no way between two streets."""
 RULES = (
     Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
     Rule(
@@ -72,6 +74,11 @@ RULES = (
         option="time-to-teleport",
         says="kept, unless `world.jam_teleport_s` is set",
         why="the run says when a jam ends",
+    ),
+    Rule(
+        option="pedestrian.model",
+        says=f"kept; the people of `{JUMPING}` jump from street to street and stop for no wheelchair",
+        why="SUMO walks them",
     ),
     Rule(option="no-step-log", says="true", value="true", why="the console is wcsim's"),
     Rule(option="no-warnings", says="true", value="true", why="the console is wcsim's"),

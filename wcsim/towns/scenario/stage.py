@@ -23,6 +23,7 @@ from wcsim.towns.scenario.options import (
 from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
 from wcsim.towns.scenario.overrides import (
     AGGREGATED,
+    JUMPING,
     Override,
     Settings,
     author_scale,
@@ -134,6 +135,11 @@ def notes_of(config: Configuration) -> tuple[str, ...]:
         notes.append(
             "the scenario has no sublanes (lateral-resolution), so cars and cyclists pass a wheelchair only by "
             'changing lanes; set <lateral-resolution value="0.8"/> to let them pass within a lane'
+        )
+    if config.value("pedestrian.model") == JUMPING:
+        notes.append(
+            f"people of pedestrian.model {JUMPING} jump from street to street and stop for no wheelchair; "
+            'set <pedestrian.model value="striping"/> to let them walk round it'
         )
     return tuple(notes)
 

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.ground.plane import length_of
 from wcsim.towns.ground.surfaces import walkable_lanes
-from wcsim.towns.ground.tiled_geometry import Patches, buffered
+from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.towns.walking.visibility import shortest_inside
 from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
@@ -42,7 +42,7 @@ def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry
     for obstacle, gap_m in ((kerbs, KERB_M), (solids, _SOLID_M)):
         if not obstacle.is_empty:
             space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
-    areas = [part for part in shapely.get_parts(space.simplify(0.02)) if part.geom_type == "Polygon"]
+    areas = [part for part in shapely.get_parts(valid(space.simplify(0.02))) if part.geom_type == "Polygon"]
     return shapely.set_precision(MultiPolygon(areas), 0.0)  # on a 1 cm grid the slack of later tests would vanish
 
 

@@ -109,7 +109,8 @@ def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
     ]
     part_of: dict[str, int] = {}
     best_m2: dict[str, float] = {}
-    for number, part in shapely.STRtree(parts).query([area for _, area in edges], predicate="intersects").T:
+    areas = np.array([area for _, area in edges], dtype=object)  # a net without pavements has none
+    for number, part in shapely.STRtree(parts).query(areas, predicate="intersects").T:
         edge_id, area = edges[number]
         shared_m2 = area.intersection(parts[part]).area
         if shared_m2 > best_m2.get(edge_id, 0.0):
