@@ -25,7 +25,7 @@ from websockets.http11 import Request, Response
 from wcsim.core.closing import Closing
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
-from wcsim.drive.runner import JSON, LINE, PICTURES, DriveOrder
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
 from wcsim.drive.serving.page_kind import DRIVE, PageKind
@@ -40,7 +40,7 @@ _KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascri
 MOST_PAGES: Final = 8
 _PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
 _MOST_REFUSED: Final = 20  # messages of a page that are no messages
-_END_S: Final = 10.0
+_SOON_S, _END_S = 1.0, 10.0  # for a process that hears, and for one that does not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +57,7 @@ class ServeOrder:
 class _Process(Closing):
     """The drive's process, a thread that listens to it, and one that speaks to it.
 
-    It hears nothing while it opens a street, and a pipe holds little: so nobody waits for it here, and of sticks and
-    calls for pictures that were not heard yet the newest alone is kept.
+    It hears nothing while it opens a street, and a pipe holds little: so nobody waits for it here, see `Words`.
     """
 
     def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
@@ -83,10 +82,18 @@ class _Process(Closing):
         self._words.put(message)
         self._some.set()
 
+    def done(self) -> None:
+        """It has done a slow wish, and may hear the next one."""
+        self._words.done()
+        self._some.set()
+
     def close(self) -> None:
-        """End the drive; one that does not end is killed."""
+        """End the drive; one that does not hear of it is told by a signal, and one that does not end then is killed."""
         self.send(m.End())
-        self._process.join(_END_S)
+        self._process.join(_SOON_S)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(_END_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
@@ -253,6 +260,8 @@ class DriveServer:
             self._audience.tell(body)
         elif kind == LINE:
             self._order.say(body.decode())
+        elif kind == DONE and self._process is not None:
+            self._process.done()
 
     def _ended(self) -> None:
         if not self._over.is_set():
