@@ -23,6 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from wcsim.core.closing import Closing
+from wcsim.core.reading import shown
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
 from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
@@ -155,6 +156,7 @@ class DriveServer:
                 ping_timeout=_PING_S,
                 compression=None,
                 server_header=None,
+                logger=_logger(),
             )
         except OSError as error:
             raise _not_served(self._order, error) from None
@@ -188,6 +190,19 @@ class DriveServer:
 
     def _read(self, connection: ServerConnection, request: Request) -> Response | None:
         """Hand out a file of the page, or let a socket through."""
+        if request.method not in ("GET", "HEAD"):
+            response = connection.respond(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD\n")
+            response.headers["Allow"] = "GET, HEAD"
+            return response
+        try:
+            answer = self._answer(connection, request)
+        except ValueError:  # of a path that is no address, such as //[
+            answer = connection.respond(HTTPStatus.BAD_REQUEST, "this is no address of a page\n")
+        if answer is not None and request.method == "HEAD":
+            answer.body = b""
+        return answer
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         path, headers = urlsplit(request.path).path, request.headers
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         wants_socket = path == SOCKET
@@ -209,7 +224,7 @@ class DriveServer:
 
     async def _meet(self, connection: ServerConnection) -> None:
         """One page, from its coming to its going."""
-        if len(self._audience) >= MOST_PAGES:
+        if len(self._audience) >= MOST_PAGES and not self._audience.hang_up_silent():
             await connection.close(1013, "too many pages")
             return
         line = PageLine(connection)
@@ -228,6 +243,7 @@ class DriveServer:
     async def _hear(self, line: PageLine, connection: ServerConnection) -> None:
         refused = 0
         async for data in connection:
+            line.silent = False
             try:
                 message = self._order.kind.of_page(data)
             except ProtocolError as error:
@@ -305,6 +321,20 @@ def _file(data: bytes, kind: str, host: str) -> Response:
         }
     )
     return Response(HTTPStatus.OK.value, HTTPStatus.OK.phrase, headers, data)
+
+
+def _logger() -> logging.Logger:
+    """Of websockets: what a request breaks there is a line, as whoever finds the address could fill a terminal."""
+    logger = logging.getLogger("wcsim.drive.websockets")
+    logger.addFilter(_in_a_line)
+    return logger
+
+
+def _in_a_line(record: logging.LogRecord) -> bool:
+    if record.exc_info and record.exc_info[1] is not None:
+        record.msg, record.args = shown(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
+        record.exc_info = None
+    return True
 
 
 def serve_drive(order: ServeOrder) -> None:
