@@ -20,6 +20,7 @@ from wcsim.users.recording.framing import torn_bytes, whole_records
 
 _MAX_SEATS = 64
 _KIND = FileKind(what="a trace written by wcsim", limit_bytes=4 << 30, error=JournalError)
+_OF_TICK = {"epoch", "tick", "seats", "actors", "hash", "time_s", "bodies", "at"}
 _COMMAND, _PLANT, _ACTOR = 2, 15, 8  # numbers of each
 _LARGEST_INTEGER, _LARGEST = 1 << 62, 1e9
 
@@ -80,6 +81,7 @@ def _header(payload: bytes, where: str) -> TraceHeader:
 def _tick(payload: bytes, told: dict[str, ActorBody], where: str) -> TickRecord:
     line, _, raw = payload.partition(b"\n")
     head = parse_json(line.decode(), where, _KIND)
+    _require(head.keys() <= _OF_TICK)  # the first that holds more ends the reading, whatever is in the others
     seats = _integer(head["seats"], _MAX_SEATS)
     actors = tuple(map(_text, _list(head["actors"])))
     for body in _list(head.get("bodies", [])):
