@@ -73,11 +73,10 @@ class DriveRunner:
         self._ready, self._stale = False, True
         self._over = self._told_failure = self._unseen = False
         self._told_waiting = ""
-        self._due_s = self._held_s = self._drawn_s = self._opened_s = 0.0
+        self._due_s = self._held_s = self._drawn_s = self._opened_s = self._ticked_s = 0.0
         self._last: DrivenTick | None = None
         self.tick_s = self.picture_s = 0.0  # of processor time, means
         self.gap_s = 0.0  # between ticks, a mean
-        self._ticked_s = 0.0
         self._does: dict[type, Callable[[Any], None]] = {
             m.Stick: self._stick,
             m.Help: lambda _: self._open_session().ask_for_help(),
@@ -397,4 +396,5 @@ def run_drive(pipe: Connection, order: DriveOrder) -> None:
     """What the drive's process does."""
     runner = DriveRunner(pipe, order.start, order.keep)
     signal.signal(signal.SIGTERM, runner.leave)
-    runner.run()
+    with pipe:
+        runner.run()

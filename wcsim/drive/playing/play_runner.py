@@ -292,4 +292,5 @@ def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
     if start.gives_way:
         give_way()
-    PlayRunner(pipe, start).run()
+    with pipe:
+        PlayRunner(pipe, start).run()
