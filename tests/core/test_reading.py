@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,20 @@ def test_a_file_is_read_whole(tmp_path: Path) -> None:
 def test_json_that_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"^here: "):
         parse_json(text, "here", KIND)
+
+
+def test_json_that_would_fill_the_memory_is_not_parsed(tmp_path: Path) -> None:
+    bomb = '{"a": [' + "[]," * (1 << 20) + "[]]}"
+    kind = FileKind(what="a recording", limit_bytes=1 << 30, error=JournalError)
+    tracemalloc.start()
+    try:
+        with pytest.raises(JournalError, match="letters of JSON; expected at most 1048576"):
+            parse_json(bomb, "here", kind)
+        assert tracemalloc.get_traced_memory()[1] < len(bomb)
+    finally:
+        tracemalloc.stop()
+    (tmp_path / "a.json").write_text('{"a": "' + "x" * (1 << 20) + '"}')
+    assert read_json(tmp_path / "a.json", kind), "a file of its own is bounded by its kind"
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from tests.drive.lookers import Breaks, BreaksAtOnce, Noted
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
-from wcsim.drive.runner import JSON, LINE, PICTURES, DriveRunner
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.types import Joystick
@@ -248,7 +248,7 @@ def test_help_that_is_asked_for_while_time_is_paused_is_counted_at_once(desk: De
     desk.say("pause", on=True)
     desk.say("help")
     desk.say("help")
-    assert desk.turn(0.1)[-1]["kpis"]["helps"] == 2
+    assert desk.turn(0.1)[-1]["kpis"]["helps"] == 1, "once a tick"
     desk.runner._open(DriveStart(town=desk.runner._start.town, policy="dwa", seed=1))
     assert desk.turn(0.1, x=0.0)[-1]["kpis"]["helps"] == 0, "and in no other place"
 
@@ -267,6 +267,23 @@ def test_a_press_while_time_is_paused_does_not_overrule_once_it_goes_on(desk: De
     told = desk.turn(0.1)[-1]
     assert (told["paused"], told["overruled"]) == (False, False)
     assert desk.runner.session is not None and desk.runner.session.ticks == 2
+
+
+def test_a_slow_wish_is_told_of_when_it_is_done_also_where_it_is_refused(desk: Desk) -> None:
+    states(desk.server)
+    for wish in ({"say": "newplace"}, {"say": "setuser", "profile": "nobody"}, {"say": "help"}):
+        desk.say(**wish)
+    desk.runner._turn()
+    heard = []
+    while desk.server.poll():
+        heard.append(desk.server.recv_bytes())
+    assert heard.count(DONE) == 2
+
+
+def test_a_signal_leaves_what_takes_long_but_no_end_that_is_under_way(desk: Desk) -> None:
+    with pytest.raises(SystemExit):
+        desk.runner.leave()
+    desk.runner.leave()
 
 
 LONG = {"town": "\U0001f9bd" * 400, "suite": "a" * 390}  # as short as it is said, and longer as it is passed on

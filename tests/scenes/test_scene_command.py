@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -51,6 +52,15 @@ def test_a_new_scene_runs_is_blessed_and_then_kept(tmp_path, capsys, monkeypatch
 
 
 @pytest.mark.proof
+def test_commands_that_are_told_can_be_typed_as_they_stand(tmp_path, capsys):
+    folder = tmp_path / "my scenes"
+    assert main(["scene", "new", "mine", "--out", str(folder)]) == 0
+    typed = [shlex.split(line) for line in capsys.readouterr().out.splitlines() if line.startswith("  ")]
+    assert [words[:3] for words in typed[::2]] == [["wcsim", "scene", "run"], ["wcsim", "scene", "bless"]]
+    assert all(words[3] == str(folder / "mine") for words in typed[::2])
+    assert all(Path(word).is_file() for word in typed[1][2::2])
+
+
 def test_a_changed_scene_fails_and_is_blessed_again(tmp_path, capsys):
     folder = tmp_path / "mine"
     shutil.copytree(find_scene("kerb-drop"), folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -218,16 +219,16 @@ def _make(options: SceneMakeOptions) -> int:
 
 
 def _print_ways_in(folder: Path, film: str) -> None:
-    files = [
-        f"{option} {path}" for option, kind in NETCONVERT_FILES if (path := folder / f"street.{kind}.xml").is_file()
-    ]
-    print(f"  wcsim scene run {_called(folder)} --film {film}.webm")
-    print(f"  netedit {' '.join(files)}")
+    named = [(option, folder / f"street.{kind}.xml") for option, kind in NETCONVERT_FILES]
+    files = [word for option, path in named if path.is_file() for word in (option, str(path))]
+    print(f"  wcsim scene run {_called(folder)} --film {shlex.quote(film)}.webm")
+    print(f"  netedit {shlex.join(files)}")
 
 
 def _called(folder: Path) -> str:
     """What to call a scene on the command line: its name where that is enough."""
-    return folder.name if folder.resolve() in [known.resolve() for known in list_scenes()] else str(folder)
+    known = folder.resolve() in [scene.resolve() for scene in list_scenes()]
+    return shlex.quote(folder.name if known else str(folder))
 
 
 def _words(facts: SceneFacts) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import socket
 import sys
 from dataclasses import dataclass
@@ -122,11 +123,11 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
 
 def how_to_join(endpoint: str, listening: str, options: Options) -> str:
     """What a client has to say."""
-    lines = [f"the world runs until Ctrl-C; join with: wcsim join {endpoint} --network small --steps 1000"]
+    lines = [f"the world runs until Ctrl-C; join with: wcsim join {shlex.quote(endpoint)} --network small --steps 1000"]
     if listening:
         address = reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
-        named = [f" --keys {options.keys} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
+        named = [f" --keys {shlex.quote(str(options.keys))} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
         lines += [f"over the network: wcsim join {address}{who} --network small --steps 1000" for who in named]
         if len(names) > _TOLD_NAMES:
             lines.append(f"and so on, for {', '.join(names[_TOLD_NAMES:])}")

@@ -24,6 +24,7 @@ from wcsim.errors import ConfigError, FileError
 if TYPE_CHECKING:
     import zstandard
 
+MOST_JSON_BYTES = 1 << 20  # in a record; sound ones have up to 6 kB, and read it takes 60 times as much memory
 MAX_DEPTH = 32  # of tables and lists inside each other
 MAX_INTEGER = (1 << 64) - 1  # by magnitude; no number in any of wcsim's files is larger
 MAX_DOTTED = 16  # parts of a TOML key; tomllib takes a time that grows with their square
@@ -82,7 +83,7 @@ def read_text(path: Path, kind: FileKind) -> str:
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
     """A JSON object from a file. Raises FileError, of the kind's class."""
-    return parse_json(read_text(path, kind), shown(path), kind)
+    return parse_json(read_text(path, kind), shown(path), kind, kind.limit_bytes)
 
 
 def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
@@ -90,12 +91,14 @@ def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
     return parse_toml(read_text(path, kind), shown(path), kind)
 
 
-def parse_json(text: str, where: str, kind: FileKind) -> dict[str, Any]:
+def parse_json(text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSON_BYTES) -> dict[str, Any]:
     """JSON text as an object; a key that comes twice is refused, as two readers may differ in which one counts.
 
     Raises:
-        FileError: Of the kind's class, beginning with `where`.
+        FileError: Of the kind's class, beginning with `where`; also for text that is too long to be looked at.
     """
+    if len(text) > most_bytes:
+        raise kind.error(f"{where}: holds {len(text)} letters of JSON; expected at most {most_bytes}, {kind.what}")
     try:
         data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
     except (ValueError, RecursionError, MemoryError) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, ClassVar, Final
 
 import msgspec
 
@@ -28,6 +28,8 @@ Level = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
 
 class PageMessage(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True, forbid_unknown_fields=True):
     """Base of what a page says: an object with its name in `say`, unknown fields refused."""
+
+    slow: ClassVar[bool] = False  # takes seconds: the runner says when it is done, and hears the next one then
 
 
 class Stick(PageMessage, frozen=True):
@@ -94,20 +96,26 @@ class Pause(PageMessage, frozen=True):
 class NewPlace(PageMessage, frozen=True):
     """Another start in the same street."""
 
+    slow: ClassVar[bool] = True
+
 
 class Again(PageMessage, frozen=True):
     """The same street from its beginning."""
+
+    slow: ClassVar[bool] = True
 
 
 class SetUser(PageMessage, frozen=True):
     """Another simulated user."""
 
+    slow: ClassVar[bool] = True
     profile: Name
 
 
 class Open(PageMessage, frozen=True):
     """Another place: a town, or an episode of a suite."""
 
+    slow: ClassVar[bool] = True
     town: Name = ""
     seed: Count = 0
     suite: Name = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -27,7 +28,7 @@ from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.types import Joystick
 
-JSON, PICTURES, LINE = b"J", b"P", b"L"  # what a message to the server is
+JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
 CRASH_S: Final = 3.0  # so long a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
@@ -68,14 +69,14 @@ class DriveRunner:
         self.session: DriveSession | None = None
         self._pictures: DrivePictures | None = None
         self._watch, self._looks = StickWatch(), PageLooks()
-        self._paused, self._pace, self._ready, self._stale = False, 1.0, False, True
+        self.paused, self.pace = False, 1.0  # whether somebody stopped time, and how fast it goes; 0 as fast as it can
+        self._ready, self._stale = False, True
         self._over = self._told_failure = self._unseen = False
         self._told_waiting = ""
-        self._due_s = self._held_s = self._drawn_s = self._opened_s = 0.0
+        self._due_s = self._held_s = self._drawn_s = self._opened_s = self._ticked_s = 0.0
         self._last: DrivenTick | None = None
         self.tick_s = self.picture_s = 0.0  # of processor time, means
         self.gap_s = 0.0  # between ticks, a mean
-        self._ticked_s = 0.0
         self._does: dict[type, Callable[[Any], None]] = {
             m.Stick: self._stick,
             m.Help: lambda _: self._open_session().ask_for_help(),
@@ -120,15 +121,11 @@ class DriveRunner:
             with suppress(BrokenPipeError, OSError):
                 self._pipe.send_bytes(LINE + told.encode())
 
-    @property
-    def paused(self) -> bool:
-        """Whether time stands still because somebody wants it to."""
-        return self._paused
-
-    @property
-    def pace(self) -> float:
-        """How fast time goes, 0 as fast as it can."""
-        return self._pace
+    def leave(self, *_: object) -> None:
+        """Of SIGTERM: leave the opening of a street at once; an end that is under way goes on."""
+        if not self._over:
+            self._over = True
+            raise SystemExit
 
     @property
     def waiting(self) -> str:
@@ -168,7 +165,7 @@ class DriveRunner:
 
     def _goes(self) -> bool:
         led = self._lead is None or self._lead.drives
-        return self.session is not None and led and not self._stands_still(self._clock()) and not self._paused
+        return self.session is not None and led and not self._stands_still(self._clock()) and not self.paused
 
     def _stands_still(self, now_s: float) -> bool:
         """Whether time stops because nobody is there; a simulated user drives also for a page that was left."""
@@ -190,14 +187,14 @@ class DriveRunner:
         self.tick_s += _NEWEST * (time.process_time() - before - self.tick_s)
         self.gap_s += _NEWEST * (now_s - self._ticked_s - self.gap_s) if self._ticked_s else 0.0
         self._ticked_s = now_s
-        step_s = session.tick_s / self._pace if self._pace else 0.0
+        step_s = session.tick_s / self.pace if self.pace else 0.0
         self._due_s = max(self._due_s + step_s, now_s)
         if session.crash:
             self._held_s = now_s + CRASH_S
         if session.ended:
             self._watch.require_rest()
         failed = bool(session.assistance.failed)
-        self._paused = self._paused or (failed and not self._told_failure)  # once: who goes on knows of it
+        self.paused = self.paused or (failed and not self._told_failure)  # once: who goes on knows of it
         self._told_failure = failed
         self._stale = True
         self._state()
@@ -209,7 +206,7 @@ class DriveRunner:
         if session is None or pictures is None:
             return
         before = time.process_time()
-        dt_s = min(1.0, now_s - self._drawn_s) if not self._paused else 0.0
+        dt_s = min(1.0, now_s - self._drawn_s) if not self.paused else 0.0
         self._pipe.send_bytes(PICTURES + pictures.draw(session, self._looks, dt_s))
         self._drawn_s, self._ready, self._stale, self._unseen = now_s, False, False, False
         self.picture_s += _NEWEST * (time.process_time() - before - self.picture_s)
@@ -241,6 +238,8 @@ class DriveRunner:
             self._does[type(message)](message)
         except WcsimError as error:
             self._refuse(error)
+        if message.slow:
+            self._pipe.send_bytes(DONE)
         if not isinstance(message, m.Stick | m.Ready | m.End):
             self._stale = True
             self._state()
@@ -261,7 +260,7 @@ class DriveRunner:
         session = self._open_session()
         session.assist(said.on)
         self._told_failure = bool(session.assistance.failed)
-        self._paused = self._paused or (said.on and self._told_failure)
+        self.paused = self.paused or (said.on and self._told_failure)
 
     def _view(self, said: m.SetView) -> None:
         orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
@@ -275,7 +274,7 @@ class DriveRunner:
         self._over = True
 
     def _set_pace(self, said: m.Pace) -> None:
-        self._pace = said.times if said.times else 0.0
+        self.pace = said.times if said.times else 0.0
         self._due_s = self._clock()
 
     def _drive_by(self, said: m.DriveBy) -> None:
@@ -283,8 +282,8 @@ class DriveRunner:
         self._open_session().drive_by(said.who)
 
     def _pause(self, said: m.Pause) -> None:
-        if said.on is not self._paused:
-            self._paused = said.on
+        if said.on is not self.paused:
+            self.paused = said.on
             self._open_session().say(EventKind.PAUSED if said.on else EventKind.GOES_ON)
             self._watch.forget_press()
             self._due_s = self._clock()
@@ -344,7 +343,7 @@ class DriveRunner:
             session.look_on(DriveKeeper(session, self._names, self._tell_kept))
         self._pictures = DrivePictures(session)
         self._due_s = self._opened_s = self._clock()
-        self._held_s, self._paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
+        self._held_s, self.paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
         self._say(about_of(session))
         self._state()
         self._log(f"{session.place.told}: the chair stands in its street")
@@ -397,4 +396,7 @@ class DriveRunner:
 
 def run_drive(pipe: Connection, order: DriveOrder) -> None:
     """What the drive's process does."""
-    DriveRunner(pipe, order.start, order.keep).run()
+    runner = DriveRunner(pipe, order.start, order.keep)
+    signal.signal(signal.SIGTERM, runner.leave)
+    with pipe:
+        runner.run()

@@ -159,7 +159,9 @@ class DriveSession(Closing):
             self._say_failure()
 
     def ask_for_help(self) -> None:
-        """The person asks for help: it counts at once, as no tick may follow; the next tick says so too."""
+        """The person asks for help: once a tick, and it counts at once, as no tick may follow; the next says so too."""
+        if self._help:
+            return
         self._help = True
         self.tally.helps += self.handed_over
         self.say(EventKind.HELP, "the user asks for help")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import io
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ from wcsim.bridge.recording.trace import TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.recording.trace_diff import difference
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.errors import WcsimError
+from wcsim.users.recording.framing import framed, whole_records
 
 HEADER = TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a")
 
@@ -54,6 +57,21 @@ def test_a_torn_end_loses_the_last_records_only(tmp_path_factory, cut):
     path.write_bytes(data[:-cut])
     assert [item.tick for item in read_trace(path)[1]] == list(range(len(read_trace(path)[1])))
     assert len(read_trace(path)[1]) < 5
+
+
+def test_a_tick_that_holds_what_no_writer_writes_is_refused(tmp_path):
+    write(tmp_path / "a", [record(0)])
+    first = next(whole_records(io.BytesIO((tmp_path / "a").read_bytes())))
+    line = json.dumps({"epoch": 0, "tick": 0, "seats": 0, "actors": [], "hash": ""})
+    many = f', "at": {list(range(200_000))}'
+    for more, says in (("", ""), (', "more": [1]', "of this version"), (many, "letters of JSON")):
+        data = (tmp_path / "a").read_bytes()[: first.end] + framed((line[:-1] + more + "}\n").encode())
+        (tmp_path / "b").write_bytes(data)
+        if says:
+            with pytest.raises(WcsimError, match=says):
+                read_trace(tmp_path / "b")
+        else:
+            assert len(read_trace(tmp_path / "b")[1]) == 1
 
 
 def test_something_else_is_refused(tmp_path):

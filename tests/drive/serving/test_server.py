@@ -1,19 +1,24 @@
 from __future__ import annotations
 
+import asyncio
 import http.client
+import logging
 import signal
 import socket
 import subprocess
+import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from tests.drive.serving.served import FakePage, served
 from wcsim.drive.runner import DriveOrder
-from wcsim.drive.serving.server import ServeOrder, serve_drive
+from wcsim.drive.serving import server as server_module
+from wcsim.drive.serving.server import MOST_PAGES, DriveServer, ServeOrder, serve_drive
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError
 
@@ -39,6 +44,79 @@ def test_a_port_that_somebody_has_is_named() -> None:
         order = ServeOrder(start=DriveOrder(start=DriveStart()), port=taken.getsockname()[1])
         with pytest.raises(ConfigError, match=r"choose another --port, 0 takes a free one$"):
             serve_drive(order)
+
+
+class NoProcess:
+    """Stands for the process of a drive, which these tests do without."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def send(self, _: object) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def bare(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The address of a server without a drive."""
+    monkeypatch.setattr(server_module, "_Process", NoProcess)
+    said: list[str] = []
+    begun, loop = threading.Event(), asyncio.new_event_loop()
+    order = ServeOrder(start=DriveOrder(start=DriveStart()), port=0, say=lambda told: (said.append(told), begun.set()))
+    serving = loop.create_task(DriveServer(order).run())
+
+    def serve() -> None:
+        with pytest.raises(asyncio.CancelledError):
+            loop.run_until_complete(serving)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        assert begun.wait(60)
+        yield said[0].split("/")[2]
+    finally:
+        loop.call_soon_threadsafe(serving.cancel)
+        thread.join()
+        loop.close()
+
+
+def asked(address: str, *lines: str) -> bytes:
+    """The whole answer to requests that come at once."""
+    host, _, port = address.partition(":")
+    with socket.create_connection((host, int(port)), timeout=60) as line:
+        line.sendall("".join(f"{each} HTTP/1.1\r\nHost: {address}\r\n\r\n" for each in lines).encode())
+        return b"".join(iter(lambda: line.recv(1 << 16), b""))
+
+
+def test_whatever_is_asked_is_answered_without_a_traceback(bare: str, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    for request, status in (("GET //[", 400), ("OPTIONS /", 405), ("POST /socket", 405), ("HEAD /nothing", 404)):
+        assert asked(bare, request).startswith(b"HTTP/1.1 %d " % status), request
+    got, head = asked(bare, "GET /"), asked(bare, "HEAD /")
+    assert head == got[: got.index(b"\r\n\r\n") + 4] and b"Content-Length: " in head
+    for request in ("GET /", "GET //["):
+        asked(bare, request, request)
+    assert "Traceback" not in caplog.text and "\n" not in "".join(record.getMessage() for record in caplog.records)
+    assert sum(record.levelno >= logging.WARNING for record in caplog.records) <= 2, "a line for each that came at once"
+
+
+def test_a_page_that_says_nothing_yields_its_place_and_one_that_speaks_keeps_it(bare: str) -> None:
+    with ExitStack() as held:
+
+        def page() -> ClientConnection:
+            return held.enter_context(connect(f"ws://{bare}/socket", origin=f"http://{bare}", close_timeout=0.1))
+
+        silent = [page() for _ in range(MOST_PAGES)]
+        for number in range(MOST_PAGES):
+            own = page()
+            assert '"say":"role"' in own.recv(timeout=60)
+            own.send('{"say":"help"}')
+            with pytest.raises(ConnectionClosed):
+                while True:
+                    silent[number].recv(timeout=60)
+        refused = page()
+        with pytest.raises(ConnectionClosed, match="1013"):
+            refused.recv(timeout=60)
 
 
 def read(address: str, path: str, headers: dict[str, str]) -> http.client.HTTPResponse:

@@ -1,14 +1,15 @@
 from __future__ import annotations
 
 from wcsim.drive import messages as m
+from wcsim.drive.playing.play_messages import StepBy
 from wcsim.drive.serving.words import Words
 
 
-def test_words_come_in_order_and_of_sticks_the_newest_alone() -> None:
+def test_words_come_in_order_and_of_a_kind_the_newest_alone() -> None:
     words = Words()
     for message in (m.Stick(x=0.0, y=1.0), m.Help(), m.Ready(), m.Stick(x=0.0, y=0.5), m.Help(), m.Ready()):
         words.put(message)
-    assert words.take() == [m.Help(), m.Stick(x=0.0, y=0.5), m.Help(), m.Ready()]
+    assert words.take() == [m.Stick(x=0.0, y=0.5), m.Help(), m.Ready()]
     assert words.take() == []
 
 
@@ -28,4 +29,40 @@ def test_a_drive_that_does_not_hear_costs_no_memory() -> None:
     for number in range(5000):
         words.put(m.Stick(x=0.0, y=0.0))
         words.put(m.SetLevel(level=number % 100))
-    assert len(words.take()) == 256
+        words.put(StepBy(ticks=1))
+    assert len(words.take()) == 256, "steps add up"
+
+
+def test_of_many_wishes_for_a_place_the_newest_alone_is_heard_and_one_at_a_time() -> None:
+    words = Words()
+    words.put(m.SetUser(profile="first"))
+    assert words.take() == [m.SetUser(profile="first")]
+    for number in range(1000):
+        for wish in (m.NewPlace(), m.Open(seed=number), m.Again(), m.SetUser(profile=str(number))):
+            words.put(wish)
+    words.put(m.Pause(on=True))
+    assert words.take() == [], "the first one is being done"
+    for wish in (m.Open(seed=999), m.Again()):
+        words.done()
+        assert words.take() == [wish]
+    words.done()
+    assert words.take() == [m.SetUser(profile="999"), m.Pause(on=True)]
+    words.done()
+    words.put(m.Again())
+    words.put(m.NewPlace())
+    words.put(m.Open(town="here"))
+    assert words.take() == [m.Open(town="here")], "a street that is opened makes void what was wanted of another"
+
+
+def test_a_page_that_is_gone_leaves_nothing_to_do_behind_it_and_the_end_is_heard_at_once() -> None:
+    words = Words()
+    for message in (m.Again(), m.SetUser(profile="a"), m.Ready(), m.Stick(x=0.0, y=1.0), m.Help()):
+        words.put(message)
+    words.put(m.Gone())
+    words.put(m.Stick(x=0.0, y=0.5))
+    assert words.take() == [m.Ready(), m.Gone(), m.Stick(x=0.0, y=0.5)]
+    words.put(m.Again())
+    assert words.take() == [m.Again()]
+    words.put(m.Open(town="there"))
+    words.put(m.End())
+    assert words.take() == [m.End()]

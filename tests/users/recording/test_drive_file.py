@@ -151,6 +151,17 @@ def test_a_record_that_cannot_be_is_refused(tmp_path, payload):
         read_drive(tmp_path / "a.drive")
 
 
+def test_json_that_would_fill_the_memory_is_not_parsed(tmp_path):
+    bomb = json.dumps({"a": list(range(200_000))}).encode()
+    for records in (
+        [header_payload(drive_header())[:-1] + b", " + bomb[1:]],
+        [header_payload(drive_header()), b"E" + bomb],
+    ):
+        (tmp_path / "a.drive").write_bytes(rechained(records))
+        with pytest.raises(JournalError, match="letters of JSON; expected at most"):
+            read_drive(tmp_path / "a.drive")
+
+
 def test_numbers_that_no_reader_takes_are_not_written(tmp_path):
     with DriveRecorder(tmp_path / "a.drive", drive_header()) as recorder:
         recorder.record(tick(1))

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
 import io
+import struct
+import time
+import zlib
 
-from wcsim.users.recording.framing import framed, torn_bytes, whole_records
+from wcsim.users.recording.framing import MOST_TORN_BYTES, framed, torn_bytes, whole_records
 
 
 class Growing(io.BytesIO):
@@ -41,3 +44,32 @@ def test_what_is_torn_whole_or_damaged_is_told_apart():
         (first, b"\x05" + second, None),
     ):
         assert torn_bytes(io.BytesIO(end + after), len(end)) == told
+
+
+def cost_s(rest: bytes) -> tuple[float, int | None]:
+    """Processor time of a look at a torn end, and its answer."""
+    begun_s = time.process_time()
+    told = torn_bytes(io.BytesIO(rest), 0)
+    return time.process_time() - begun_s, told
+
+
+def test_a_torn_end_of_many_beginnings_costs_little_and_is_damage():
+    """Each begins a stream in the block of the one before, and all go on to the same end."""
+    chain = b"\x78\x9c\x00\x02\x00\xfd\xff"
+    packer = zlib.compressobj()
+    bomb = b"\x78\x9c" + (packer.compress(bytes(32 << 20)) + packer.flush(zlib.Z_SYNC_FLUSH))[2:]
+    torn = struct.pack("<II", 1 << 20, 1)
+    once_s, _ = cost_s(torn + bomb)
+    for count in (100, (MOST_TORN_BYTES - 8 - len(bomb)) // len(chain)):
+        many_s, told = cost_s(torn + chain * count + bomb)
+        assert told is None, "nothing is cut off that was not looked through"
+        assert many_s < 20 * once_s
+
+
+def test_a_record_that_unpacks_to_far_more_than_it_has_is_none():
+    sound = [framed(bytes(4000)), framed(bytes(range(256)) * 30), framed(b"two")]
+    assert len(list(whole_records(io.BytesIO(b"".join(sound))))) == 3
+    bomb = framed(bytes(1 << 20))
+    assert [record.payload for record in whole_records(io.BytesIO(sound[2] + bomb + sound[2]))] == [b"two"]
+    for rest in (bomb, bomb + sound[2]):
+        assert torn_bytes(io.BytesIO(rest), 0) is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -305,7 +306,7 @@ def _told(
     print_crossings(folder.path)
     if run.last:
         tested = folder.path / (run.best or folder.clients[0])
-        print(f"run folder: {folder.path}    test one: wcsim test {tested} --town monaco")
+        print(f"run folder: {folder.path}    test one: wcsim test {shlex.quote(str(tested))} --town monaco")
     return Exit.DONE
 
 

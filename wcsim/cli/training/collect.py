@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -86,7 +87,8 @@ def run(words: list[str]) -> int:
         if not kept:
             raise
         raise InterruptedRunError(f"stopped; {out} keeps {kept} segments, the same command goes on") from None
-    print(f"data folder: {out}, SHA-256 {sha256}    learn from it: wcsim train --preset laptop --data {out}")
+    learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
+    print(f"data folder: {out}, SHA-256 {sha256}    learn from it: {learn}")
     if options.json is not None:
         write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
     return Exit.DONE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -116,7 +117,7 @@ def _require_named(policy: str, named: str, where: str) -> None:
     if is_own_class(policy) and not named:
         raise ConfigError(
             f"{where}: its policy is the class {shown(policy)}, and loading it runs its code; expected that you name "
-            f"it, if you trust it: --policy {shown(policy)}"
+            f"it, if you trust it: --policy {shlex.quote(shown(policy))}"
         )
 
 

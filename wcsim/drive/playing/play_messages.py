@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from typing import Annotated, ClassVar, Final
 
 import msgspec
 
@@ -37,6 +37,7 @@ class GoLive(PageMessage, frozen=True):
 class OpenEpisode(PageMessage, frozen=True):
     """Drive another episode of the result."""
 
+    slow: ClassVar[bool] = True
     policy: Name
     block: Count
     seat: Count

@@ -23,7 +23,7 @@ from wcsim.drive.playing.play_state import about_of, marks_of, state_of
 from wcsim.drive.playing.player import Player
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
 from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
-from wcsim.drive.runner import JSON, LINE, PICTURES
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -215,6 +215,8 @@ class PlayRunner:
             does(message)
         except WcsimError as error:
             self._refuse(error)
+        if message.slow:
+            self._pipe.send_bytes(DONE)
         if not isinstance(message, m.Ready | m.End):
             self._stale = self._changed = True
 
@@ -290,4 +292,5 @@ def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
     if start.gives_way:
         give_way()
-    PlayRunner(pipe, start).run()
+    with pipe:
+        PlayRunner(pipe, start).run()

@@ -24,6 +24,7 @@ class PageLine:
 
     def __init__(self, connection: ServerConnection) -> None:
         self._connection = connection
+        self.silent = True  # it has said nothing yet, which a page does as soon as it is there
         self._lines = deque[bytes](maxlen=_MOST_WAITING)
         self._state: bytes | None = None
         self._pictures: bytes | None = None
@@ -53,6 +54,10 @@ class PageLine:
         if number == self._on_the_way:
             self._on_the_way = None
             self._some.set()
+
+    def hang_up(self) -> None:
+        """End the connection, without a word."""
+        self._connection.transport.abort()
 
     async def write(self) -> None:
         """Send what there is, for as long as the page is there."""
@@ -100,6 +105,13 @@ class Audience:
             self.driver = None
         self._tell_roles()
         return drove
+
+    def hang_up_silent(self) -> bool:
+        """Let the oldest page that never said anything yield its place; whether there was one."""
+        silent = next((page for page in self._pages if page.silent), None)
+        if silent is not None:
+            silent.hang_up()
+        return silent is not None
 
     def take_over(self, page: PageLine) -> None:
         """This page drives from now on."""

@@ -23,9 +23,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from wcsim.core.closing import Closing
+from wcsim.core.reading import shown
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_runner import PlayStart
-from wcsim.drive.runner import JSON, LINE, PICTURES, DriveOrder
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
 from wcsim.drive.serving.page_kind import DRIVE, PageKind
@@ -40,7 +41,7 @@ _KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascri
 MOST_PAGES: Final = 8
 _PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
 _MOST_REFUSED: Final = 20  # messages of a page that are no messages
-_END_S: Final = 10.0
+_SOON_S, _END_S = 0.5, 10.0  # for a process that hears, and for one that does not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +58,7 @@ class ServeOrder:
 class _Process(Closing):
     """The drive's process, a thread that listens to it, and one that speaks to it.
 
-    It hears nothing while it opens a street, and a pipe holds little: so nobody waits for it here, and of sticks and
-    calls for pictures that were not heard yet the newest alone is kept.
+    It hears nothing while it opens a street, and a pipe holds little: so nobody waits for it here, see `Words`.
     """
 
     def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
@@ -83,13 +83,24 @@ class _Process(Closing):
         self._words.put(message)
         self._some.set()
 
+    def done(self) -> None:
+        """It has done a slow wish, and may hear the next one."""
+        self._words.done()
+        self._some.set()
+
     def close(self) -> None:
-        """End the drive; one that does not end is killed."""
+        """End the drive; one that does not hear of it is told by a signal.
+
+        It closes its end of the pipe when all else is closed; the seconds that it takes then are of use to nobody.
+        """
         self.send(m.End())
-        self._process.join(_END_S)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        listening = self._threads[0]
+        listening.join(_SOON_S)
+        if listening.is_alive():
+            self._process.terminate()
+            listening.join(_END_S)
+        self._process.kill()
+        self._process.join()
         self._over = True
         self._some.set()
         for thread in self._threads:
@@ -148,6 +159,7 @@ class DriveServer:
                 ping_timeout=_PING_S,
                 compression=None,
                 server_header=None,
+                logger=_logger(),
             )
         except OSError as error:
             raise _not_served(self._order, error) from None
@@ -181,6 +193,19 @@ class DriveServer:
 
     def _read(self, connection: ServerConnection, request: Request) -> Response | None:
         """Hand out a file of the page, or let a socket through."""
+        if request.method not in ("GET", "HEAD"):
+            response = connection.respond(HTTPStatus.METHOD_NOT_ALLOWED, "expected GET or HEAD\n")
+            response.headers["Allow"] = "GET, HEAD"
+            return response
+        try:
+            answer = self._answer(connection, request)
+        except ValueError:  # of a path that is no address, such as //[
+            answer = connection.respond(HTTPStatus.BAD_REQUEST, "this is no address of a page\n")
+        if answer is not None and request.method == "HEAD":
+            answer.body = b""
+        return answer
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         path, headers = urlsplit(request.path).path, request.headers
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         wants_socket = path == SOCKET
@@ -202,7 +227,7 @@ class DriveServer:
 
     async def _meet(self, connection: ServerConnection) -> None:
         """One page, from its coming to its going."""
-        if len(self._audience) >= MOST_PAGES:
+        if len(self._audience) >= MOST_PAGES and not self._audience.hang_up_silent():
             await connection.close(1013, "too many pages")
             return
         line = PageLine(connection)
@@ -221,6 +246,7 @@ class DriveServer:
     async def _hear(self, line: PageLine, connection: ServerConnection) -> None:
         refused = 0
         async for data in connection:
+            line.silent = False
             try:
                 message = self._order.kind.of_page(data)
             except ProtocolError as error:
@@ -253,6 +279,8 @@ class DriveServer:
             self._audience.tell(body)
         elif kind == LINE:
             self._order.say(body.decode())
+        elif kind == DONE and self._process is not None:
+            self._process.done()
 
     def _ended(self) -> None:
         if not self._over.is_set():
@@ -296,6 +324,20 @@ def _file(data: bytes, kind: str, host: str) -> Response:
         }
     )
     return Response(HTTPStatus.OK.value, HTTPStatus.OK.phrase, headers, data)
+
+
+def _logger() -> logging.Logger:
+    """Of websockets: what a request breaks there is a line, as whoever finds the address could fill a terminal."""
+    logger = logging.getLogger("wcsim.drive.websockets")
+    logger.addFilter(_in_a_line)
+    return logger
+
+
+def _in_a_line(record: logging.LogRecord) -> bool:
+    if record.exc_info and record.exc_info[1] is not None:
+        record.msg, record.args = shown(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
+        record.exc_info = None
+    return True
 
 
 def serve_drive(order: ServeOrder) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from wcsim.core.reading import MOST_JSON_BYTES
 from wcsim.errors import WcsimError
 from wcsim.server.protocol.bounds import MAX_SEED, MOST_SEATS
 from wcsim.types import Command, Joystick, SeatSpec
@@ -116,11 +117,11 @@ def header_content(header: JournalHeader) -> bytes:
 def header_of(payload: bytes) -> JournalHeader:
     """A payload as a header. Raises WcsimError when it is none of a known version."""
     try:
-        head = msgspec.json.decode(payload, type=dict[str, Any])
+        head = msgspec.json.decode(_bounded(payload), type=dict[str, Any])
         magic, version = head.pop("magic", None), head.pop("version", None)
         if magic != MAGIC or type(version) is not int or not 1 <= version <= VERSION:
             raise WcsimError(f"got magic {magic!r}, version {version!r}; expected {MAGIC!r}, 1 to {VERSION}")
-        return _bounded(msgspec.convert(head, JournalHeader))
+        return _sane(msgspec.convert(head, JournalHeader))
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise WcsimError(f"the first record is no header: {error}") from None
 
@@ -130,7 +131,14 @@ def is_chained(payload: bytes) -> bool:
     return int(msgspec.json.decode(payload, type=dict[str, Any])["version"]) >= _CHAINED
 
 
-def _bounded(header: JournalHeader) -> JournalHeader:
+def _bounded(line: bytes) -> bytes:
+    """Refuse JSON that would fill the memory once it is read. Raises WcsimError."""
+    if len(line) > MOST_JSON_BYTES:
+        raise WcsimError(f"got {len(line)} bytes of JSON; expected at most {MOST_JSON_BYTES}")
+    return line
+
+
+def _sane(header: JournalHeader) -> JournalHeader:
     """Refuse what would make a world of it boundless. Raises WcsimError."""
     sane = 1 <= header.capacity <= MOST_SEATS and 0 <= header.seed <= MAX_SEED and 1e-3 <= header.tick_s <= 10.0
     if not sane:
@@ -166,7 +174,7 @@ def record_of(payload: bytes) -> JournalRecord:
     try:
         if is_tick(payload):
             return _ticked(payload)
-        letter, fields = msgspec.json.decode(payload, type=tuple[str, dict[str, Any]])
+        letter, fields = msgspec.json.decode(_bounded(payload), type=tuple[str, dict[str, Any]])
         kind = _KINDS.get(letter)
         if kind is None:
             raise WcsimError(f"a record is of kind {letter!r}; expected one of t, {', '.join(_KINDS)}")
@@ -178,7 +186,8 @@ def record_of(payload: bytes) -> JournalRecord:
 
 def _ticked(payload: bytes) -> Ticked:
     line, _, raw = payload.partition(b"\n")
-    _, epoch, tick, state_hash, seats = msgspec.json.decode(line, type=tuple[str, int, int, str, tuple[int, ...]])
+    told = msgspec.json.decode(_bounded(line), type=tuple[str, int, int, str, tuple[int, ...]])
+    _, epoch, tick, state_hash, seats = told
     if len(raw) != 16 * len(seats):
         raise WcsimError(f"tick {tick} has {len(raw)} bytes of commands for {len(seats)} seats; expected 16 each")
     sticks = np.frombuffer(raw, "<f8").reshape(-1, 2).tolist()

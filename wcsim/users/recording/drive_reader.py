@@ -12,8 +12,6 @@ from wcsim.users.recording.drive_bytes import DRIVE_FILE, MOST_RECORDS, header_o
 from wcsim.users.recording.drive_types import DriveHeader, DriveRecording, RecordedEvent, RecordedTick
 from wcsim.users.recording.framing import torn_bytes, whole_records
 
-_MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed: drives come to less than 2
-
 
 def is_drive(path: Path) -> bool:
     """Whether a file begins as a drive does, of whatever version; False for what cannot be read."""
@@ -69,15 +67,13 @@ def _header(payload: bytes, path: Path) -> DriveHeader:
 
 
 def _payloads(path: Path, torn: list[bool]) -> Iterator[bytes]:
-    unpacked = end = after = 0
+    end = after = 0
     with opened(path, DRIVE_FILE) as file:
         size = os.fstat(file.fileno()).st_size
         if size > DRIVE_FILE.limit_bytes:
             raise JournalError(f"{shown(path)}: larger than {DRIVE_FILE.limit_bytes} bytes; expected {DRIVE_FILE.what}")
         for record in whole_records(file, 0):
-            unpacked, end, after = unpacked + len(record.payload), record.end, record.crc
-            if unpacked > _FREE_BYTES + _MAX_RATIO * size:
-                raise JournalError(f"{shown(path)}: {size} bytes unpack to {unpacked}; expected {DRIVE_FILE.what}")
+            end, after = record.end, record.crc
             yield record.payload
         left = torn_bytes(file, end, after) if end else 0
         if left is None:

@@ -18,6 +18,8 @@ from typing import BinaryIO
 
 MAX_RECORD_BYTES = 256 << 20  # of a payload; one tick of a town with a million actors takes less
 MOST_TORN_BYTES = 1 << 16  # of a last record; more than this is no torn record
+_MOST_RATIO, _FREE_BYTES = 100, 1 << 12  # unpacked against packed; sound records come to less than 10
+_MOST_PIECES = 1 << 8  # of 64 KiB, unpacked in all looks at a torn end; a sound one has some 10
 _FRAME = struct.Struct("<II")
 _LEVEL = 6
 _STREAM = b"\x78\x9c"  # how a zlib stream of that level begins
@@ -89,10 +91,21 @@ def torn_bytes(file: BinaryIO, end: int, after: int | None = None) -> int | None
 
 
 def _hides_a_record(rest: bytes) -> bool:
-    """Whether the whole content of a record lies anywhere in these bytes."""
-    at = rest.find(_STREAM)
+    """Whether the whole content of a record lies anywhere in these bytes.
+
+    Where that takes more than `_MOST_PIECES` to know, the answer is yes: what may be a record is never cut off.
+    """
+    pieces, at = 0, rest.find(_STREAM)
     while at >= 0:
-        if _unpacked(rest[at:]) is not None:
+        unzip, packed, full = zlib.decompressobj(), rest[at:], True
+        while full and pieces < _MOST_PIECES:
+            pieces += 1
+            try:
+                full = len(unzip.decompress(packed, MOST_TORN_BYTES)) == MOST_TORN_BYTES
+            except zlib.error:
+                break
+            packed = unzip.unconsumed_tail
+        if unzip.eof or pieces == _MOST_PIECES:
             return True
         at = rest.find(_STREAM, at + 1)
     return False
@@ -102,7 +115,7 @@ def _unpacked(packed: bytes) -> bytes | None:
     """The payload; None for what no writer here packed, which may want to fill the memory."""
     unzip = zlib.decompressobj()
     try:
-        payload = unzip.decompress(packed, MAX_RECORD_BYTES)
+        payload = unzip.decompress(packed, min(MAX_RECORD_BYTES, _FREE_BYTES + _MOST_RATIO * len(packed)))
     except zlib.error:
         return None
     return payload if unzip.eof else None

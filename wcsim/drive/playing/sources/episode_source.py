@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,7 +81,7 @@ def _found(result: KeptResult, choice: EpisodeChoice) -> tuple[str, int]:
     if policy not in result.episodes:
         raise ConfigError(f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}")
     if is_own_class(policy) and policy not in choice.own:
-        raise ConfigError(f"{policy} is code of its own, which runs when you name it: --policy {policy}")
+        raise ConfigError(f"{policy} is code of its own, which runs when you name it: --policy {shlex.quote(policy)}")
     block = choice.block if choice.block >= 0 else (worst.key[0] if worst is not None else 0)
     blocks = sorted({episode.record.block for episode in result.episodes[policy]})
     if block not in blocks:

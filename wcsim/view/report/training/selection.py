@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Final
 
@@ -41,7 +42,7 @@ def _section(run: Path, number: int) -> tuple[Section, Exhibit]:
         name="selection" if number == 0 else f"selection-{number + 1}",
         title=f"{run.resolve().name}: {result.suite} {result.set}",
         says=f"What each client had learned in its first phase, on {result.set}; follow is the user alone. The highest "
-        f"score goes on. More of it: wcsim report {run / SELECTION}",
+        f"score goes on. More of it: wcsim report {shlex.quote(str(run / SELECTION))}",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )
