@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.core.reading import counted
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
@@ -113,7 +114,7 @@ class DriveRunner:
             tally = session.tally
             told = (
                 f"{session.place.told}: {session.time_s / 60.0:.1f} min, {tally.way_m:.0f} m, "
-                f"{tally.arrivals} arrivals, {tally.crashes} crashes; pictures took "
+                f"{counted(tally.arrivals, 'arrival')}, {counted(tally.crashes, 'crash')}; pictures took "
                 f"{100.0 * self._share():.0f} % of the processor's time"
             )
             session.close()

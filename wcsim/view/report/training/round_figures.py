@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from wcsim.agents.rounds.round_log import TrainedRound
+from wcsim.core.reading import counted
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, el, table
@@ -51,7 +52,7 @@ def told_of(rounds: Sequence[TrainedRound]) -> str:
     """
     last, rate = rounds[-1], crash_rates(rounds)[-1]
     told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
-    return f"{len(rounds)} rounds, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+    return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
 
 
 def _figure(
