@@ -66,8 +66,13 @@ def test_nobody_at_the_stick_lets_time_stand_still(corner: Path, monkeypatch: py
     assert sum(kind == PICTURES for kind, _ in heard) == 1
 
 
-def test_the_terminal_hears_when_the_chair_stands_in_its_street(corner: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_hears_of_it(
+    corner: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a seed whose way begins behind the chair."""
     heard = heard_of(DriveStart(town=str(corner), policy="dwa", seed=4), monkeypatch)
+    bearings = [json.loads(data)["bearing_deg"] for kind, data in heard if kind == JSON and b'"say":"state"' in data]
+    assert abs(bearings[0]) < 45
     lines = [data.decode() for kind, data in heard if kind == LINE]
     assert lines[0].endswith(", seed 4: the chair stands in its street")
 

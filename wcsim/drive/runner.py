@@ -341,6 +341,7 @@ class DriveRunner:
         self.session = session = DriveSession(start, (PageTeller(self._say), *self._observers()))
         if self._names is not None:
             session.look_on(DriveKeeper(session, self._names, self._tell_kept))
+        session.face_way()
         self._pictures = DrivePictures(session)
         self._due_s = self._opened_s = self._clock()
         self._held_s, self._paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False

@@ -9,7 +9,7 @@ from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
 from wcsim.core.frames import deg
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
-from wcsim.drive.session import DriveSession
+from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile_names
@@ -139,7 +139,9 @@ class PageTeller:
 
     def event(self, event: DriveEvent) -> None:
         """Those that a person wants to hear of; a crash is in the state."""
-        if event.kind in _TOLD:
+        if event.told == ELSEWHERE:
+            self._say(m.Notice(kind="note", told="No place before the crash is free. You begin elsewhere."))
+        elif event.kind in _TOLD:
             kind, told = _TOLD[event.kind]
             self._say(m.Notice(kind=kind, told=told))
         elif event.kind is EventKind.POLICY_FAILED:

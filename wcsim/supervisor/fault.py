@@ -1,13 +1,13 @@
-"""Whose a crash is."""
+"""Whose a crash is, and what it was, in words."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Final, Literal
 
 from wcsim.config import RewardConfig
 from wcsim.supervisor.rewards import is_collision
-from wcsim.types import Contact
+from wcsim.types import ClientSnapshot, Contact
 
 Fault = Literal["own", "other"]
 
@@ -22,3 +22,15 @@ def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fau
     """Whose a crash is: the cause of its hardest touch; without a collision the chair's own."""
     hit = hardest(contacts, config) if reason == "collision" else None
     return "own" if hit is None else hit.cause
+
+_CRASHES: Final = {"drop": "fell off a kerb", "tilt": "tilted too far", "acceleration": "was shaken too hard"}
+_PARTNERS: Final = {"ground": "the ground", "static": "something that stands in the street", "other": "somebody"}
+
+
+def crash_words(client: ClientSnapshot, reward: RewardConfig) -> str:
+    """What ended an episode, for a person."""
+    reason = client.events.crash_reason
+    if reason != "collision":
+        return _CRASHES.get(reason, reason)
+    hit = hardest(client.contacts, reward)
+    return "hit something" if hit is None else f"hit {_PARTNERS.get(hit.kind, f'a {hit.kind}')}"

@@ -64,13 +64,13 @@ const link = new Link({
     panel.tellState(state);
     grid.show(state.unsafe);
     grid.move(state.stick, state.commanded);
-    if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. A new start follows.`);
+    if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. You begin again before that place.`);
     if (crash && !state.crash) hint.begin();
     crash = state.crash;
     if (state.crash || (state.let_go && scan.driving)) rest();
     tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
-    big(busy || (state.crash ? `The chair ${state.crash}. A new start follows.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
+    big(busy || (state.crash ? `The chair ${state.crash}. You begin again before that place.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });
 

@@ -12,7 +12,7 @@ import numpy as np
 from wcsim.bridge.world import World
 from wcsim.config import RewardConfig
 from wcsim.drive.playing.film_states import ACTOR_ROW, XY, FilmBody, FilmChair, FilmFrame, FilmStep, Flag
-from wcsim.drive.session import crash_words
+from wcsim.supervisor.fault import crash_words
 from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import ActorState, ClientSnapshot, Joystick, Outline, Route, SignalState
 
