@@ -56,6 +56,7 @@ def about_of(session: DriveSession) -> m.About:
     return m.About(
         place=session.place.told,
         town=session.place.town.name,
+        seed=session.place.start.seed,
         policy=assistance.name,
         profile=session.profile,
         points=[(x, y) for x, y in session.actions.points.tolist()],
@@ -91,6 +92,7 @@ def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> 
         warning=last is not None and last.warning,
         intervening=last is not None and last.intervening,
         overruled=last is not None and last.overruled,
+        on_road=session.client.events.on_carriageway,
         speed_mps=round(last.speed_mps, 3) if last else 0.0,
         left_m=round(session.left_m, 1),
         bearing_deg=round(deg(session.bearing_rad)),

@@ -46,7 +46,7 @@ def test_a_start_in_an_event_is_whole_or_refused():
     start = StartSpec(p_W_m=(0.1, -2.0), yaw_rad=1 / 3, goal_W_m=(9.0, 2.0))
     assert start_of_json(start_json(start)) == start
     for text in ("", "7", "{}", start_json(start).replace("9.0", "1e99"), start_json(start).replace("9.0", '"a"')):
-        with pytest.raises(JournalError, match="^the drive's respawn at"):
+        with pytest.raises(JournalError, match=r"^the drive's respawn at"):
             start_of_json(text)
 
 

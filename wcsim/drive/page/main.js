@@ -5,7 +5,7 @@ import { Link } from "./link.js";
 import { Hint, Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
-import { big, by, keep, kept, line, note, wireDialogs, wireDisplay, wireHold } from "./shared.js";
+import { big, by, keep, kept, line, note, waitFor, wireDialogs, wireDisplay, wireHold } from "./shared.js";
 import { Stick } from "./stick.js";
 import { Study } from "./study.js";
 
@@ -20,7 +20,6 @@ let lastSaid = "";
 let crash = "";
 let standing = ""; // why the chair does not go
 let sayTimer = 0;
-let busyTimer = 0;
 
 // Told to a screen reader, and gone before somebody reads the page and takes it for what is so now.
 function say(text) {
@@ -106,14 +105,9 @@ function tellStanding(state) {
   else if (before === "Paused") say("Time goes on.");
 }
 
-// What is waited for, and for how long already: the server says nothing while it builds a street.
-function setBusy(told, counts = true) {
+function setBusy(told, counts) {
   busy = told;
-  clearInterval(busyTimer);
-  big(busy);
-  if (!told || !counts) return;
-  const began = performance.now();
-  busyTimer = setInterval(() => big(`${busy} ${Math.round((performance.now() - began) / 1000)} s`), 1000);
+  waitFor(busy, counts);
 }
 
 function askForHelp() {
