@@ -8,6 +8,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.drive.lookers import Breaks, BreaksAtOnce, Noted
@@ -17,7 +18,8 @@ from wcsim.drive.driven import EventKind
 from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
-from wcsim.types import Joystick
+from wcsim.drive.stating import about_of, state_of
+from wcsim.types import ClassId, Joystick
 
 SLOW_S = 40.0  # to open a street that was never built
 
@@ -66,8 +68,13 @@ def test_nobody_at_the_stick_lets_time_stand_still(corner: Path, monkeypatch: py
     assert sum(kind == PICTURES for kind, _ in heard) == 1
 
 
-def test_the_terminal_hears_when_the_chair_stands_in_its_street(corner: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_hears_of_it(
+    corner: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a seed whose way begins behind the chair."""
     heard = heard_of(DriveStart(town=str(corner), policy="dwa", seed=4), monkeypatch)
+    bearings = [json.loads(data)["bearing_deg"] for kind, data in heard if kind == JSON and b'"say":"state"' in data]
+    assert abs(bearings[0]) < 45
     lines = [data.decode() for kind, data in heard if kind == LINE]
     assert lines[0].endswith(", seed 4: the chair stands in its street")
 
@@ -302,3 +309,17 @@ def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
     assert "none of those that the page offers" in told[0] and "no message of a page" in told[1]
     desk.turn(0.1, x=0.0)
     assert desk.runner.session is not None and desk.runner.session.ticks > 0, "the drive goes on"
+
+
+def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(drive: DriveRunner) -> None:
+    session = drive.session
+    assert session is not None
+    assert about_of(session).seed == session.place.start.seed
+    ground, told = session.world.street.grid, {}
+    for y in range(-30, 31):
+        xy = (float(session.client.plant.p_WB_m[0]), float(y))
+        told.setdefault(ground.class_here(*xy), xy)
+    for kind in (ClassId.ROAD, ClassId.SIDEWALK):
+        session.world.put_chair(0, np.array(told[kind]), 0.0)
+        drive._tick(100.0)
+        assert state_of(drive, session, drive._last).on_road is (kind is ClassId.ROAD)

@@ -9,12 +9,14 @@ import pytest
 
 from tests.drive.lookers import HearsDelays, Noted
 from tests.support.worlds import quick_config
+from wcsim.drive import messages as m
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.session import AT_REST, DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
+from wcsim.drive.stating import PageTeller
 from wcsim.errors import ConfigError, PolicyError, TownError
-from wcsim.types import Joystick
+from wcsim.types import Joystick, StartSpec
 from wcsim.users.user import SimulatedUser
 
 AHEAD = Wish(stick=Joystick(0.0, 1.0))
@@ -110,15 +112,54 @@ def test_assistance_and_level_are_switched_while_driving(session: DriveSession, 
         session.set_level(2.5)
 
 
-def test_a_new_start_faces_its_way_or_six_more_did_not(session: DriveSession, noted: Noted) -> None:
-    tries = []
-    for _ in range(12):
-        before = len(noted.kinds())
+def faces(session: DriveSession) -> bool:
+    return abs(session.bearing_rad) < math.radians(45.0)
+
+
+def test_every_beginning_faces_its_way(session: DriveSession, noted: Noted) -> None:
+    place = session.place
+    session.place = replace(place, spec=replace(place.spec, start=StartSpec(p_W_m=(0, 0), yaw_rad=0, goal_W_m=(9, 9))))
+    drawn = []
+    for _ in range(8):
         session.new_place()
-        faces = abs(session.bearing_rad) < math.radians(100.0)
-        tries.append(noted.kinds()[before:].count(EventKind.RESPAWN))
-        assert faces or tries[-1] == 7
-    assert len(set(tries)) > 1, "some faced away at first"
+        drawn.append(faces(session))
+    assert set(drawn) == {True, False}, "starts as they are drawn, or as a list fixes them, may face away"
+    session.place, before = place, len(noted.events)
+    for begin in (*[session.new_place] * 8, lambda: session.change_user("slow"), session.again, session.face_way):
+        begin()
+        assert faces(session)
+    turned = [event.told for event in noted.events[before:] if event.kind is EventKind.RESPAWN and event.told]
+    assert turned and all("yaw_rad" in told for told in turned), "so that a recording does it again"
+
+
+def test_after_a_crash_the_drive_goes_on_some_metres_before_it(session: DriveSession, noted: Noted) -> None:
+    session.assist(False)
+    session.face_way()
+    for number in range(150):
+        if session.tick(AHEAD if number < 50 else Wish(stick=Joystick(0.5, 0.8))).crashed:
+            break
+    crash, goal = session.client.plant.p_WB_m[:2], session.route.points_W_m[-1]
+    trail = np.array([each.p_WB_m[:2] for each in noted.ticks])
+    session.tick(Wish())
+    back_m = session.client.plant.p_WB_m[:2]
+    assert 4.9 < math.dist(crash, back_m) < 12.0
+    assert np.linalg.norm(trail - back_m, axis=1).min() < 0.3, "where the chair has been"
+    assert np.allclose(session.route.points_W_m[-1], goal) and faces(session)
+    assert noted.events[-1].told == "before the crash" and (session.episode, session.tally.crashes) == (1, 1)
+
+
+def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
+    session: DriveSession, noted: Noted, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session.assist(False)
+    session.face_way()
+    while not session.tick(Wish(stick=Joystick(0.5, 0.8))).crashed:
+        assert session.time_s < 15.0
+    monkeypatch.setattr(session.world, "start_facing", lambda *_: None)
+    said: list[m.Notice] = []
+    session.look_on(PageTeller(said.append))
+    session.tick(Wish())
+    assert [notice.told for notice in said] == ["No place before the crash is free. You begin elsewhere."]
 
 
 def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:

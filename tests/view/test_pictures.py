@@ -9,7 +9,7 @@ from tests.support.samples import USUAL_OUTLINE, straight_route, strip_street
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS
-from wcsim.types import ActorKind, ClassId
+from wcsim.types import ActorKind, ClassId, Route
 from wcsim.view.map import ROUTE_RGB, MapView
 from wcsim.view.pictures import captioned, class_colours, depth_colours, triptych, write_png
 from wcsim.view.video import VideoWriter, side_by_side
@@ -117,3 +117,24 @@ def test_the_map_is_true_to_scale_with_north_up():
     assert (np.abs(full[145, 300].astype(int) - ROUTE_RGB) < 40).all()  # the route runs along y = 5.5
     box = full[142:149, 137:149].astype(int)
     assert ((box[..., 0] > 200) & (box[..., 1] > 180) & (box[..., 2] < 120)).any()  # the chair is yellow
+
+
+def luminance(rgb):
+    """Of WCAG 2."""
+    share = np.asarray(rgb) / 255.0
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+
+
+def contrast(one, other):
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_roofs_stand_out_from_roads_and_the_way_from_grass_on_a_map():
+    view = MapView(strip_street().mesh, size_px=400, span_m=40.0)  # 10 pixels a metre
+    points_m = np.column_stack([np.arange(40.0, 80.0), np.full(40, 8.0)])
+    way = Route(points_W_m=points_m, arc_m=np.arange(40.0), edge_index=np.zeros(40, np.int32))
+    picture = view.draw(np.array([60.0, 6.0, 0.0]), (), (), way)
+    roof, road, grass, line = picture[120, 200], picture[240, 200], picture[175, 50], picture[180, 50]
+    assert (roof != line).any() and contrast(roof, road) > 1.5
+    assert contrast(line, grass) > 3.0

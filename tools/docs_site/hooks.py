@@ -25,6 +25,8 @@ TOP_PAGES = {
 """Pages of the repository's first folder, and what they are called in the site."""
 
 SAME_PAGE = {there: here for here, there in TOP_PAGES.items()}
+STYLE = ".md-typeset pre > code { padding-right: 3rem; white-space: pre-wrap; overflow-wrap: anywhere; }\n"
+"""Long lines of code are wrapped, beside the button that copies them."""
 LINK_OR_CODE = re.compile(r"(?P<text>\[[^\]\n]*\])\((?P<to>[^)\s]+)\)|`(?P<code>[\w./-]+)`")
 API_SECTION = re.compile(r"^## (.+)\n((?:(?!## ).*\n)*)", re.MULTILINE)
 ENV_OPTIONS = "wcsim.agents.envs.env_spec.EnvOptions"
@@ -35,6 +37,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made; mkdocs calls it once."""
     for name, uri in TOP_PAGES.items():
         files.append(File.generated(config, uri, content=(ROOT / name).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "site.css", content=STYLE))
     files.append(File.generated(config, "examples.md", content=_examples()))
     for uri, text in name_pages((ROOT / "docs" / "api.md").read_text(encoding="utf-8")).items():
         files.append(File.generated(config, uri, content=text))

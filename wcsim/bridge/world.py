@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
-from wcsim.bridge.ego.ego import Ego
+from wcsim.bridge.ego.ego import XY, Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots
 from wcsim.bridge.ego.hooked import hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
@@ -34,7 +34,7 @@ from wcsim.physics.sensors.camera import CameraRig
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
-from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, UserView
+from wcsim.types import F64, ActorState, ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec, UserView
 from wcsim.types.street import joined_mesh
 
 
@@ -103,12 +103,24 @@ class World(Closing):
         self.snapshot = self._begin(seed, out)
         return self.snapshot
 
-    def respawn(self, seat: int, out: ImageSink | None = None) -> ClientSnapshot:
+    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
         """Put one seat's chair at the start of its next episode, now; costs no tick and stops nobody.
+
+        The start is the seat's own, or `start` for this episode. Raises ProtocolError when the seat is free or not
+        there, ConfigError for a start that cannot be.
+        """
+        asked = self._seating.at(seat)
+        asked.begin_next_at(start)
+        return self._joined(asked, out)
+
+    def start_facing(self, seat: int, places_W_m: Sequence[XY], goal_W_m: XY) -> StartSpec | None:
+        """The first of these places that is clear, as a start that faces its way to the goal; None where none is.
 
         Raises ProtocolError when the seat is free or not there.
         """
-        return self._joined(self._seating.at(seat), out)
+        asked = self._seating.at(seat)
+        starts = (asked.start_facing(xy, goal_W_m, self._taken) for xy in places_W_m)
+        return next((start for start in starts if start is not None), None)
 
     def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
         """Put a new chair into the street for a free seat, now; its episodes go on from those the seat has had.

@@ -38,7 +38,7 @@ class Options:
     profile: str = "competent"
     """The simulated user who drives where the page says so."""
     seed: int = 21
-    """Seed of the traffic and of the chair's place; 21 faces its way in the towns that come with wcsim."""
+    """Seed of the traffic and of the chair's place."""
     suite: str = ""
     """Begin with an episode of a suite instead: dev, validation, v1, or a list; the town is then the list's."""
     block: int = 0

@@ -210,6 +210,17 @@ def shown(text: object, most: int = 160) -> str:
     return words if len(words) <= most else "..." + words[3 - most :]
 
 
+def counted(count: int, one: str, several: str = "") -> str:
+    """How many there are of something, in words.
+
+    >>> counted(1, "crash"), counted(2, "crash"), counted(0, "tick"), counted(3, "policy", "policies")
+    ('1 crash', '2 crashes', '0 ticks', '3 policies')
+    """
+    if count == 1:
+        return f"1 {one}"
+    return f"{count} {several or one + ('es' if one.endswith(('s', 'sh', 'ch')) else 's')}"
+
+
 def shown_value(value: object, most: int = 60) -> str:
     """A value that somebody gave to a function, for a message, as Python writes it."""
     try:

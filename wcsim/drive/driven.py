@@ -22,7 +22,7 @@ class EventKind(StrEnum):
 
     BEGUN = "begun"
     EPISODE = "episode"
-    RESPAWN = "respawn"  # the episode is cut without a crash, before `EPISODE`
+    RESPAWN = "respawn"  # the episode begins elsewhere than the world began it, before `EPISODE`
     USER = "user"  # another simulated user sits there, in another chair, before `EPISODE`
     REBUILT = "rebuilt"  # the world is another one, at its beginning, before `EPISODE`
     DRIVER = "driver"

@@ -235,6 +235,7 @@ class About(_Said, frozen=True):
 
     place: str
     town: str
+    seed: int
     policy: str
     profile: str
     points: list[tuple[float, float]]
@@ -284,6 +285,7 @@ class DriveState(_Said, frozen=True, tag="state"):
     warning: bool
     intervening: bool
     overruled: bool
+    on_road: bool  # the chair's middle is on a carriageway, a crossing too
     speed_mps: float
     left_m: float
     bearing_deg: float  # of the way ahead, from the chair's heading to the left

@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.core.reading import counted
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
@@ -114,7 +115,7 @@ class DriveRunner:
             tally = session.tally
             told = (
                 f"{session.place.told}: {session.time_s / 60.0:.1f} min, {tally.way_m:.0f} m, "
-                f"{tally.arrivals} arrivals, {tally.crashes} crashes; pictures took "
+                f"{counted(tally.arrivals, 'arrival')}, {counted(tally.crashes, 'crash')}; pictures took "
                 f"{100.0 * self._share():.0f} % of the processor's time"
             )
             session.close()
@@ -341,6 +342,7 @@ class DriveRunner:
         )
         if self._names is not None:
             session.look_on(DriveKeeper(session, self._names, self._tell_kept))
+        session.face_way()
         self._pictures = DrivePictures(session)
         self._due_s = self._opened_s = self._clock()
         self._held_s, self.paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False

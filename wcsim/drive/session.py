@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.bridge.drives.beside import let_wait
+from wcsim.bridge.ego.start_place import heading_rad
 from wcsim.bridge.world import World
 from wcsim.core.closing import Closing
 from wcsim.core.frames import wrap
@@ -20,14 +22,19 @@ from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
-from wcsim.types import F64, ClientSnapshot, Command, Joystick, PlantState, Route
-from wcsim.users.hand import on_disc
+from wcsim.types import F64, ClientSnapshot, Command, Joystick, Route, StartSpec
+from wcsim.users.hand import in_gate
+from wcsim.users.recording.drive_bytes import start_json
 
 AT_REST = Joystick(0.0, 0.0)
 NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
-_LOOK_AHEAD_M = 3.0
-_FACES_RAD: Final = math.radians(100.0)  # a way within this to either side is one that a start faces
-_START_TRIES: Final = 6  # of a start that is asked for
+_FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
+_START_TRIES: Final = 6
+_BACK_M: Final = 5.0  # from a crash to where the next episode begins
+_NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
+_TRAIL_M: Final = 0.5  # between places of the trail
+_MOST_TRAIL: Final = 200
+ELSEWHERE: Final = "elsewhere, as no place before the crash is free"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +129,8 @@ class DriveSession(Closing):
     @property
     def bearing_rad(self) -> float:
         """Where the way goes on, from the chair's heading to the left; 0 straight ahead."""
-        return way_bearing_rad(self._route, self._done_m, self._client.plant)
+        plant = self._client.plant
+        return wrap(heading_rad(self._route, self._done_m, plant.p_WB_m) - plant.yaw_rad)
 
     @property
     def crash(self) -> str:
@@ -131,7 +139,7 @@ class DriveSession(Closing):
 
     @property
     def ended(self) -> bool:
-        """Whether the episode ended with the last tick, by a crash or its step limit; the next one begins elsewhere."""
+        """Whether the episode ended with the last tick, by a crash or its step limit."""
         return self._ended
 
     @property
@@ -171,17 +179,14 @@ class DriveSession(Closing):
         self.assistance.set_level(level)
         self.say(EventKind.LEVEL, f"{level:g}")
 
-    def new_place(self) -> None:
-        """Begin another episode in the same street, at a start that faces its way if one is found in a few tries.
+    def face_way(self) -> None:
+        """Let the chair face its way before the first tick, as it does at the beginning of every later episode."""
+        self._face_way()
+        self.assistance.reset(self._client.drawn)
 
-        Where the start is fixed, at that. Each try is an event of its own, so a recording makes them again.
-        """
+    def new_place(self) -> None:
+        """Begin another episode in the same street; where the start is fixed, at that."""
         if not self._ended:
-            self._respawn()
-        for _ in range(0 if self.place.spec.start else _START_TRIES):
-            self._begin()
-            if abs(self.bearing_rad) < _FACES_RAD:
-                break
             self._respawn()
         self._next("asked for")
 
@@ -213,7 +218,7 @@ class DriveSession(Closing):
             SumoError, PhysicsError: The world is broken, and the drive with it.
         """
         if self._ended:
-            self._next("after the end of the last one")
+            self._next(self._go_back() if self._client.events.crashed else "after the end of the last one")
         if wish.help:
             self.ask_for_help()
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
@@ -223,7 +228,7 @@ class DriveSession(Closing):
         answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
         if self.assistance.failed and not self.assistance.on and answer.sent == answer.chosen:
             self._say_failure()
-        user, intent = self.world.seats[0].user, self._intent() if by_user else None
+        user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
         let_wait(user, patient=not by_user)
         self._move(answer)
         sticks = user.sticks.copy() if by_user else NO_STICKS
@@ -267,6 +272,7 @@ class DriveSession(Closing):
         self._ended = self._client.first is not None
         if not self._ended:
             self._note_way()
+            self._note_trail()
         self._ticks += 1
         self._step += 1
 
@@ -346,40 +352,53 @@ class DriveSession(Closing):
         client = self.world.snapshot.clients[0]
         self._client = client if client.first is None else client.first
         self._step, self._fresh, self._ended = 0, True, False
+        self._trail = deque([_xy(self._client.plant.p_WB_m)], _MOST_TRAIL)
         self._note_way()
 
     def _note_way(self) -> None:
         seat = self.world.seats[0]
         self._route, self._done_m = seat.route, seat.user.route_progress_m
 
-    def _respawn(self) -> None:
-        self.world.respawn(0)
-        self.say(EventKind.RESPAWN)
+    def _note_trail(self) -> None:
+        """Where the chair has been in this episode, but for carriageways."""
+        here = _xy(self._client.plant.p_WB_m)
+        if not self._client.events.on_carriageway and math.dist(here, self._trail[-1]) >= _TRAIL_M:
+            self._trail.append(here)
+
+    def _respawn(self, start: StartSpec | None = None) -> None:
+        """Begin the world's next episode, which a recording then does too."""
+        self.world.respawn(0, start=start)
+        self.say(EventKind.RESPAWN, "" if start is None else start_json(start))
+
+    def _face_way(self) -> None:
+        """Turn the chair to its way, here or a little along it, elsewhere if need be; a fixed start stays."""
+        for _ in range(0 if self.place.spec.start else _START_TRIES):
+            if abs(self.bearing_rad) < _FACES_RAD:
+                return
+            near = [_xy(self._client.plant.p_WB_m), *map(_xy, self._route.points_W_m[:_NEAR])]
+            self._respawn(self.world.start_facing(0, near, _xy(self._route.points_W_m[-1])))
+            self._begin()
+
+    def _go_back(self) -> str:
+        """After a crash: to where the chair was some metres before, on its way to the same destination; the words."""
+        if self.place.spec.start:
+            return "at its start"
+        crash = _xy(self._client.plant.p_WB_m)
+        before = [xy for xy in reversed(self._trail) if math.dist(xy, crash) >= _BACK_M]
+        start = self.world.start_facing(0, [*before, self._trail[0]], _xy(self._route.points_W_m[-1]))
+        if start is None:
+            return ELSEWHERE
+        self._respawn(start)
+        return "before the crash"
 
     def _next(self, why: str) -> None:
         self.tally.end_episode()
         self._episode += 1
         self._begin()
+        self._face_way()
         self.assistance.reset(self._client.drawn)
         self.say(EventKind.EPISODE, why)
 
-    def _intent(self) -> Joystick | None:
-        return self.world.seats[0].user.intent
 
-
-def way_bearing_rad(route: Route, done_m: float, plant: PlantState) -> float:
-    """Where a way goes on, so far along it, from the chair's heading to the left; 0 straight ahead."""
-    arc_m = min(done_m + _LOOK_AHEAD_M, float(route.arc_m[-1]))
-    x_m, y_m = (float(np.interp(arc_m, route.arc_m, route.points_W_m[:, axis])) for axis in (0, 1))
-    return wrap(math.atan2(y_m - float(plant.p_WB_m[1]), x_m - float(plant.p_WB_m[0])) - plant.yaw_rad)
-
-
-def in_gate(stick: Joystick) -> Joystick:
-    """A stick within its round gate; one that is no number is at rest.
-
-    >>> in_gate(Joystick(0.0, -3.0)), in_gate(Joystick(math.nan, 1.0))
-    (Joystick(x=0.0, y=-1.0), Joystick(x=0.0, y=0.0))
-    """
-    if not (math.isfinite(stick.x) and math.isfinite(stick.y)):
-        return AT_REST
-    return Joystick(*on_disc(stick.x, stick.y))
+def _xy(place_m: F64) -> tuple[float, float]:
+    return float(place_m[0]), float(place_m[1])

@@ -9,7 +9,7 @@ from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
 from wcsim.core.frames import deg
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
-from wcsim.drive.session import DriveSession
+from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile_names
@@ -56,6 +56,7 @@ def about_of(session: DriveSession) -> m.About:
     return m.About(
         place=session.place.told,
         town=session.place.town.name,
+        seed=session.place.start.seed,
         policy=assistance.name,
         profile=session.profile,
         points=[(x, y) for x, y in session.actions.points.tolist()],
@@ -91,6 +92,7 @@ def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> 
         warning=last is not None and last.warning,
         intervening=last is not None and last.intervening,
         overruled=last is not None and last.overruled,
+        on_road=session.client.events.on_carriageway,
         speed_mps=round(last.speed_mps, 3) if last else 0.0,
         left_m=round(session.left_m, 1),
         bearing_deg=round(deg(session.bearing_rad)),
@@ -139,7 +141,9 @@ class PageTeller:
 
     def event(self, event: DriveEvent) -> None:
         """Those that a person wants to hear of; a crash is in the state."""
-        if event.kind in _TOLD:
+        if event.told == ELSEWHERE:
+            self._say(m.Notice(kind="note", told="No place before the crash is free. You begin elsewhere."))
+        elif event.kind in _TOLD:
             kind, told = _TOLD[event.kind]
             self._say(m.Notice(kind=kind, told=told))
         elif event.kind is EventKind.POLICY_FAILED:

@@ -178,3 +178,14 @@ def _moved(wishes: F64, normals: F64, c: F64, state: F64) -> F64:
         sticks[step, 0] = state[4]
         sticks[step, 1] = state[5]
     return sticks
+
+
+def in_gate(stick: Joystick) -> Joystick:
+    """A stick within its round gate; one that is no number is at rest.
+
+    >>> in_gate(Joystick(0.0, -3.0)), in_gate(Joystick(math.nan, 1.0))
+    (Joystick(x=0.0, y=-1.0), Joystick(x=0.0, y=0.0))
+    """
+    if not (math.isfinite(stick.x) and math.isfinite(stick.y)):
+        return Joystick(0.0, 0.0)
+    return Joystick(*on_disc(stick.x, stick.y))

@@ -14,7 +14,7 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, chair_instances, chair_pose, instances_of
 from wcsim.physics.sensors.camera import FreeCamera
 from wcsim.physics.sensors.camera_geometry import look_along
-from wcsim.types import F64, U8, ActorKind, ActorState, Route, StreetMesh
+from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Route, StreetMesh
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
 _HEIGHT_M = 400.0
@@ -33,8 +33,9 @@ _KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
     (ActorKind.OTHER, (110, 80, 120)),
 )
 _CHAIR_RGB = (250, 214, 40)
-ROUTE_RGB = (40, 150, 60)
+ROUTE_RGB = (0, 72, 40)  # and a light edge: one of them stands out from grass, road and pavement
 _EDGE_RGB = (250, 250, 250)
+_ROOF_SHARE = 0.5  # of a roof's brightness: in full it is that of a road
 _BAR_M, _BAR_ALOFT = 10.0, 0.04  # the bar of the scale, and how far it is from the edges, as a share of the map
 _BAR_RGB, _BAR_GROUND_RGB = (250, 250, 250), (28, 32, 38)
 _SMALL_PX = 7  # what is smaller (people, mostly) is drawn as a dot of this size
@@ -68,15 +69,18 @@ class MapView:
             centre_W_m: the middle of the map.
             actors: drawn as boxes in the colour of their kind, with a line from the middle to the front.
             chairs: drawn in yellow.
-            route: drawn as a green line.
+            route: drawn as a green line with a light edge.
         """
         x, y, ground = (float(value) for value in centre_W_m)
         T_CW = look_along((x, y, ground + _HEIGHT_M), math.pi / 2, -math.pi / 2)
         images = self._camera.look(T_CW, instances_of(()))
         image = np.zeros_like(images.class_id[..., None].repeat(3, axis=2)) if images.rgb is None else images.rgb
+        roofs = images.class_id == ClassId.BUILDING
+        image[roofs] = _ROOF_SHARE * image[roofs]
         if route is not None:
             points = np.column_stack([route.points_W_m, np.full(len(route.points_W_m), ground)])
-            cv2.polylines(image, [self._pixels(T_CW, points)], False, ROUTE_RGB, 2, cv2.LINE_AA, 3)
+            for colour, thick in ((_EDGE_RGB, 5), (ROUTE_RGB, 3)):
+                cv2.polylines(image, [self._pixels(T_CW, points)], False, colour, thick, cv2.LINE_AA, 3)
         colours = dict(_KIND_RGB)
         for actor in actors:
             corners = oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])

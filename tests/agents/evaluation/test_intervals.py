@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.agents.evaluation.intervals import at_most, bootstrapped, garwood, mcnemar, wilson
+from wcsim.agents.evaluation.intervals import FEWEST, at_most, bootstrapped, garwood, mcnemar, wilson
 from wcsim.errors import ConfigError
 
 
@@ -67,3 +67,8 @@ def test_a_weighted_mean_lies_in_its_interval_which_shrinks_with_more_episodes()
     more_low, more_high = bootstrapped(values * 9, weights * 9)
     assert more_high - more_low == pytest.approx((high - low) / 3.0, rel=0.15)
     assert bootstrapped([0.5], [0.0]) is None and bootstrapped([]) is None
+
+
+def test_a_few_episodes_have_no_interval_however_equal_they_are():
+    assert [bootstrapped([0.846] * count) for count in (1, FEWEST - 1)] == [None, None]
+    assert bootstrapped([0.846] * FEWEST) == pytest.approx((0.846, 0.846))

@@ -38,6 +38,7 @@ def test_the_site_builds_without_a_warning_and_asks_for_nothing_from_outside(sit
     styles = [path.read_text(encoding="utf-8") for path in site.rglob("*.css")]
     assert not [text for text in styles if re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", text)]
     assert not [path for path, text in pages.items() if 'class="mermaid"' in text]  # its script comes from elsewhere
+    assert 'href="site.css"' in pages[site / "drive.html"] and "pre-wrap" in (site / "site.css").read_text("utf-8")
     assert (site / "search" / "search_index.json").stat().st_size > 100_000
 
 

@@ -20,7 +20,7 @@ STEADY = 4  # so many alike, one after the other, are what the page says of its 
 REST = (0.0, 0.0)
 
 ABOUT = m.About(
-    place="a corner", town="corner", policy="dwa", profile="competent", points=[REST], towns=["corner"],
+    place="a corner", town="corner", seed=21, policy="dwa", profile="competent", points=[REST], towns=["corner"],
     profiles=["competent"], suites={}, levels=(0.0, 2.0), own_level=1.0, tells_unsafe=True, tick_s=0.1,
 )  # fmt: skip
 KPIS = m.Kpis(
@@ -30,8 +30,8 @@ KPIS = m.Kpis(
 STATE = m.DriveState(
     tick=1, time_s=0.1, step=1, driver=DriverKind.PERSON, paused=False, waiting="", let_go=False, alone=False, pace=1.0,
     stick=REST, chosen=REST, commanded=REST, unsafe=[], assisted=True, level=1.0, warning=False, intervening=False,
-    overruled=False, speed_mps=0.0, left_m=9.0, bearing_deg=0.0, crash="", profile="competent", kpis=KPIS, tick_ms=1.0,
-    pictures_ms=1.0, rate=10.0,
+    overruled=False, on_road=False, speed_mps=0.0, left_m=9.0, bearing_deg=0.0, crash="", profile="competent",
+    kpis=KPIS, tick_ms=1.0, pictures_ms=1.0, rate=10.0,
 )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ def leave(stage: Stage) -> None:
 
 def crash(stage: Stage) -> None:
     stage.state(crash="hit a car")
-    assert stage.text("#live") == stage.text("#big") == "The chair hit a car. A new start follows."
+    assert stage.text("#live") == stage.text("#big") == "The chair hit a car. You begin again before that place."
     stage.state(tick=2)
 
 

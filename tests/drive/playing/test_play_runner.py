@@ -10,10 +10,12 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
 from tests.support.journals import eventful_run
+from wcsim.drive.playing import play_runner
 from wcsim.drive.playing.play_runner import PlayRunner, PlayStart
 from wcsim.drive.playing.sources.source_process import FilmSource
 
@@ -118,3 +120,13 @@ def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
     assert told["kind"] == "bad" and "is not a journal" in told["told"]
     assert desk.said("busy")["told"] == "There is no more of it."
     desk.close()
+
+
+def test_who_waits_for_a_run_is_told_why_it_may_take_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(play_runner, "get_context", lambda _: MagicMock(Pipe=Pipe))
+    for gives_way in (True, False):
+        ours, theirs = Pipe()
+        source = FilmSource(kind="run", path=Path("run"))
+        PlayRunner(theirs, PlayStart(source=source, gives_way=gives_way))._open(source)
+        said = json.loads(ours.recv_bytes()[1:])
+        assert (said["say"], "it waits while the training uses the cores" in said["told"]) == ("busy", gives_way)

@@ -82,6 +82,16 @@ def test_what_was_driven_before_a_handover_is_not_judged() -> None:
     assert state(film, 9).alone and state(film, 5).chairs[0].kpis.kpi2 == 3.0
 
 
+def test_all_that_begins_in_one_tick_is_marked() -> None:
+    both = Flag.WARNING | Flag.INTERVENING
+    film = film_of(9, {3: both | Flag.ARRIVED | Flag.HELPED, 4: both, 6: Flag.INTERVENING, 7: both})
+    told = [(mark.at, mark.kind) for mark in film.marks]
+    first = [(3, kind) for kind in ("arrival", "help", "warning", "intervention")]
+    assert told == [*first, (6, "intervention"), (7, "warning")]
+    kpis = state(film, 8).chairs[0].kpis
+    assert (kpis.warnings, kpis.interventions) == (2, 2), "as many as there are marks"
+
+
 def test_marks_are_where_something_begins() -> None:
     flags = {5: Flag.WARNING, 6: Flag.WARNING, 9: CRASH, 20: CRASH | Flag.DROPPED, 30: Flag.ARRIVED}
     film = film_of(40, flags)

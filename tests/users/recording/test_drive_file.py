@@ -18,7 +18,7 @@ from tests.users.recording.drives import drive_header, tick, write_drive
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, JournalError, WcsimError
 from wcsim.types import Joystick, StartSpec
-from wcsim.users.recording.drive_bytes import header_payload, tick_of, tick_payload
+from wcsim.users.recording.drive_bytes import header_payload, start_json, start_of_json, tick_of, tick_payload
 from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DRIVE_MAGIC, RecordedEvent
@@ -40,6 +40,14 @@ def rechained(payloads):
 
 def payloads_of(path):
     return [record.payload for record in whole_records(io.BytesIO(path.read_bytes()), 0)]
+
+
+def test_a_start_in_an_event_is_whole_or_refused():
+    start = StartSpec(p_W_m=(0.1, -2.0), yaw_rad=1 / 3, goal_W_m=(9.0, 2.0))
+    assert start_of_json(start_json(start)) == start
+    for text in ("", "7", "{}", start_json(start).replace("9.0", "1e99"), start_json(start).replace("9.0", '"a"')):
+        with pytest.raises(JournalError, match=r"^the drive's respawn at"):
+            start_of_json(text)
 
 
 def test_what_is_recorded_is_read(tmp_path):

@@ -1,12 +1,14 @@
 """What a test decides."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from tests.view.report.results import POLICIES, SCRIPT, record, records_of, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.comparisons import WEIGHTINGS, compared, paired, verdicts, weighted
+from wcsim.view.report.comparisons import WEIGHTINGS, compared, conclusion, paired, verdicts, weighted
+from wcsim.view.report.tables import comparison_table
 
 
 @pytest.fixture
@@ -21,7 +23,8 @@ def test_pairs_are_counted_over_the_same_episodes(result):
     assert (pair.episodes, pair.saved, pair.lost) == (6, 4, 0)
     assert pair.difference == pytest.approx(math.fsum(scores) / 6)
     assert pair.mcnemar_p == pytest.approx(2 / 2**4)
-    assert pair.low <= pair.difference <= pair.high and pair.separated == (pair.low > 0)
+    low, high = pair.interval
+    assert low <= pair.difference <= high and pair.separated == (low > 0)
     back = paired(result, "follow", "dwa", "")
     assert (back.saved, back.lost) == (0, 4) and back.difference == pytest.approx(-pair.difference)
 
@@ -44,6 +47,33 @@ def test_a_verdict_says_what_is_separated_and_how_far_the_rest_is_from_it(result
         assert pair.separated or f"needs about {pair.enough} episodes" in said
     same = paired(result, "dwa", "dwa", "")
     assert same.enough is None and verdicts([same]) == ["not separated from it: dwa (equal scores)"]
+
+
+def test_few_episodes_separate_nobody_however_far_apart_they_are(result):
+    pairs = [pair for pair in compared(result) if pair.part == "hazard"]
+    assert pairs and all(pair.episodes == 2 and not pair.separated for pair in pairs)
+    assert any(pair.difference for pair in pairs)
+    said = " ".join(verdicts([pair for pair in pairs if pair.rival == "follow"]))
+    assert said.startswith("not separated from it: ") and "2 episodes; fewer than 6 tell nothing" in said
+    table = comparison_table(pairs)
+    assert "<td>yes</td>" not in table.body and "too few episodes" in table.body
+    assert all(line.endswith(",,") for line in table.csv.splitlines()[1:])
+
+
+def test_the_headline_names_a_winner_only_where_there_is_one(result):
+    said = conclusion(result)
+    apart = [paired(result, "dwa", name, "").separated for name in result.episodes if name != "dwa"]
+    assert not all(apart) and said.startswith("dwa, net@0.25, net@0.75")
+    assert " cannot be told apart here; they prevent " in said and " of the user's 4 crashes" in said
+
+    def of(*names):
+        kept = {name: result.episodes[name] for name in names}
+        return conclusion(replace(result, episodes=kept, pooled=[r for r in result.pooled if r["policy"] in names]))
+
+    alike = of("follow", "net@0.25", "net@0.75")
+    assert "net@0.25 and net@0.75" in alike and "both prevent 2 of the user's 4 crashes" in alike
+    assert of("follow", "dwa").startswith("Best of those that see what a chair can see: dwa; dwa prevents 4 of the us")
+    assert of("dwa").startswith("Best of those that see what a chair can see: dwa. Simulation only")
 
 
 def test_weights_change_what_they_should(result):

@@ -62,7 +62,7 @@ def text(folder, said):
     moment = SeenMoment(before_s=0.5, speed_mps=1.0, asked="+0.00 +1.00", given="+0.00 +0.50", png=PNG)
     pictures = {("follow", 0, 1): Illustration(seen=(moment,) * 8, street_png=PNG, near=("car 1.0 m",))}
     pictures["follow", 0, 0] = Illustration(missing=f"it went {SCRIPT}")
-    path = write_suite_page(result, folder, failures, pictures, "")
+    path = write_suite_page(result, folder, failures, pictures, "", folder)
     assert path == folder / "report.html"
     return path.read_text(encoding="utf-8")
 
@@ -133,7 +133,8 @@ def test_a_failure_has_its_pictures_or_says_why_not(text):
 def test_what_was_not_recorded_is_said(tmp_path):
     write_result(tmp_path, ways=False)
     result = read_result(tmp_path)
-    text = write_suite_page(result, tmp_path, failures_of(result, tmp_path), {}, "No pictures: x").read_text("utf-8")
+    failures = failures_of(result, tmp_path)
+    text = write_suite_page(result, tmp_path, failures, {}, "No pictures: x", tmp_path).read_text("utf-8")
     assert text.count("not recorded") >= 2 and "The ways were not recorded" in text and "No pictures: x" in text
     assert json.loads((tmp_path / "episodes.json").read_text("utf-8"))["dwa"][0].keys().isdisjoint({"path_m"})
     assert not list((tmp_path / "report").glob("comfort*.svg"))
@@ -142,8 +143,8 @@ def test_what_was_not_recorded_is_said(tmp_path):
 def test_the_same_result_gives_the_same_bytes(folder, text):
     result = read_result(folder)
     failures = failures_of(result, folder)
-    first = write_suite_page(result, folder, failures, {}, "").read_bytes()
-    assert write_suite_page(result, folder, failures, {}, "").read_bytes() == first
+    first = write_suite_page(result, folder, failures, {}, "", folder).read_bytes()
+    assert write_suite_page(result, folder, failures, {}, "", folder).read_bytes() == first
 
 
 def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said):

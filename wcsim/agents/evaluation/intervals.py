@@ -13,6 +13,7 @@ from wcsim.types import F64
 
 _HALVINGS = 80  # each halves the interval in which the answer lies
 _DRAWS = 2000
+FEWEST = 6  # of so many coins one in 32 shows one side alone, of five one in 16: fewer tell nothing at 95 %
 _NORMAL_95 = 1.959964  # 95 % of a normal distribution lie within so many standard deviations
 
 Interval = tuple[float, float]
@@ -73,13 +74,13 @@ def wilson(count: int, of: int) -> Interval | None:
 
 
 def bootstrapped(values: Sequence[float] | F64, weights: Sequence[float] | F64 | None = None) -> Interval | None:
-    """The 95 % interval of a weighted mean over episodes, by drawing episodes anew; None without any weight.
+    """The 95 % interval of a weighted mean over episodes, by drawing episodes anew.
 
-    The draws are the same for the same numbers of episodes.
+    None without any weight, and of fewer than `FEWEST`. The draws are the same for the same numbers of episodes.
     """
     value = np.asarray(values, np.float64)
     weight = np.ones(len(value)) if weights is None else np.asarray(weights, np.float64)
-    if not len(value) or weight.sum() <= 0.0:
+    if len(value) < FEWEST or weight.sum() <= 0.0:
         return None
     drawn = seeding.generator(0, "bootstrap", len(value)).integers(0, len(value), (_DRAWS, len(value)))
     total = weight[drawn].sum(1)

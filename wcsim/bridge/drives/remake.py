@@ -23,6 +23,7 @@ from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import ClientSnapshot, Command, SeatSpec
 from wcsim.users.profile_file import profile_of_json
+from wcsim.users.recording.drive_bytes import start_of_json
 from wcsim.users.recording.drive_types import (
     RESPAWN,
     USER,
@@ -138,7 +139,7 @@ def _user_of(drive: DriveRecording, work: Path) -> str:
 def _do_again(world: World, event: RecordedEvent, spec: SeatSpec, work: Path) -> None:
     """What the person asked for between two ticks."""
     if event.kind == RESPAWN:
-        world.respawn(0)
+        world.respawn(0, start=start_of_json(event.detail) if event.detail else None)
         return
     user = write_user(work, profile_of_json(event.detail, "a change of user in the drive"))
     world.dismiss(0)

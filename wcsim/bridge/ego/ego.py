@@ -14,7 +14,7 @@ from wcsim.bridge.ego.crossing_button import CrossingButton
 from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
 from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
-from wcsim.bridge.ego.start_place import TakenNear, is_clear, require_in_town
+from wcsim.bridge.ego.start_place import TakenNear, heading_rad, is_clear, require_in_town
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.ego.visible_actors import ShownActors
 from wcsim.bridge.reaction.attention import AttentionModel
@@ -95,6 +95,7 @@ class Ego:
         self.user: SimulatedUser | RecordedUser  # of this episode, as the rest: from `spawn` on
         self.route: Route
         self._start: Start
+        self._next_start: StartSpec | None = None  # of the next episode alone
         self.fitting: DrawnChair | None = None
         self.habits: AttentionModel | None = None  # of the others towards this chair, when they were drawn
         self._waiting = deque[Joystick]()  # commands that the chair has not obeyed yet
@@ -160,7 +161,8 @@ class Ego:
         self._vary()
         self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
-        start = self._draw_start(rng, taken) if self.spec.start is None else self._fixed_start(self.spec.start)
+        fixed, self._next_start = self._next_start or self.spec.start, None
+        start = self._draw_start(rng, taken) if fixed is None else self._fixed_start(fixed)
         self._episode += 1
         self._spawned, self._stands = True, False
         self._step = 0
@@ -171,6 +173,22 @@ class Ego:
         self._crossing = CrossingWatch(self._street.grid, self._street.walk)
         self._shown_actors.forget()
         self._follow(start.route)
+
+    def begin_next_at(self, start: StartSpec | None) -> None:
+        """Let the next episode begin there. Raises ConfigError for a start that cannot be."""
+        require_in_town(start, self._router)
+        self._next_start = start
+
+    def start_facing(self, xy: XY, goal: XY, taken: TakenNear) -> StartSpec | None:
+        """A start at this place that faces its way to the goal; None where it is not clear, but for this chair."""
+        yaw_rad = heading_rad(self._router.route(xy, goal), 0.0, np.array(xy))
+        own, clear_m = chair_actor_id(self.index), self._config.world.clear_spawn_m
+
+        def others(xy_W_m: F64, radius_m: float) -> list[ActorState]:
+            return [actor for actor in taken(xy_W_m, radius_m) if actor.id != own]
+
+        clear = is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, others)
+        return StartSpec(p_W_m=xy, yaw_rad=yaw_rad, goal_W_m=goal) if clear else None
 
     def _vary(self) -> None:
         """Make the chair what it is in the next episode, and let no command of the last one reach it."""

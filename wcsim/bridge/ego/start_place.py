@@ -9,9 +9,11 @@ import numpy as np
 
 from wcsim.errors import ConfigError
 from wcsim.towns.walking.routes import Router
-from wcsim.types import F64, ActorState, Ground, Outline, StartSpec
+from wcsim.types import F64, ActorState, Ground, Outline, Route, StartSpec
 
 START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
+
+_LOOK_AHEAD_M = 3.0
 
 TakenNear = Callable[[F64, float], Sequence[ActorState]]
 
@@ -26,6 +28,13 @@ def require_in_town(start: StartSpec | None, router: Router) -> None:
             )
     if start is not None and not math.isfinite(start.yaw_rad):
         raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
+
+
+def heading_rad(route: Route, done_m: float, p_W_m: F64) -> float:
+    """Where a way goes on, so far along it, as seen from a place (2,) or (3,)."""
+    arc_m = min(done_m + _LOOK_AHEAD_M, float(route.arc_m[-1]))
+    x_m, y_m = (float(np.interp(arc_m, route.arc_m, route.points_W_m[:, axis])) for axis in (0, 1))
+    return math.atan2(y_m - float(p_W_m[1]), x_m - float(p_W_m[0]))
 
 
 def is_clear(

@@ -19,6 +19,7 @@ from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, said_of
 from wcsim.cli.shared.run_config import require_unset
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import Machines
@@ -98,7 +99,7 @@ def run_suites(words: list[str]) -> int:
     told = stderr_console()
     order = replace(_order(options, suite, out), machines=_machines(options, told), look=_look(options, told))
     listed = f"{suite.file.suite} {suite.file.set}, list {suite.sha256[:12]}"
-    told.print(f"{listed}: {suite.episodes} episodes a policy", markup=False)
+    told.print(f"{listed}: {counted(suite.episodes, 'episode')} a policy", markup=False)
     for line in told_of_rules(names, order.preset, (*suite.file.settings, *order.settings)):
         told.print(line, markup=False)
     require_usable(order, options.policies)

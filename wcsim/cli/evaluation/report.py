@@ -32,7 +32,7 @@ class Options:
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
     """What `wcsim test --suite` or `wcsim train` wrote."""
     out: OutFolder = None
-    """Folder for the page of several trainings. (default: runs/report)"""
+    """Folder for the page. (default: the one folder, or runs/report for several)"""
     pictures: int = 8
     """Failures that are shown in pictures, the worst of each policy; each is driven once more, up to a minute."""
     own: Repeated = ()
@@ -49,8 +49,8 @@ def run(words: list[str]) -> int:
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
         raise ConfigError(f"{len(kinds)} folders, {sum(kinds)} of tests; expected one, or several of `wcsim train`")
-    out = options.folders[0] if len(kinds) == 1 else options.out or Path("runs") / "report"
-    check_folder("FOLDER" if len(kinds) == 1 else "--out", out)
+    out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
+    check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
     if find_spec("matplotlib") is None:
         raise ConfigError("figures are drawn by matplotlib, which is not here: python -m pip install 'wcsim[report]'")
     path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
@@ -85,19 +85,20 @@ def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
     return page
 
 
-def _of_test(options: Options, folder: Path) -> Path:
+def _of_test(options: Options, out: Path) -> Path:
     from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.view.report.failures import failures_of
     from wcsim.view.report.suite_page import write_suite_page
 
-    result = read_result(folder)
-    failures = failures_of(result, folder)
+    tested = options.folders[0]
+    result = read_result(tested)
+    failures = failures_of(result, tested)
     try:
         pictures, why_none = _pictures(options, result, failures), ""
     except FileError as error:  # the numbers stand without pictures
         pictures, why_none = {}, f"No pictures: {error}"
         stderr_console().print(why_none, soft_wrap=True, markup=False)
-    return write_suite_page(result, folder, failures, pictures, why_none)
+    return write_suite_page(result, tested, failures, pictures, why_none, out)
 
 
 def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:

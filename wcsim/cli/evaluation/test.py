@@ -26,6 +26,7 @@ from wcsim.cli.shared.run_config import overrides_of, require_known, require_uns
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core.constants import RECORDED
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town, list_towns, streets_hash
@@ -182,7 +183,7 @@ def _driven(options: Options) -> list[str]:
 
 def _told_of(plan: TestPlan, names: Sequence[str]) -> str:
     """How much there is to drive, in a line."""
-    many = f"{len(names)} policies" if len(names) > 1 else "1 policy"
+    many = counted(len(names), "policy", "policies")
     places = [f"{len(found)} {what}s" for found, what in ((plan.towns, "town"), (plan.profiles, "user")) if found[1:]]
     of_each = f"{plan.episodes} episode{'s' * (plan.episodes > 1)} of each"
     return f"{many}, {' in each of '.join([of_each, *places])}: {', '.join(names)}"

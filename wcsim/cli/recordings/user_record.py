@@ -14,7 +14,7 @@ from wcsim.cli.shared.common import OutFile, Repeated, check_output, in_bounds, 
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.config import load_run_config
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.users.profile_file import read_profile
@@ -66,7 +66,7 @@ def run(options: UserRecordOptions) -> int:
 
     order = UserDriveOrder(town=town, config=config, user=user, ticks=ticks, seed=options.seed)
     crashes = record_user(order, options.out, show)
-    print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {crashes} crashes")
+    print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {counted(crashes, 'crash')}")
     if options.json is not None:
         told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
         write_json(options.json, told)

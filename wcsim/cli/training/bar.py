@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
 from wcsim.cli.shared.consoles import stderr_console
+from wcsim.core.reading import counted
 from wcsim.errors import DiskFullError, WorkersError
 
 if TYPE_CHECKING:
@@ -58,7 +59,8 @@ class TrainBar:
         """Say how far it has come."""
         kpi1 = "" if now.kpi1 is None else f", KPI 1 {now.kpi1:.3f}"
         step = min(now.step, now.total_steps)  # the last steps are done together, and may be a few more
-        says = f"{step}/{now.total_steps} steps, {now.episodes} episodes, {now.crashes} crashes{kpi1}"
+        known = f"{counted(now.episodes, 'episode')}, {counted(now.crashes, 'crash')}{kpi1}"
+        says = f"{step}/{now.total_steps} steps, {known}"
         phase = f"phase {now.phase}"
         self._bar.update(self._task, completed=now.step, description=phase, says=says)
         tenths = 10 * now.step // self._total

@@ -26,6 +26,7 @@ from wcsim.cli.shared.run_config import (
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -189,7 +190,7 @@ def how_it_learns(config: RunConfig) -> str:
     collect, danger = config.collect, config.danger
     if not learns_in_rounds(config):
         return ""
-    times = "1 round" if collect.rounds == 1 else f"{collect.rounds} rounds"
+    times = counted(collect.rounds, "round")
     return (
         f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users drive, "
         "and an oracle that knows what is about to happen; from this a network learns, in "

@@ -24,7 +24,7 @@ from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import train_clients
 from wcsim.cli.training.train import Options
 from wcsim.core.files import locked
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.towns.scenario.town import Town
@@ -136,7 +136,7 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
     told = stderr_console()
     chooses = f"{suite.file.suite} {suite.file.set} chooses"
-    told.print(f"first phase done; {chooses}: {suite.episodes} episodes a client", markup=False)
+    told.print(f"first phase done; {chooses}: {counted(suite.episodes, 'episode')} a client", markup=False)
 
     def say(policy: str, done: int, of: int) -> None:
         told.print(f"{policy}: {done} of {of} blocks", style="dim", markup=False)

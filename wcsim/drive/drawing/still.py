@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from wcsim.bridge.ego.start_place import heading_rad
 from wcsim.bridge.world import World
+from wcsim.core.frames import wrap
 from wcsim.drive.drawing.moment import Moment
 from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
-from wcsim.drive.session import way_bearing_rad
 from wcsim.physics.renderer.instances import chair_pose
 from wcsim.types import U8
 
@@ -26,7 +27,8 @@ class StillPictures:
     def on_way(self) -> bool:
         """Whether the chair faces its way now: while it turns first, its picture shows a way that leads elsewhere."""
         user, plant = self._world.seats[0], self._world.snapshot.clients[0].plant
-        return abs(way_bearing_rad(user.route, user.user.route_progress_m, plant)) < _ON_WAY_RAD
+        ahead_rad = heading_rad(user.route, user.user.route_progress_m, plant.p_WB_m)
+        return abs(wrap(ahead_rad - plant.yaw_rad)) < _ON_WAY_RAD
 
     def draw(self) -> U8:
         """The picture of now, (540, 960, 3) RGB."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wcsim.config.study import StudyFile, StudyQuestion
+from wcsim.core.reading import counted
 from wcsim.drive.keeping.study_plan import StepKind, StudyStep, questions_of
 from wcsim.drive.keeping.study_table import answers_of
 
@@ -84,7 +85,7 @@ def _how_long(step: StudyStep) -> str:
     minutes = f"{block.minutes:g} minute{'' if block.minutes == 1.0 else 's'}"
     if block.arrivals is None:
         return f"You drive for {minutes}. You can pause at any time; time stands still then."
-    places = "one place" if block.arrivals == 1 else f"{block.arrivals} places"
+    places = counted(block.arrivals, "place")
     return f"You drive until you have arrived at {places}, for {minutes} at the most. You can pause at any time."
 
 

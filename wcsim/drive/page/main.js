@@ -5,7 +5,7 @@ import { Link } from "./link.js";
 import { Hint, Panel, tellKeeping } from "./panel.js";
 import { Scan } from "./scan.js";
 import { Scene } from "./scene.js";
-import { big, by, keep, kept, line, note, wireDialogs, wireDisplay, wireHold } from "./shared.js";
+import { big, by, keep, kept, line, note, waitFor, wireDialogs, wireDisplay, wireHold } from "./shared.js";
 import { Stick } from "./stick.js";
 import { Study } from "./study.js";
 
@@ -20,7 +20,6 @@ let lastSaid = "";
 let crash = "";
 let standing = ""; // why the chair does not go
 let sayTimer = 0;
-let busyTimer = 0, busySince = 0;
 
 // Told to a screen reader, and gone before somebody reads the page and takes it for what is so now.
 function say(text) {
@@ -64,13 +63,13 @@ const link = new Link({
     panel.tellState(state);
     grid.show(state.unsafe);
     grid.move(state.stick, state.commanded);
-    if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. A new start follows.`);
+    if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. You begin again before that place.`);
     if (crash && !state.crash) hint.begin();
     crash = state.crash;
     if (state.crash || (state.let_go && scan.driving)) rest();
     tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
-    big(busy || (state.crash ? `The chair ${state.crash}. A new start follows.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
+    big(busy || (state.crash ? `The chair ${state.crash}. You begin again before that place.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });
 
@@ -106,14 +105,9 @@ function tellStanding(state) {
   else if (before === "Paused") say("Time goes on.");
 }
 
-// What is waited for, and for how long already: the server says nothing while it builds a street.
-function setBusy(told, counts = true) {
-  if (!busy) busySince = performance.now();
+function setBusy(told, counts) {
   busy = told;
-  clearInterval(busyTimer);
-  big(busy);
-  if (!told || !counts) return;
-  busyTimer = setInterval(() => big(`${busy} (${Math.round((performance.now() - busySince) / 1000)} s)`), 1000);
+  waitFor(busy, counts);
 }
 
 function askForHelp() {

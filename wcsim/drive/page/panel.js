@@ -46,7 +46,7 @@ class Deeds {
   tell(state, now_ms) {
     const far = Math.hypot(state.stick[0] - state.commanded[0], state.stick[1] - state.commanded[1]);
     let begins = false, ended = "";
-    if (state.crash) { this.now = this.done = ""; }
+    if (state.crash || state.overruled) { this.now = this.done = ""; }
     if (state.intervening) {
       if (!this.now) { begins = true; this.far = 0; }
       if (far > this.far) { this.far = far; this.now = deed(state.stick, state.commanded); }
@@ -104,6 +104,7 @@ export class Panel {
     this.about = about;
     by("place").textContent = about.place;
     by("policy").textContent = about.policy;
+    by("seed").value = String(about.seed);
     const same = (names) => names.map((name) => [name, name.startsWith("recorded:") ? "recorded" : name]);
     const users = about.profiles.includes(about.profile) ? about.profiles : [about.profile, ...about.profiles];
     const towns = about.towns.includes(about.town) ? about.towns : [...about.towns, about.town];
@@ -190,6 +191,7 @@ export class Panel {
     put(by("did"), told.line);
     this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : state.assisted ? "on" : "off");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
+    if (this.lamp("lamp-road", state.on_road, state.on_road ? "you are on the road" : "you are off it") && state.on_road) this.say("You are on the road.");
     const turn = state.bearing_deg;
     const side = Math.abs(turn) > 150 ? "behind you" : Math.abs(turn) < 20 ? "ahead" : `${Math.round(Math.abs(turn) / 10) * 10}° to the ${turn > 0 ? "left" : "right"}`;
     this.lamp("lamp-way", false, side);
@@ -250,7 +252,8 @@ export class Hint {
     const behind = Math.abs(state.bearing_deg) > BEHIND_DEG;
     if (away_m > GONE_M || (away_m > SET_OUT_M && !behind)) this.done = true;
     const mine = may && state.driver === "person" && !state.alone && !state.crash && !state.let_go;
-    if (this.done || !mine) { this.show(""); return; }
+    const drives = Math.abs(state.speed_mps) > STANDS_MPS && !behind;
+    if (this.done || !mine || drives || state.warning || state.intervening) { this.show(""); return; }
     if (behind) { this.show("The way is behind you: turn with left or right first."); return; }
     const push = matchMedia("(pointer: coarse)").matches ? "Push the disc ahead" : "Press ↑ (up arrow), or push the disc";
     this.show(`${switches ? SWITCHES[switches] : push}; follow the green dots.`);

@@ -3,7 +3,7 @@
 import { Grid, words } from "./grid.js";
 import { Link } from "./link.js";
 import { Scene } from "./scene.js";
-import { big, by, line, note, Numbers, put, wireDialogs, wireDisplay } from "./shared.js";
+import { big, by, counted, line, note, Numbers, put, waitFor, wireDialogs, wireDisplay } from "./shared.js";
 import { Timeline } from "./timeline.js";
 
 const LEAD_S = 3;
@@ -36,11 +36,11 @@ const link = new Link({
     line(LINES[what]);
     say(LINES[what][0]);
     if (what === "open") scene.tell();
-    else big("Connection lost. Trying again …");
+    else { waitFor(""); big("Connection lost. Trying again …"); }
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about: tellAbout,
-  busy(message) { big(message.told); say(message.told); },
+  busy(message) { waitFor(message.told, message.waits !== false); say(message.told); },
   notice(message) { note(message.kind, message.told, message.kind === "bad"); },
   marks(message) { timeline.setMarks(message.marks); choose(); },
   role(role) {
@@ -73,14 +73,18 @@ function jump(kinds, forward) {
   const from = state.at + lead();
   const mark = forward ? timeline.next(kinds, from) : timeline.before(kinds, from);
   const name = kinds === CRASHES ? "crash" : "intervention";
-  if (!mark) { note("note", `There is no ${name} ${forward ? "after" : "before"} here${state.reading ? ", as far as it was read" : ""}.`); return; }
+  if (!mark) {
+    const none = state.crash && kinds === CRASHES ? `This is the ${forward ? "last" : "first"} crash` : `There is no ${name} ${forward ? "after" : "before"} here`;
+    note("note", `${none}${state.reading ? ", as far as it was read" : ""}.`);
+    return;
+  }
   if (mark[1] >= 0 && mark[1] !== state.seat) link.say("followseat", { seat: mark[1] });
   seek(mark[0] - lead());
 }
 
 function tellAbout(told) {
   about = told;
-  big("");
+  waitFor("");
   by("place").textContent = told.title;
   document.title = `${told.title} – wcsim film`;
   grid.setPoints(told.points);
@@ -129,7 +133,7 @@ function tellState(now) {
   by("play").setAttribute("aria-pressed", String(!now.paused));
   by("live").setAttribute("aria-pressed", String(now.live));
   by("pace").value = String(now.pace);
-  put(by("size"), `${now.count - now.first} ticks, ${now.size_mb} MB${now.first ? `; those before ${clock(now.first)} were let go` : ""}`);
+  put(by("size"), `${counted(now.count - now.first, "tick")}, ${now.size_mb} MB${now.first ? `; those before ${clock(now.first)} were let go` : ""}`);
   tellChair(now);
   tellChairs(now);
   document.body.dataset.at = String(now.at);
@@ -172,7 +176,7 @@ function tellChairs(now) {
     put(name, chair.name);
     put(signs, !chair.here ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warns" : chair.intervening ? "▬ intervenes" : "follows");
     const k = chair.kpis;
-    put(more, `${k.ticks} ticks · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes ?? "–"} crashes`);
+    put(more, `${counted(k.ticks, "tick")} · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes === null ? "– crashes" : counted(k.crashes, "crash", "crashes")}`);
   });
 }
 

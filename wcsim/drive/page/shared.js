@@ -23,6 +23,20 @@ export function big(text) {
   put(by("big"), text);
 }
 
+let busyTimer = 0;
+
+// What is waited for, over the street, "" for nothing, and for how long already: nobody tells while a street is built.
+export function waitFor(told, counts = true) {
+  clearInterval(busyTimer);
+  big(told);
+  if (!told || !counts) return;
+  const began = performance.now();
+  busyTimer = setInterval(() => big(`${told} ${Math.round((performance.now() - began) / 1000)} s`), 1000);
+}
+
+// How many, in words.
+export const counted = (count, one, several = `${one}s`) => `${count} ${count === 1 ? one : several}`;
+
 // The state of the connection: its words, and "good" or "bad".
 export function line([text, kind]) {
   by("line").textContent = text;

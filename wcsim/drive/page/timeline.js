@@ -1,5 +1,7 @@
 // The time line: marks as shapes in rows above a range input, so that they are told apart without colours.
 
+import { counted } from "./shared.js";
+
 const KINDS = { // one, several
   crash: ["crash", "crashes", "--bad", "✕"], drop: ["fall off a kerb", "falls off kerbs", "--bad", "▼"], intervention: ["intervention", "interventions", "--do", "▬"],
   warning: ["warning", "warnings", "--warned", "▲"], arrival: ["arrival", "arrivals", "--good", "●"], "gave-up": ["given up", "given up", "--soft", "○"],
@@ -65,7 +67,7 @@ export class Timeline {
       sign.textContent = shape;
       sign.style.color = `var(${colour})`;
       sign.setAttribute("aria-hidden", "true");
-      item.append(sign, `${counts[kind]} ${counts[kind] > 1 ? several : one}`);
+      item.append(sign, counted(counts[kind], one, several));
       return item;
     }));
   }

@@ -263,7 +263,8 @@ class PlayRunner:
 
     def _open(self, source: FilmSource) -> None:
         """Start the process of a source."""
-        self._say(m.Busy(told="Opening the street ..."))
+        waits = "; it waits while the training uses the cores" if self._start.gives_way else ""
+        self._say(m.Busy(told=f"Opening the street{waits} ..."))
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
         context = get_context("spawn")

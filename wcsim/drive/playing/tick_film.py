@@ -42,8 +42,10 @@ _MARKED: Final = (
     (Flag.ARRIVED, "arrival"),
     (Flag.GAVE_UP, "gave-up"),
     (Flag.HELPED, "help"),
+    (Flag.WARNING, "warning"),
+    (Flag.INTERVENING, "intervention"),
 )
-_STRETCHES: Final = ((Flag.WARNING, "warning"), (Flag.INTERVENING, "intervention"))
+_STRETCHES: Final = Flag.WARNING | Flag.INTERVENING  # marked where they begin
 
 
 class FilmTick(msgspec.Struct, frozen=True, array_like=True):
@@ -172,10 +174,10 @@ class TickFilm:
 
     def _mark(self, chair: FilmChair, before: ChairSums) -> None:
         flags, was = Flag(chair.flags), Flag(before.on)
-        event = next((kind for flag, kind in _MARKED if flags & flag), "")
-        begun = next((kind for flag, kind in _STRETCHES if flags & flag and not was & flag), "")
-        for kind in (event, begun):
-            if kind:
+        now = flags & ~(was & _STRETCHES)
+        now &= ~Flag.CRASHED if Flag.DROPPED in flags else now  # a fall is one mark
+        for flag, kind in _MARKED:
+            if flag in now:
                 told = chair.reason if kind in ("crash", "drop") else ""
                 self._note(FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.core.reading import FileKind, parse_json
+from wcsim.core.reading import FileKind, parse_json, shown
 from wcsim.errors import JournalError
 from wcsim.types import F64, Joystick, StartSpec
 from wcsim.users.recording.drive_types import (
@@ -45,6 +45,20 @@ def header_payload(header: DriveHeader) -> bytes:
     payload = json.dumps({"magic": DRIVE_MAGIC, **asdict(header)}, allow_nan=False).encode()
     header_of_drive(payload, "a header")
     return payload
+
+
+def start_json(start: StartSpec) -> str:
+    """A start as the detail of an event `respawn`, every number to the last bit."""
+    return json.dumps(asdict(start), allow_nan=False)
+
+
+def start_of_json(text: str) -> StartSpec:
+    """What `start_json` wrote. Raises JournalError for anything else."""
+    where = f"the drive's respawn at {shown(text, 80)}"
+    try:
+        return _start_of(parse_json(text, where, DRIVE_FILE))
+    except (KeyError, TypeError, ValueError):
+        raise JournalError(f"{where}: is no start; expected a place, a heading and a goal: record it again") from None
 
 
 def is_drive_header(payload: bytes) -> bool:

@@ -14,7 +14,10 @@ DRIVE_MAGIC = "wcsim-drive-1"
 PERSON = "person"
 """The profile of a recording in which somebody drove who is not simulated."""
 RESPAWN = "respawn"
-"""The event of an episode that was cut and begun anew without a crash: the replay does the same at that tick."""
+"""The event of an episode that was cut and begun anew: the replay does the same at that tick.
+
+Its detail is the start as JSON, or "" where that was drawn.
+"""
 USER = "user"
 """The event of another simulated user beside the person, in a chair made anew; its detail is that profile as JSON."""
 MOST_SAMPLES = 480  # of the stick in a tick: as many as the steps that a tick's physics may have

@@ -12,6 +12,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from wcsim.core.reading import counted
 from wcsim.types import U8
 
 _WIDTH_IN, _HEIGHT_IN = 4.8, 3.4
@@ -184,7 +185,7 @@ def town_chart(town: str, ground: TownPicture | None, ways: Sequence[DrivenWay],
                 s=22,
                 linewidths=1.3,
                 color=colour_of(places[name]),
-                label=f"{_short(name)}: {len(crashes)} own crashes",
+                label=f"{_short(name)}: {counted(len(crashes), 'own crash')}",
             )
         axes.set_aspect("equal")
         axes.set_xlabel("east, m")
@@ -266,4 +267,4 @@ def _legend(axes: Axes, entries: int) -> None:
 def _short(name: str, most: int = 28) -> str:
     """A name that fits: the end of a path says which it is. Matplotlib leaves names out that begin with "_"."""
     name = f" {name}" if name.startswith("_") else name
-    return name if len(name) <= most else f"…{name[-(most - 1):]}"
+    return name if len(name) <= most else f"…{name[-(most - 1) :]}"

@@ -7,9 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from wcsim.agents.evaluation.intervals import bootstrapped, mcnemar
+from wcsim.agents.evaluation.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import KeptResult
+from wcsim.agents.policies.baseline_names import UPPER_BOUNDS
+from wcsim.core.reading import counted
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
 _SURE: Final = 0.05
@@ -27,20 +29,19 @@ class Paired:
     lost: int  # and the other way round
     mcnemar_p: float
     difference: float  # of the scores, the policy's less the rival's
-    low: float
-    high: float
+    interval: Interval | None  # of the difference, 95 %; None of too few episodes
 
     @property
     def separated(self) -> bool:
-        """Whether the interval of the difference leaves out 0."""
-        return self.low > 0.0 or self.high < 0.0
+        """Whether the interval of the difference leaves out 0; never without one."""
+        return self.interval is not None and not self.interval[0] <= 0.0 <= self.interval[1]
 
     @property
     def enough(self) -> int | None:
-        """About how many such episodes would separate them, were the difference as it is; None where it is 0."""
-        if self.difference == 0.0:
+        """About how many such episodes would separate them, were the difference as it is; None where nobody knows."""
+        if self.difference == 0.0 or self.interval is None:
             return None
-        half = 0.5 * (self.high - self.low)
+        half = 0.5 * (self.interval[1] - self.interval[0])
         return max(self.episodes, math.ceil(self.episodes * (half / abs(self.difference)) ** 2))
 
 
@@ -66,8 +67,7 @@ def paired(result: KeptResult, policy: str, rival: str, part: str) -> Paired | N
         for episode in result.episodes[policy]
         if part in ("", episode.record.part) and (episode.record.block, episode.record.seat) in theirs
     ]
-    interval = bootstrapped([mine.score - other.score for mine, other in both])
-    if interval is None:
+    if not both:
         return None
     saved, lost = saved_and_lost((mine for mine, _ in both), (other for _, other in both))
     return Paired(
@@ -79,8 +79,7 @@ def paired(result: KeptResult, policy: str, rival: str, part: str) -> Paired | N
         lost=lost,
         mcnemar_p=mcnemar(saved, lost),
         difference=math.fsum(mine.score - other.score for mine, other in both) / len(both),
-        low=interval[0],
-        high=interval[1],
+        interval=bootstrapped([mine.score - other.score for mine, other in both]),
     )
 
 
@@ -92,8 +91,8 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
     """
     found = []
     for word, chosen in (
-        ("above", [pair.policy for pair in pairs if pair.low > 0.0]),
-        ("below", [pair.policy for pair in pairs if pair.high < 0.0]),
+        ("above", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
+        ("below", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
     ):
         if chosen:
             found.append(f"{word} it by the score: {', '.join(chosen)}")
@@ -113,9 +112,49 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
 
 def _lacking(pair: Paired) -> str:
     """Why two are not separated."""
+    if pair.interval is None:
+        return f"{counted(pair.episodes, 'episode')}; fewer than {FEWEST} tell nothing"
     if pair.enough is None:
         return "equal scores"
-    return f"{pair.difference:+.3f}; needs about {pair.enough} episodes"
+    return f"{pair.difference:+.3f}; needs about {counted(pair.enough, 'episode')}"
+
+
+def conclusion(result: KeptResult) -> str:
+    """The first sentence of the page: who helps best, or who cannot be told apart, without those that see the truth."""
+    scores = {row["policy"]: float(row.get("score") or 0.0) for row in result.pooled}
+    real = sorted((name for name in scores if name not in UPPER_BOUNDS), key=lambda name: -scores[name])
+    if not real:
+        return "Only bounds were tested."
+    pairs = [paired(result, real[0], name, "") for name in real[1:]]
+    alike = [real[0], *(pair.rival for pair in pairs if pair is not None and not pair.separated)]
+    best = f"Best of those that see what a chair can see: {real[0]}"
+    told = best if len(alike) == 1 else f"{_and(alike)} cannot be told apart here"
+    bounds = [name for name in scores if name in UPPER_BOUNDS]
+    more = f" {_and(bounds)} see the truth and are bounds, no helpers." if bounds else ""
+    return f"{told}{_prevented(result, alike)}.{more} Simulation only: these figures say nothing about a real street."
+
+
+def _prevented(result: KeptResult, policies: Sequence[str]) -> str:
+    """How many of the own crashes of the user alone these prevent, and how many they cause; "" where nobody knows."""
+    alone = RIVALS[0]
+    helping = [name for name in policies if name != alone] if alone in result.episodes else []
+    pairs = [pair for name in helping if (pair := paired(result, name, alone, "")) is not None]
+    crashes = sum(episode.record.own for episode in result.episodes.get(alone, ()))
+    if not pairs or not crashes:
+        return ""
+    who, s = (pairs[0].policy, "s") if len(pairs) == 1 else ("both" if len(pairs) == 2 else "they", "")
+    saved, lost = (_range([getattr(pair, what) for pair in pairs]) for what in ("saved", "lost"))
+    told = f"; {who} prevent{s} {saved} of the user's {counted(crashes, 'crash')}"
+    return told if lost == "0" else f"{told}, and cause{s} {lost} where the user has none"
+
+
+def _range(counts: Sequence[int]) -> str:
+    low, high = min(counts), max(counts)
+    return f"{low}" if low == high else f"{low} to {high}"
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

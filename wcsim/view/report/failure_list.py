@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
+from wcsim.core.reading import counted
 from wcsim.view.report.failures import WORST, FailedEpisode, worst_of
 from wcsim.view.report.illustrate import Illustration, Key, SeenMoment
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, data_uri, el, joined
@@ -70,7 +71,7 @@ def _filters(failures: Sequence[FailedEpisode]) -> Markup:
                                    data_filter=name))
         for name, values in chosen
     )  # fmt: skip
-    return el("p", *labels, el("span", f"{len(failures)} failures", id="failures-count"), class_="filters")
+    return el("p", *labels, el("span", counted(len(failures), "failure"), id="failures-count"), class_="filters")
 
 
 def _entry(number: int, failure: FailedEpisode, anchor: str, pictures: Illustration | None) -> Markup:
@@ -98,10 +99,11 @@ def _entry(number: int, failure: FailedEpisode, anchor: str, pictures: Illustrat
 
 def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) -> Markup:
     record = failure.episode.record
+    interventions = counted(len(record.interventions), "intervention")
     said = (
         f"Episode {record.block}.{record.seat}: {record.m:.1f} m and {record.time_s:.1f} s driven, "
         f"{_done(record)}score {record.score:.3f}, "
-        f"{len(record.interventions)} interventions{', none in the 5 s before the crash' if record.missed else ''}. "
+        f"{interventions}{', none in the 5 s before the crash' if record.missed else ''}. "
         f"{f'It {record.crash}. ' if record.crash else ''}The user alone in the same episode: {failure.unaided}."
     )
     parts: list[object] = [el("p", said)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +47,7 @@ def figures_of(result: KeptResult, folder: Path) -> list[Exhibit]:
 
 
 def _estimate(row: Row, key: str, interval: str) -> Estimate | None:
-    value, bounds = row.get(key), row.get(interval)
+    value, bounds = row.get(key), row.get(interval) or [math.nan, math.nan]  # a point of few episodes has no bar
     if not _number(value) or not isinstance(bounds, list) or len(bounds) != 2 or not all(map(_number, bounds)):
         return None
     return Estimate(value=float(value or 0.0), low=float(bounds[0]), high=float(bounds[1]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
-from wcsim.agents.policies.baseline_names import UPPER_BOUNDS
 from wcsim.view.report.markup import Markup, el, joined
 from wcsim.view.report.page import facts
 
@@ -54,28 +53,3 @@ def _policy(name: str) -> str:
     who, at, level = name.partition("@")
     said = POLICIES.get(who, "a policy that was brought to the test")
     return f"{said}; assistance level {level}" if at else said
-
-
-def conclusion(scores: Mapping[str, float], crashes: Mapping[str, tuple[int, float]]) -> str:
-    """The first sentence of the page: who helps best, without those that see the truth.
-
-    Args:
-        scores: Mean score of each policy.
-        crashes: Own crashes and kilometres of each.
-    """
-    real = sorted((name for name in scores if name not in UPPER_BOUNDS), key=lambda name: -scores[name])
-    if not real:
-        return "Only bounds were tested."
-    best = real[0]
-
-    def told(name: str) -> str:
-        own, km = crashes[name]
-        return f"{name} with a score of {scores[name]:.3f} ({own} own crashes in {km:.1f} km)"
-
-    second = f", then {told(real[1])}" if len(real) > 1 else ""
-    bounds = [name for name in scores if name in UPPER_BOUNDS]
-    more = f" {' and '.join(bounds)} see the truth and are bounds, no helpers." if bounds else ""
-    return (
-        f"Best of those that see what a chair can see: {told(best)}{second}.{more} "
-        "Simulation only: these figures say nothing about a real street."
-    )

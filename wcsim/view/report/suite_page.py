@@ -8,11 +8,12 @@ from pathlib import Path
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
+from wcsim.core.reading import counted
+from wcsim.view.report.comparisons import RIVALS, Paired, compared, conclusion, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import FailedEpisode, where_typed
 from wcsim.view.report.figures import figures_of
-from wcsim.view.report.glossary import conclusion, glossary
+from wcsim.view.report.glossary import glossary
 from wcsim.view.report.illustrate import Illustration, Key
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
 from wcsim.view.report.page import Section, facts, page, shown, write_page
@@ -33,15 +34,17 @@ def write_suite_page(
     failures: Sequence[FailedEpisode],
     pictures: Mapping[Key, Illustration],
     why_none: str,
+    out: Path,
 ) -> Path:
     """Write the page of a test and what belongs to it; where the page is.
 
     Args:
         result: The test.
-        folder: Where it lies, and where the page goes.
+        folder: Where it lies.
         failures: Those of all policies, worst first.
         pictures: Of some of them.
         why_none: Why there are no pictures at all, or "".
+        out: Where the page goes.
 
     Raises:
         DiskFullError: It cannot be written.
@@ -63,9 +66,13 @@ def write_suite_page(
         Section(name="parts", title="Part by part", body=joined(map(shown, by_part))),
         Section(name="episodes", title="Episodes", body=shown(episodes)),
     )
-    title = f"{result.suite} {result.set}: {len(names)} policies"
+    title = f"{result.suite} {result.set}: {_policies(result)}"
     text = page(title, _intro(result), sections)
-    return write_page(folder, text, (pooled, *by_part, against, weights, *drawn, listed, episodes))
+    return write_page(out, text, (pooled, *by_part, against, weights, *drawn, listed, episodes))
+
+
+def _policies(result: KeptResult) -> str:
+    return counted(len(result.episodes), "policy", "policies")
 
 
 def _who(result: KeptResult, parts: Sequence[str]) -> Markup:
@@ -79,18 +86,16 @@ def _intro(result: KeptResult) -> Markup:
     best = sorted(result.pooled, key=lambda row: -float(row.get("score") or 0.0))
     ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best[:_BEST])
     changed: object = el("strong", " ".join(result.changed)) if result.changed else "nothing: the list's own settings"
-    scores = {row["policy"]: float(row.get("score") or 0.0) for row in result.pooled}
-    crashes = {row["policy"]: (int(row["crashes_own"]), float(row.get("km") or 0.0)) for row in result.pooled}
     told = facts(
         (
             ("suite", f"{result.suite}, set {result.set}"),
             ("list", el("code", result.list_sha256)),
             ("changed", changed),
-            ("driven", f"{count} episodes, {km:.2f} km, by {len(result.episodes)} policies"),
+            ("driven", f"{counted(count, 'episode')}, {km:.2f} km, by {_policies(result)}"),
             ("best scores", ranked),
         )
     )
-    return joined((el("p", el("strong", conclusion(scores, crashes))), told))
+    return joined((el("p", el("strong", conclusion(result))), told))
 
 
 def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, weights: Exhibit) -> Markup:
@@ -98,7 +103,7 @@ def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, we
     for part in ("", *parts):
         here = [pair for pair in pairs if pair.part == part]
         if here:
-            name = f"{part or 'All parts'} ({max(pair.episodes for pair in here)} episodes)"
+            name = f"{part or 'All parts'} ({counted(max(pair.episodes for pair in here), 'episode')})"
             items.append(el("li", el("b", name), el("ul", *_against(here))))
     intro = (
         "Policies over the same episodes. Separated is what the 95 % interval of the difference says; the figures are "
@@ -127,5 +132,5 @@ def _episodes(result: KeptResult) -> Exhibit:
         for name, episodes in result.episodes.items()
         for e in episodes
     ]  # fmt: skip
-    said = f"{len(rows)} rows: every episode of every policy, with the parts of its score."
+    said = f"{counted(len(rows), 'row')}: every episode of every policy, with the parts of its score."
     return Exhibit(name="episodes", title="Every episode", says=said, body=Markup(""), csv=csv_of(columns, rows))

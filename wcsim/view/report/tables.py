@@ -158,8 +158,8 @@ def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     headings = ("policy", "against", "part", *counted, "score, difference", "separated")
     whole = table(headings, [_pair_row(pair) for pair in pairs if not pair.part], "comparison")
     parts = table(headings, [_pair_row(pair) for pair in pairs if pair.part], "comparison-parts")
-    columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference", "low", "high")
-    plain = [[getattr(pair, name) for name in columns] for pair in pairs]
+    columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
+    plain = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
     return Exhibit(
         name="comparison",
         title="The same episodes, driven by two",
@@ -167,11 +167,12 @@ def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
         "interval is drawn over the differences of single episodes. Each holds for itself: of twenty comparisons "
         "of equals one is separated by chance.",
         body=joined((whole, el("details", el("summary", "The same, part by part"), parts, class_="more"))),
-        csv=csv_of(columns, plain),
+        csv=csv_of((*columns, "low", "high"), plain),
     )
 
 
 def _pair_row(pair: Paired) -> tuple[object, ...]:
+    between = f"{pair.interval[0]:+.3f} to {pair.interval[1]:+.3f}" if pair.interval else "too few episodes"
     return (
         pair.policy,
         pair.rival,
@@ -180,8 +181,8 @@ def _pair_row(pair: Paired) -> tuple[object, ...]:
         pair.saved,
         pair.lost,
         (f"{pair.mcnemar_p:.2g}", pair.mcnemar_p),
-        (_with_interval(f"{pair.difference:+.3f}", f"{pair.low:+.3f} to {pair.high:+.3f}"), pair.difference),
-        "yes" if pair.separated else "no",
+        (_with_interval(f"{pair.difference:+.3f}", between), pair.difference),
+        "yes" if pair.separated else "no" if pair.interval else "–",
     )
 
 

@@ -29,7 +29,7 @@ if (list) {
       each.hidden = !fits;
       left += fits;
     }
-    document.getElementById("failures-count").textContent = `${left} of ${failures.length} failures`;
+    document.getElementById("failures-count").textContent = `${left} of ${failures.length} ${failures.length === 1 ? "failure" : "failures"}`;
   };
   for (const each of filters) each.addEventListener("change", sift);
   let sorted = "", up = true;

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from wcsim.agents.rounds.round_log import TrainedRound
+from wcsim.core.reading import counted
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, el, table
@@ -47,11 +48,11 @@ def told_of(rounds: Sequence[TrainedRound]) -> str:
 
     >>> at = {"round": 0, "steps": 2000, "new_steps": 2000, "updates": 50, "loss": 0.25, "wait_s": 1, "learn_s": 2}
     >>> told_of((TrainedRound(tight_share=0.2, crashes=4, **at),))
-    '1 rounds, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
+    '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
     """
     last, rate = rounds[-1], crash_rates(rounds)[-1]
     told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
-    return f"{len(rounds)} rounds, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+    return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
 
 
 def _figure(
@@ -62,7 +63,7 @@ def _figure(
         known = [(each, value) for each, value in zip(rounds, of(rounds), strict=True) if math.isfinite(value)]
         values = [value for _, value in known]
         curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
-        plain += [[run, each.round, each.steps, round(value, 6)] for each, value in known]
+        plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
     svg = curve_chart(name, label, curves)
     return figure(name, label[0].upper() + label[1:], f"{says}.", csv_of(("run", "round", "steps", label), plain), svg)
 
@@ -74,7 +75,7 @@ def _table(runs: Runs) -> Exhibit:
     )
     rows: list[list[Cell]] = [
         [
-            run, each.round, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
+            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
             _number(rate, 1), each.updates, _number(each.loss, 3), round(each.wait_s), round(each.learn_s),
         ]
         for run, rounds in runs.items()
