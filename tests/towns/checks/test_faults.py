@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from tests.cli.towns import tiny_osm
+from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town, demand_classes
@@ -51,6 +52,12 @@ def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, obj
     (fault,) = faults_of(corner_town, net, replace(FINE, **change))  # type: ignore[arg-type]
     assert re.search(told, fault) and "\n" not in fault
     assert len(notes_of(replace(corner_town, poly=None), net)) == 1
+
+
+def test_nobody_is_told_to_make_walkers_for_a_net_where_no_way_can_be_laid(corner_town: Town, tmp_path: Path) -> None:
+    track = write_net(tmp_path, edge("t", lane("0,0 60,0", 'allow="rail"')))
+    faults = faults_of(corner_town, track, replace(FINE, walkingareas=0, classes=("rail",)))
+    assert [fault for fault in faults if "walk" in fault] == [fault for fault in faults if "no walking areas" in fault]
 
 
 def test_streets_over_the_pavements_of_others_are_noted_and_many_are_a_fault(corner_town: Town) -> None:

@@ -170,7 +170,7 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
 
 def _demand(town: Town, net: Net, found: Findings) -> list[str]:
     lines = []
-    if _WALKER not in found.classes:
+    if _WALKER not in found.classes and (found.walkingareas or slowest_street_mps(net) is not None):
         later = _walkers_later(town, net, found)
         cure = f"{'then, for the paved copy, ' * later}{walkers_cure(town, paved=later)}"
         words = shlex.split(town.file.rebuild)
