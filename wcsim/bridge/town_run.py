@@ -102,7 +102,7 @@ def record_town(
             opened(traffic.scenario)
             with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
                 return _run_alone(traffic, ticks, writer, progress)
-    stage(f"building the street of {town.name}, unless that was done before")
+    stage(f"building the street of {town.name}; it is kept for later runs")
     validate_net(town.net, border=town.border)
     load_street(town, lambda told: None)  # it was said just now
     spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)

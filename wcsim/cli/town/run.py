@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -77,7 +78,8 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
         print(line)
     if not facts.persons:
         console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
-    print(f"run folder: {out}    replay it: wcsim replay {out} --fcd FILE.xml")
+    place = shlex.quote(str(out))
+    print(f"run folder: {out}    replay it: wcsim replay {place} --fcd {place}/fcd.xml")
     if options.json is not None:
         write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
     return 0
