@@ -66,7 +66,7 @@ def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path,
 def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch) -> None:
     monkeypatch.setattr(trial, "COLLIDING_S", 30.0)
     (note,) = trial.collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
-    assert "reports 1 collisions in the first 30 s" in note and "behind with ahead on " in note
+    assert "reports 1 collision in the first 30 s" in note and "behind with ahead on " in note
 
 
 def test_an_import_says_it_too(wcsim: Run, folder: Path, corner) -> None:

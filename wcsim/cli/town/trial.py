@@ -63,9 +63,9 @@ def collisions_note(town: Town) -> tuple[str, ...]:
         return ()
     who = ", ".join(list(hits.values())[:_TOLD]) + " and more" * (len(hits) > _TOLD)
     return (
-        f"SUMO itself reports {len(hits)} collisions in the first {COLLIDING_S:g} s of this traffic: {who}; its rules "
-        "at junctions let that happen, mostly to bicycles, and they drive on through each other; half of the traffic "
-        f"collides about half as often: {traffic_alone(town)} --set world.demand_scale=0.5",
+        f"SUMO itself reports {len(hits)} collision{'s' * (len(hits) > 1)} in the first {COLLIDING_S:g} s of this "
+        f"traffic: {who}; its rules at junctions let that happen, mostly to bicycles, and they drive on through each "
+        f"other; half of the traffic collides about half as often: {traffic_alone(town)} --set world.demand_scale=0.5",
     )
 
 
