@@ -53,7 +53,7 @@ crashed = false
 
 _HIT = '<vehicle id="{}" depart="1" departPos="{}" departSpeed="{}" insertionChecks="none"><route edges="WC CE"/>'
 HITTING = f'{_HIT.format("ahead", 30, 0)}<stop lane="WC_0" endPos="31" duration="9"/></vehicle>'
-HITTING += f'{_HIT.format("behind", 20, 13)}</vehicle>'
+HITTING += f"{_HIT.format('behind', 20, 13)}</vehicle>"
 """A vehicle that cannot but drive into another one."""
 
 

@@ -94,8 +94,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
         crossings = _count(after, "crossing")
         if not crossings and not any(shifts.values()):
-            why = _why_none(town, net, out, fastest_mps)
-            raise TownError(f"{town.net}: none of its streets got a pavement: {why}")
+            raise TownError(_why_none(town, net, out, fastest_mps))
         if out.is_dir():
             out.rmdir()
         work.replace(out)
@@ -108,11 +107,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
-        notes=(
-            *_fast_note(town, net, out, fastest_mps),
-            *_joined_note(net),
-            *_notes(paving, out / place.relative_to(work)),
-        ),
+        notes=(*_net_notes(town, net, out, fastest_mps), *_notes(paving, out / place.relative_to(work))),
     )
 
 
@@ -129,27 +124,32 @@ def _unpaved(net: Net) -> list[str]:
     ]
 
 
-def _fast_note(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
-    """How many streets have no pavement for their speed, and the command that gives them one."""
+def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
+    """How many streets have no pavement for their speed, with the command that gives them one; what junctions got."""
     bare = (edge for edge in net.edges if all(lane.kind is not LaneKind.SIDEWALK for lane in edge.lanes))
     limits = speeds_mps(net)
     fast = [limits[edge.id] for edge in bare if limits.get(edge.id, 0.0) > fastest_mps]
-    if not fast:
-        return ()
-    all_of_them = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
-    return (
-        f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; pave them too, "
-        f"into another folder: {pave_command(town, all_of_them, max(fast))}",
-    )
+    notes = []
+    if fast:
+        other = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
+        notes.append(
+            f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; pave them "
+            f"too, into another folder: {pave_command(town, other, max(fast))}"
+        )
+    if not any(edge.function == "internal" for edge in net.edges):
+        notes.append("lanes within junctions were added, which crossings need: vehicles jumped over junctions before")
+    return tuple(notes)
 
 
 def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
-    slowest_mps = slowest_street_mps(net)
+    told, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
     if slowest_mps is None:
-        return "it has none that cars use; choose another scenario"
+        return f"{told}it has none that cars use; choose another scenario"
     if slowest_mps <= fastest_mps:
-        return "netconvert guessed none; draw them in netedit"
-    return f"they are faster than {fastest_mps:g} m/s; take faster ones too: {pave_command(town, out, slowest_mps)}"
+        return f"{told}netconvert guessed none; draw them in netedit"
+    return (
+        f"{told}they are faster than {fastest_mps:g} m/s; take faster ones too: {pave_command(town, out, slowest_mps)}"
+    )
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
@@ -191,13 +191,6 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
             raise TownError(f"{path.name}: {error}") from None
         if edits:
             _write(path, edited(data, edits, path.name))
-
-
-def _joined_note(net: Net) -> tuple[str, ...]:
-    """What changes for the traffic of a net without lanes within junctions."""
-    if any(edge.function == "internal" for edge in net.edges):
-        return ()
-    return ("lanes within junctions were added, which crossings need: vehicles jumped over junctions before",)
 
 
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
