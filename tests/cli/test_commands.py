@@ -30,7 +30,7 @@ TOWN_KEYS = {
     *("town", "crossings", "walkingareas", "walkable_largest_share", "classes", "unroutable", "mesh_faults"),
 }
 COLUMNS = 80
-STAGES = ["reading", "building", "buildings,", "building", "checking", "letting"]  # how the lines of an import begin
+STAGES = ["reading", "building", "buildings,", "building", "checking", "letting", "letting"]  # an import's lines
 
 
 def read(path: str) -> Any:
@@ -61,18 +61,16 @@ def tiny(wcsim, folder) -> Path:
 
 
 def _assert_costs_sum_up(told: str) -> None:
-    """The table of CPU time has each stage, and its sum is what stands beside netconvert's."""
+    """The table of CPU time has each stage, and sums it up."""
     table = told.partition("CPU time")[2]
     assert fits(table)
     rows = [line.rsplit(maxsplit=2) for line in table.splitlines()[2:]]
     costs = [(name.split()[0], float(own), float(tools)) for name, own, tools in (row for row in rows if len(row) == 3)
              if re.fullmatch(r"[\d.]+", own)]  # fmt: skip
     assert [name for name, _, _ in costs] == ["starting", *STAGES, "all"]
-    net_s, all_s = map(float, re.findall(r"^netconvert ([\d.]+) s, everything ([\d.]+) s", told, re.MULTILINE)[0])
-    assert net_s == costs[2][2] > 0.0
+    assert costs[2][2] > 0.0  # netconvert's
     for column in (1, 2):
         assert sum(row[column] for row in costs[:-1]) == pytest.approx(costs[-1][column], abs=0.04)
-    assert costs[-1][1] + costs[-1][2] == pytest.approx(all_s, abs=0.02)
 
 
 def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):

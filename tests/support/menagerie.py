@@ -51,6 +51,11 @@ goal_m = [40.0, -9.0]
 crashed = false
 """
 
+_HIT = '<vehicle id="{}" depart="1" departPos="{}" departSpeed="{}" insertionChecks="none"><route edges="WC CE"/>'
+HITTING = f'{_HIT.format("ahead", 30, 0)}<stop lane="WC_0" endPos="31" duration="9"/></vehicle>'
+HITTING += f"{_HIT.format('behind', 20, 13)}</vehicle>"
+"""A vehicle that cannot but drive into another one."""
+
 
 def build_street(folder: Path, routes: str, additional: str = "", kind: str = "priority", lanes: int = 4) -> Path:
     """A T of three streets with pavements and crossings and this traffic; returns its .sumocfg."""

@@ -67,7 +67,8 @@ class TrafficFacts:
     mirrored_most: int  # at once
     teleports: int  # since the scenario began
     teleports_warming: int  # of these while the traffic warmed up, before the first tick
-    collisions: int  # that SUMO saw among its own, each once however long it lasts
+    collisions: int  # that SUMO saw among its own since the scenario began, each once however long it lasts
+    collisions_warming: int  # of these while the traffic warmed up
     episodes: int
     crashes: int  # of wheelchairs
     crashed: tuple[CrashFact, ...] = ()  # the same, one by one
@@ -129,7 +130,7 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
 
 
 def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(world.snapshot.time_s, world.jams, world.town.file.origin_m, world.config.reward)
+    meter = _Meter(world.snapshot.time_s, world.mishaps_so_far, world.town.file.origin_m, world.config.reward)
     for tick in range(ticks):
         commands = as_users_wish(world.snapshot)
         after = world.tick(commands)
@@ -146,7 +147,7 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
 
 
 def _run_alone(traffic: TownTraffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(traffic.snapshot.time_s, traffic.jams)
+    meter = _Meter(traffic.snapshot.time_s, traffic.mishaps_so_far)
     for tick in range(ticks):
         after = traffic.tick()
         everyone = traffic.everyone()
@@ -208,11 +209,11 @@ class _Meter:
     def __init__(
         self,
         begin_s: float,
-        jams: int,
+        warming: tuple[int, int],
         origin_m: tuple[float, float] = (0.0, 0.0),
         reward: RewardConfig = RewardConfig(),  # noqa: B008 - frozen
     ) -> None:
-        self._begin_s, self._jams, self._reward = begin_s, jams, reward
+        self._begin_s, self._warming, self._reward = begin_s, warming, reward
         self._origin_m = origin_m
         self._crashed: list[CrashFact] = []
         self._seen: set[str] = set()
@@ -249,9 +250,10 @@ class _Meter:
             persons=persons,
             mirrored=len(self._mirrored),
             mirrored_most=self._most,
-            teleports=self._jams + self._teleports,
-            teleports_warming=self._jams,
-            collisions=self._collisions,
+            teleports=self._warming[0] + self._teleports,
+            teleports_warming=self._warming[0],
+            collisions=self._warming[1] + self._collisions,
+            collisions_warming=self._warming[1],
             episodes=self._ended + chairs,
             crashes=len(self._crashed),
             crashed=tuple(self._crashed),

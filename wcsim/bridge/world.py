@@ -175,9 +175,9 @@ class World(Closing):
         return self._sumo.everyone()
 
     @property
-    def jams(self) -> int:
-        """Vehicles that SUMO took out of jams since the scenario began, while the traffic warmed up too."""
-        return self._sumo.jams
+    def mishaps_so_far(self) -> tuple[int, int]:
+        """`mishaps` since the scenario began, while the traffic warmed up too."""
+        return self._sumo.so_far
 
     def mishaps(self) -> tuple[int, int]:
         """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""

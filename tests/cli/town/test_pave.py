@@ -25,7 +25,7 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert refused.code == 2 and shlex.join(words) in " ".join(refused.err.split())
     assert words[:3] == ["wcsim", "town", "pave"]
     paved = wcsim(*words[1:], "--json", "paved.json")
-    assert paved.code == 0, paved.err
+    assert paved.code == 1 and "fault: nobody walks" in paved.out, paved.err
     assert "24 streets have a pavement now; " in paved.out and "10 signal programs" in paved.out
     later = printed(checked.out, "then, for the paved copy, make walkers")
     told = json.loads(Path("paved.json").read_text())
@@ -65,7 +65,7 @@ def test_a_scenario_that_lies_beside_is_paved_to_a_place_beside(
     (folder / "here").mkdir()
     monkeypatch.chdir(folder / "here")
     said = wcsim("town", "pave", "../theirs/u.sumocfg", "--out", "../ours")
-    assert said.code == 0, said.err
+    assert said.code == 1, said.err
     assert "wrote ../ours/u.sumocfg; " in said.out and (folder / "ours" / "u.sumocfg").is_file()
 
 
@@ -75,11 +75,11 @@ def test_a_paved_copy_is_checked_where_its_files_lie_apart(wcsim: Run, folder: P
     (theirs.parent / "u.net.xml").rename(folder / "theirs" / "net" / "u.net.xml")
     theirs.write_text(theirs.read_text().replace('"u.net.xml"', '"../net/u.net.xml"'))
     said = wcsim("town", "pave", theirs, "--allow-outside", "--out", "trusted copy")
-    assert said.code == 0 and "walkable area" in said.out, said.err
+    assert said.code == 1 and "walkable area" in said.out, said.err
     assert "sumo-gui -c 'trusted copy/runs/u.sumocfg'\n" in said.out
     (folder / "theirs" / "town.toml").write_text('name = "apart"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
     said = wcsim("town", "pave", folder / "theirs", "--out", "declared")
-    assert said.code == 0 and "town apart" in said.out, said.err
+    assert said.code == 1 and "town apart" in said.out, said.err
     assert open_town(folder / "declared").net == folder / "declared" / "runs" / "../net/u.net.xml"
 
 
@@ -87,7 +87,7 @@ def test_the_place_of_a_town_toml_above_the_scenario_is_kept(wcsim: Run, folder:
     theirs = write_unpaved(folder / "theirs" / "runs")
     (folder / "theirs" / "town.toml").write_text('name = "above"\nsplit = "test"\nsumocfg = "runs/u.sumocfg"\n')
     said = wcsim("town", "pave", folder / "theirs", "--out", "ours")
-    assert said.code == 0, said.err
+    assert said.code == 1, said.err
     assert open_town(folder / "ours").sumocfg.relative_to(folder / "ours") == theirs.relative_to(folder / "theirs")
 
 

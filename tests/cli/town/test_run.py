@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tests.bridge.sumo.test_actor_kinds import ADDITIONAL, EVENTS, TYPES
-from tests.support.menagerie import build_street
+from tests.support.menagerie import HITTING, build_street
 from tests.towns.made import hostile
 from wcsim.bridge.sumo.session import log
 from wcsim.bridge.town_run import CrashFact
@@ -59,6 +59,16 @@ def test_jams_are_counted_as_they_are_told(tmp_path, capsys, caplog):
         assert f"taken out of a jam by SUMO             │ {cell}" in capsys.readouterr().out
         facts = json.loads((out / "manifest.json").read_text())["facts"]
         assert (facts["teleports"], facts["teleports_warming"]) == (1, int(warmup_s > 0))
+
+
+def test_collisions_of_the_warm_up_are_counted_apart(tmp_path, capsys):
+    sumocfg = build_street(tmp_path, HITTING, lanes=1)
+    out = tmp_path / "run"
+    words = ["town", "run", str(sumocfg), "--chairs", "0", "--seconds", "1", "--out", str(out)]
+    assert main([*words, "--set", "world.warmup_s=10"]) == 0
+    assert "SUMO saw among its own │ 1, 1 while the traffic warmed up" in capsys.readouterr().out
+    facts = json.loads((out / "manifest.json").read_text())["facts"]
+    assert (facts["collisions"], facts["collisions_warming"]) == (1, 1)
 
 
 def test_a_jam_that_all_policies_meet_is_told_once(caplog):

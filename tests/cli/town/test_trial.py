@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import json
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Run, files_in
+from tests.support.menagerie import HITTING, build_street
+from tests.support.typed import printed
 from tests.towns.made import hostile
+from wcsim.cli.shared.common import parse
+from wcsim.cli.town import trial
+from wcsim.cli.town.run import RunOptions
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.scenario.town import find_town, open_town
+from wcsim.towns.sumo.tools import ToolRun
 
 LOOP = '<inductionLoop id="loop" lane="nowhere_0" pos="5" period="5" file="loop.xml"/>'
 
@@ -41,8 +49,28 @@ def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path
     assert "SUMO cannot run" not in wcsim("town", "check", sound).out
 
 
+def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path, monkeypatch) -> None:
+    town = find_town(str(corner))
+    hit = "Warning: Vehicle 'a'; junction collision with vehicle 'b', lane=':j_0_0', gap=-1.00, time=12.00.\n"
+    people = "Warning: Collision of person 'p' and person 'q', lane='e_0', time=13.00.\n"
+    output = hit + hit.replace("12.00", "12.10") + "Warning: Vehicle 'c' performs emergency braking.\n" + people
+    ran = ToolRun(name="sumo", returncode=0, output=output)
+    monkeypatch.setattr(trial, "run_tool", lambda *words: ran)
+    (note,) = trial.collisions_note(town)
+    assert "reports 2 collisions in the first 300 s of this traffic: a with b on :j_0_0, p with q on e_0;" in note
+    parse(RunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
+    monkeypatch.setattr(trial, "run_tool", lambda *words: replace(ran, output=""))
+    assert trial.collisions_note(town) == ()
+
+
+def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch) -> None:
+    monkeypatch.setattr(trial, "COLLIDING_S", 30.0)
+    (note,) = trial.collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
+    assert "reports 1 collision in the first 30 s" in note and "behind with ahead on " in note
+
+
 def test_an_import_says_it_too(wcsim: Run, folder: Path, corner) -> None:
     broken = hostile.scenario(find_town(str(corner)), folder / "broken", "", LOOP)
     told = wcsim("town", "import", "--sumocfg", broken, "--name", "mine")
-    assert told.code == 0 and "letting SUMO run its first steps" in told.err
+    assert told.code == 1 and "letting SUMO run its first steps" in told.err
     assert "a.add.xml: SUMO cannot run this scenario" in told.out and "nowhere" in told.out

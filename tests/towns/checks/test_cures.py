@@ -14,6 +14,8 @@ from tests.towns.checks.test_faults import FINE
 from tests.towns.made.nets import hilly
 from tests.towns.made.strangers import made
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
+from wcsim.cli.shared.common import parse
+from wcsim.cli.town.import_ import ImportOptions
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import unroutable_trips
 from wcsim.towns.checks.cures import FASTEST_MPS, pave_cure, routes_cure, walkers_cure
@@ -130,6 +132,34 @@ def test_parts_are_joined_in_the_netedit_that_is_printed(theirs: Town, tmp_path:
     assert code == 0 and "netedit" in said
 
 
+def test_a_larger_area_is_taken_of_the_towns_own_extract_while_that_has_more(tmp_path: Path) -> None:
+    """Of an extract that was cut to its box nothing is left outside, and a download is what helps."""
+    town = open_town(write_unpaved(tmp_path / "it's theirs"))
+    words = "wcsim town import --name u --split test --osm osm/u.osm.xml.gz --out . --bbox=25.0,60.0,25.01,60.01"
+    town = replace(town, file=town.file.model_copy(update={"rebuild": f"{words} --righthand --seed 7"}))
+    (town.folder / "osm").mkdir()
+    nodes = "".join(f'<node id="{n}" lon="{25.005 + 0.004 * n}" lat="60.005"/>' for n in range(4))
+    for refs, more in (((0, 1, 2), False), ((2, 3), True)):
+        way = "".join(f'<nd ref="{ref}"/>' for ref in refs)
+        text = f'<osm>{nodes}<way id="1">{way}<tag k="highway" v="primary"/></way></osm>'
+        (town.folder / "osm" / "u.osm.xml.gz").write_bytes(text.encode())
+        (fault,) = faults_of(town, read_net(town.net), replace(FINE, walkable_largest_share=0.5))
+        place, _, command = printed(fault, "take a larger area").partition(" && ")
+        options = parse(ImportOptions, shlex.split(command)[3:], "town import")
+        west, south, east, north = (float(part) for part in options.bbox.split(","))
+        assert shlex.split(place) == ["cd", str(town.folder)] and options.osm == (
+            Path("osm/u.osm.xml.gz") if more else None
+        )
+        assert (
+            west < 25.0
+            and south < 60.0
+            and east > 25.01
+            and north > 60.01
+            and (options.seed, options.replace) == (7, True)
+        )
+        assert ("from the internet" in fault) is not more and "is lost then" in fault
+
+
 def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:
     assert f"-b {BEGIN_S:g} -e {BEGIN_S + 600.0:g} " in walkers_cure(theirs)
     assert "-b 50300 -e 53900 " in walkers_cure(named(theirs, '"50900"', '"900000"'))
@@ -159,7 +189,7 @@ def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) ->
     command = printed(fault, "lay pavements")
     assert command == pave_cure(fast).partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
     code, said = typed(command, tmp_path)
-    assert code == 0 and "24 streets have a pavement now" in said, said
+    assert code == 1 and "24 streets have a pavement now" in said and "fault: nobody walks" in said, said
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ DEGREES = LANE.replace("0,0 9,0", "24.93,60.17 24.94,60.18")
             "lane 'a_0' is 9 m long and drawn over 90000",
         ),
         (f'<net>{LANE}<junction id="x" shape="0,0 5,5 90000,0"/></net>', "junction 'x' reaches over 90000 m"),
-        (f'<net>{LANE.replace("9,0", "900000,0")}<junction id="x"/></net>', "900 km.*metric projection"),
+        (f'<net>{LANE.replace("9,0", "900000,0")}<junction id="x"/></net>', "900 km.*--proj.utm"),
     ],
 )
 def test_bad_nets_are_refused_in_at_most_two_lines(text: str, reason: str, tmp_path: Path) -> None:

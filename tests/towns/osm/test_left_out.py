@@ -1,36 +1,95 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
 
-from wcsim.towns.osm.left_out import LeftOut, crossings_inside, left_out_note, left_out_of, ways_inside
+from wcsim.towns.osm.left_out import (
+    TOLD_LOST,
+    LeftOut,
+    MapWay,
+    NetWays,
+    crossings_inside,
+    left_out_notes,
+    left_out_of,
+    ways_inside,
+)
 
 BOX = (25.0, 60.0, 25.01, 60.01)
 TEXT = """<osm>
     <node id="1" lon="25.001" lat="60.005"/><node id="2" lon="25.005" lat="60.005"/>
     <node id="3" lon="25.005" lat="60.009"><tag k="highway" v="crossing"/></node>
     <node id="4" lon="25.03" lat="60.009"><tag k="highway" v="crossing"/></node>
+    <node id="5" lon="25.006" lat="60.005"/><node id="6" lon="25.006" lat="60.006"/>
+    <node id="7" lon="25.007" lat="60.006"/>
     <way id="10"><nd ref="1"/><nd ref="2"/><tag k="highway" v="residential"/><tag k="name" v="Long Street"/></way>
     <way id="11"><nd ref="2"/><nd ref="3"/><nd ref="4"/><tag k="highway" v="footway"/><tag k="name" v="Path"/></way>
     <way id="12"><nd ref="1"/><nd ref="3"/><tag k="highway" v="primary"/><tag k="tunnel" v="yes"/></way>
     <way id="13"><nd ref="1"/><nd ref="3"/><tag k="highway" v="service"/></way>
     <way id="14"><nd ref="4"/><nd ref="4"/><tag k="highway" v="primary"/></way>
+    {more}
 </osm>"""
+_ON_FOOT = {
+    "highway=steps": "steps",
+    "highway=path tunnel=yes": "a tunnel, indoors, or on another level",
+    "highway=pedestrian area=yes": "an area, which is open ground",
+    "highway=footway area=yes": "an area",
+    "highway=path access=private": "closed to the public",
+    "highway=footway": "part of a junction, or left out by netconvert",
+    "highway=cycleway foot=designated": "the net lets no walkers on it",
+    "highway=path": "not connected to the rest in the box",
+    "highway=pedestrian": "a bridge over another street",
+    "highway=cycleway": "",
+    "highway=path foot=no": "",
+}
+
+
+def inside(more: str = "") -> tuple[MapWay, ...]:
+    return ways_inside(ElementTree.fromstring(TEXT.format(more=more)), BOX)  # noqa: S314 - our own
 
 
 def test_what_the_net_does_not_have_is_told_by_length_and_name() -> None:
-    ways = ways_inside(ElementTree.fromstring(TEXT), BOX)  # noqa: S314 - our own
+    ways = inside()
     assert {way.id: (way.street, way.name) for way in ways} == {"10": (True, "Long Street"), "11": (False, "Path")}
     lengths_m = {way.id: way.inside_m for way in ways}
     assert lengths_m["10"] == pytest.approx(222.6, rel=0.01) and lengths_m["11"] == pytest.approx(445.3, rel=0.01)
-    found = left_out_of(ways, {"10"})
-    assert found.names == ("Path",) and found.streets_left_out_m == 0.0
+    both = frozenset(("10", "11"))
+    found = left_out_of(ways, NetWays(given=both, drawn=both, walked=frozenset(("10",))))
+    assert found.names == () and found.streets_left_out_m == 0.0
     assert found.footways_left_out_m == found.footways_m == lengths_m["11"]
-    told = left_out_note(found)
-    assert "0.00 km of 0.22 km of streets and 0.45 km of 0.45 km of ways on foot" in told and "(Path);" in told
-    assert left_out_note(left_out_of(ways, {"10", "11"})) == left_out_note(LeftOut()) == ""
+    (told,) = left_out_notes(found)
+    assert "445 of 445 m of ways on foot" in told and ": 11 Path (445 m, the net lets no walkers on it)" in told
+    (street, _) = left_out_notes(left_out_of(ways, NetWays()))
+    assert "0.22 km of 0.22 km of streets" in street and "(Long Street);" in street
+    assert left_out_notes(left_out_of(ways, NetWays(drawn=both, walked=both))) == left_out_notes(LeftOut()) == ()
+
+
+def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
+    text = ""
+    for number, tags in enumerate(_ON_FOOT):
+        told = "".join('<tag k="{}" v="{}"/>'.format(*tag.split("=")) for tag in tags.split())
+        refs = (5, 7) if tags == "highway=path" else (2, 6)
+        text += f'<way id="-{100 + number}"><nd ref="{refs[0]}"/><nd ref="{refs[1]}"/>{told}</way>'
+    tags = '<tag k="type" v="multipolygon"/><tag k="highway" v="pedestrian"/>'
+    text += f'<relation id="7"><member type="way" ref="13" role="outer"/>{tags}</relation>'
+    ways = inside(text)
+    ids = frozenset(str(100 + number) for number in range(len(_ON_FOOT)))
+    made = NetWays(given=ids - {"108"}, bridges=frozenset(("108",)), drawn=frozenset(("10", "106")))
+    found = left_out_of(ways, made)
+    whys = [*_ON_FOOT.values()]
+    assert {way.id: way.why for way in found.footways} == {
+        "11": "cut by the edge of the box",
+        "relation 7": "an area, which is open ground",
+        **{str(100 + number): why for number, why in enumerate(whys) if why},
+    }
+    assert sum(way.inside_m for way in found.footways) == pytest.approx(found.footways_m)
+    (told,) = left_out_notes(found)
+    assert told.count("(") == TOLD_LOST + 1 and ", and 1 more (" in told
+    some = left_out_of(ways, replace(made, drawn=frozenset(("10", "11")), walked=frozenset(("11",))))
+    kept_m = next(way.inside_m for way in ways if way.id == "11")
+    assert kept_m + some.footways_left_out_m == pytest.approx(some.footways_m)
 
 
 def test_crossings_of_the_map_are_those_in_the_box() -> None:
-    assert crossings_inside(ElementTree.fromstring(TEXT), BOX) == 1  # noqa: S314 - our own
+    assert crossings_inside(ElementTree.fromstring(TEXT.format(more="")), BOX) == 1  # noqa: S314 - our own

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -9,7 +10,10 @@ from xml.etree.ElementTree import Element
 import pytest
 import sumolib
 
+from tests.support.typed import printed
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
+from wcsim.cli.shared.common import parse
+from wcsim.cli.town.pave import PaveOptions
 from wcsim.errors import TownError
 from wcsim.towns.pave.edit import edited
 from wcsim.towns.pave.pavements import Paved, pave_town
@@ -146,7 +150,7 @@ def theirs(tmp_path: Path) -> Path:
 
 
 def test_streets_that_are_too_fast_get_none(theirs: Path, tmp_path: Path) -> None:
-    with pytest.raises(TownError, match=r"none of its streets got a pavement.*--max-speed"):
+    with pytest.raises(TownError, match=r"none of its streets got.*; take faster ones too: wcsim town pave /"):
         pave_town(open_town(theirs), tmp_path / "ours", 10.0)
     assert not (tmp_path / "ours").exists()
 
@@ -254,6 +258,24 @@ def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
         edited(data, {0: {"e": "2"}}, "x")
 
 
+def test_streets_that_are_too_fast_are_counted_and_paved_by_what_is_printed(theirs: Path, tmp_path: Path) -> None:
+    net = theirs.parent / "u.net.xml"
+    root = ElementTree.parse(net)  # noqa: S314 - our own
+    for edge in ("A0A1", "A1A0", "B0B1"):
+        for lane in root.iterfind(f"./edge[@id='{edge}']/lane"):
+            lane.set("speed", "19.44" if edge == "B0B1" else "16.67")
+    root.write(net)
+    told = pave_town(open_town(theirs), tmp_path / "our copy")
+    (note,) = [note for note in told.notes if "got no pavement" in note]
+    assert told.streets == 21 and note.startswith("3 of 24 streets are faster than 13.9 m/s and got no pavement; ")
+    options = parse(PaveOptions, shlex.split(printed(note, "got no pavement"))[3:], "town pave")
+    assert options.out != told.sumocfg.parent and options.max_speed == 20.0
+    again = pave_town(open_town(Path(options.town)), options.out, options.max_speed)
+    assert again.streets == 24 and not [note for note in again.notes if "got no pavement" in note]
+    with pytest.raises(TownError, match=r"faster than 2 m/s; take faster ones too: wcsim town pave /.* --out .*/ours"):
+        pave_town(open_town(theirs), tmp_path / "ours", 2.0)
+
+
 def never_green(told: Paved) -> list[str]:
     return [note for note in told.notes if "never gives green" in note]
 
@@ -261,7 +283,13 @@ def never_green(told: Paved) -> list[str]:
 def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved], theirs: Path, tmp_path: Path) -> None:
     _, _, told = paved
     (note,) = never_green(told)  # B1 has room for walkers, in its additional file
-    assert "program in the net" in note and "at A1" in note and "at B1" not in note and "--tls.rebuild" in note
+    assert (
+        "program in the net" in note
+        and "NEMA" not in note
+        and "at A1" in note
+        and "at B1" not in note
+        and "--tls.rebuild" in note
+    )
     names = [logic.attrib["id"] for logic in elements(theirs.parent, "u.net.xml") if logic.tag == "tlLogic"]
     logics = "".join(
         f'<tlLogic id="{name}" type="static" programID="own" offset="0">'

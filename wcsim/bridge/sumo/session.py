@@ -96,7 +96,8 @@ class SumoSession(Closing):
         """Start SUMO. Raises WorldInUseError while another session lives in this process, SumoError when it fails."""
         refuse_second_world()
         self._options = options
-        self._teleports = self._jams = 0
+        self._teleports = 0
+        self._so_far = (0, 0)
         self._come: frozenset[str] = frozenset()
         self._colliding: frozenset[tuple[str, str]] = frozenset()
         self._collisions = 0
@@ -117,11 +118,6 @@ class SumoSession(Closing):
     def teleports(self) -> int:
         """Vehicles that SUMO took out of a jam during the last step."""
         return self._teleports
-
-    @property
-    def jams(self) -> int:
-        """The same since the scenario began, the time in which the traffic warmed up included."""
-        return self._jams
 
     @property
     def come(self) -> frozenset[str]:
@@ -145,10 +141,10 @@ class SumoSession(Closing):
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
         self._teleports = len(jammed)
-        self._jams += len(jammed)
         pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
         self._collisions = len(pairs - self._colliding)
         self._colliding = pairs
+        self._so_far = (self._so_far[0] + self._teleports, self._so_far[1] + self._collisions)
         self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
             log.warning("jam: %s stood too long%s and was teleported at %.1f s", name, _stood(name), self.time_s())
@@ -160,7 +156,7 @@ class SumoSession(Closing):
         self._reader.forget()
         self.pilot.forget()
         self.buttons.forget()
-        self._teleports, self._jams, self._come = 0, 0, frozenset()
+        self._teleports, self._so_far, self._come = 0, (0, 0), frozenset()
         self._collisions, self._colliding = 0, frozenset()
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         self._hook = open_hook(self._options.hook, libsumo)
@@ -193,6 +189,11 @@ class SumoSession(Closing):
     def mishaps(self) -> tuple[int, int]:
         """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
         return self.teleports, self.collisions()
+
+    @property
+    def so_far(self) -> tuple[int, int]:
+        """`mishaps` since the scenario began, the time in which the traffic warmed up included."""
+        return self._so_far
 
     def counts(self) -> tuple[int, int]:
         """Vehicles and persons that are in the street now."""

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
-from wcsim.cli.shared.consoles import stderr_console
+from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.town.report import print_report, report_json
-from wcsim.cli.town.stage_costs import StageClock, costs_json, print_costs
+from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.cli.town.trial import checked
 from wcsim.errors import ConfigError
 from wcsim.towns.importing.adopt import adopt_scenario
@@ -85,7 +85,7 @@ class ImportOptions:
 
 
 def run(options: ImportOptions) -> int:
-    """Import, check, and say what came out; 0 when the town was written."""
+    """Import, check, and say what came out; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
     check_folder("--out", out)
@@ -97,11 +97,11 @@ def run(options: ImportOptions) -> int:
         else:
             report, more = _adopt(options, options.sumocfg, out, clock.begin), dict[str, Any]()
     costs = clock.costs()
-    print_report(report)
-    print_costs(costs)
+    code = print_report(report)
+    stdout_console().print(costs_table(costs))
     if result is not None:
         write_json(result, {**report_json(report, time.monotonic() - started_s), **more, "cpu": costs_json(costs)})
-    return 0
+    return code
 
 
 def _adopt(options: ImportOptions, sumocfg: Path, out: Path, stage: Stage) -> TownReport:

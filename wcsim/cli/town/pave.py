@@ -41,7 +41,7 @@ class PaveOptions:
 
 
 def run(options: PaveOptions) -> int:
-    """Pave, let SUMO try the copy, check it, and say what was done; 0 when the copy was written."""
+    """Pave, let SUMO try the copy, check it, and say what was done; 0 when the copy has no faults, else 1."""
     started_s = time.monotonic()
     in_bounds("--max-speed", options.max_speed, 1.0, 100.0)
     check_folder("--out", options.out)
@@ -59,11 +59,11 @@ def run(options: PaveOptions) -> int:
     told.print("checking it", style="dim")
     report = check_town(town)
     _print(paved)
-    print_report(report)
+    code = print_report(report)
     if options.json is not None:
         done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
         write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
-    return 0
+    return code
 
 
 def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:

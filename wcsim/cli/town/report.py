@@ -20,7 +20,7 @@ def print_report(report: TownReport) -> int:
     table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
     table.add_row("classes in the demand", ", ".join(report.classes))
     table.add_row("trips that find no way", str(report.unroutable))
-    table.add_row("faults in the mesh", str(report.mesh_faults))
+    table.add_row("places without ground, or at a wrong height", str(report.mesh_faults))
     table.add_row("traffic keeps to the", "left" if report.lefthand else "right")
     console = stdout_console()
     console.print(table)

@@ -86,7 +86,8 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
         print(line)
     if not facts.persons:
         console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
-    print(f"run folder: {out}    replay it: wcsim replay {shlex.quote(str(out))} --fcd FILE.xml")
+    place = shlex.quote(str(out))
+    print(f"run folder: {out}    replay it: wcsim replay {place} --fcd {place}/fcd.xml")
     if options.json is not None:
         write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
     return 0
@@ -170,13 +171,16 @@ def _table(name: str, facts: TrafficFacts) -> Table:
     table.add_row("simulated", f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time")
     table.add_row("vehicles in the street", str(facts.vehicles))
     table.add_row("persons in the street", str(facts.persons))
-    warming = f", {facts.teleports_warming} while the traffic warmed up" if facts.teleports_warming else ""
-    table.add_row("taken out of a jam by SUMO", f"{facts.teleports}{warming}")
-    table.add_row("collisions that SUMO saw among its own", str(facts.collisions))
+    table.add_row("taken out of a jam by SUMO", _counted(facts.teleports, facts.teleports_warming))
+    table.add_row("collisions that SUMO saw among its own", _counted(facts.collisions, facts.collisions_warming))
     if facts.episodes:
         table.add_row("mirrored near a wheelchair", f"{facts.mirrored}, at most {facts.mirrored_most} at once")
         table.add_row("episodes, crashes of wheelchairs", f"{facts.episodes}, {facts.crashes}")
     return table
+
+
+def _counted(number: int, warming: int) -> str:
+    return f"{number}{f', {warming} while the traffic warmed up' if warming else ''}"
 
 
 def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:

@@ -10,7 +10,6 @@ from typing import Any
 from rich import box
 from rich.table import Column, Table
 
-from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import shown
 
 NET_STAGE = "building the net"  # of an import: netconvert is the one child of it
@@ -82,15 +81,6 @@ def costs_table(costs: Sequence[StageCost]) -> Table:
     table.add_section()
     table.add_row("all", f"{_sum(costs).own_s:.2f}", f"{_sum(costs).tools_s:.2f}")
     return table
-
-
-def print_costs(costs: Sequence[StageCost]) -> None:
-    """Print the table and, where a net was built, all of the import beside netconvert."""
-    stdout_console().print(costs_table(costs))
-    net_s, whole = netconvert_s(costs), _sum(costs)
-    if net_s:
-        all_s = whole.own_s + whole.tools_s
-        print(f"netconvert {net_s:.2f} s, everything {all_s:.2f} s: {all_s / net_s:.1f} times netconvert")
 
 
 def costs_json(costs: Sequence[StageCost]) -> dict[str, Any]:

@@ -14,7 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from wcsim.towns.osm.area import bbox_option, grown, size_m
+from wcsim.towns.osm.read import MARGIN_M, holds_more
 from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.stage import seconds_of
 from wcsim.towns.scenario.town import Town
@@ -31,6 +34,7 @@ FOR_ROUTES = frozenset(
 )  # fmt: skip
 """Elements of additional files that a demand needs to be routed."""
 DEADLY = "calibrator"  # duarouter 1.28 dies of one that has flows
+_WIDER = 0.3  # of a box's size, on each of its sides
 FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement unless somebody asks
 
 
@@ -40,10 +44,14 @@ def pave_cure(town: Town) -> str:
     slowest_mps = slowest_street_mps(net)
     if slowest_mps is None:
         return "there is no street that cars use, to lay pavements beside; choose another scenario"
-    options = _outside(town)
-    options += f" --max-speed {math.ceil(slowest_mps)}" if slowest_mps > FASTEST_MPS else ""
-    command = f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(str(_copy(town)))}{options}"
+    command = pave_command(town, _copy(town), max(FASTEST_MPS, slowest_mps))
     return f"{'add crossings and walking areas' if paved_streets(net) else 'lay pavements and crossings'}: {command}"
+
+
+def pave_command(town: Town, out: Path, fastest_mps: float) -> str:
+    """The command that paves a scenario into a new folder, streets of up to `fastest_mps` too."""
+    options = f" --max-speed {math.ceil(fastest_mps)}" if fastest_mps > FASTEST_MPS else ""
+    return f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(str(out))}{_outside(town)}{options}"
 
 
 def traffic_alone(town: Town) -> str:
@@ -61,13 +69,15 @@ def paved_streets(net: Net) -> int:
     return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in net.edges if not edge.function)
 
 
+def speeds_mps(net: Net) -> dict[str, float]:
+    """The speed limit of each street for cars, by its edge."""
+    motor = ((e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR]) for e in net.edges)
+    return {edge: max(limits) for edge, limits in motor if limits and not edge.startswith(":")}
+
+
 def slowest_street_mps(net: Net) -> float | None:
     """The lowest speed limit of a net's streets for cars, None where there are none."""
-    streets = (edge for edge in net.edges if not edge.function)
-    fastest = (
-        max((lane.speed_mps for lane in edge.lanes if lane.kind is LaneKind.MOTOR), default=0.0) for edge in streets
-    )
-    return min(filter(None, fastest), default=None)
+    return min(filter(None, speeds_mps(net).values()), default=None)
 
 
 def netedit_cure(town: Town) -> str:
@@ -118,6 +128,28 @@ def own_time(town: Town) -> tuple[float, float]:
     return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
 
+def again_cure(town: Town, told: str, rebuild: str) -> str:
+    """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
+    work = own_work(town.folder)
+    lost = f" (what you did to {', '.join(work)} is lost then)" if work else ""
+    return f"{told}{lost}: cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
+
+
+def larger_cure(town: Town) -> str:
+    """The command that imports a town with more around it: of its own extract while that holds more, or downloaded."""
+    words = shlex.split(town.file.rebuild)
+    at = next((number for number, word in enumerate(words) if word.startswith("--bbox=")), None)
+    if at is None or "--osm" not in words[:-1]:  # written by hand
+        return f"join the parts: {netedit_cure(town)}"
+    west, south, east, north = (float(part) for part in words[at].removeprefix("--bbox=").split(","))
+    box, osm = (west, south, east, north), words.index("--osm")
+    more = holds_more(town.folder / words[osm + 1], box)
+    words[at] = bbox_option(grown(box, MARGIN_M if more else _WIDER * max(size_m(box))))
+    if not more:
+        del words[osm : osm + 2]
+    return again_cure(town, f"take a larger area{'' if more else ' from the internet'}", shlex.join(words))
+
+
 def grade_cure(town: Town) -> str:
     """The command that flattens a town's steepest streets."""
     return (
@@ -138,7 +170,7 @@ def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
     more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
     return (
         f"{_before_routing(deadly, twice, name)}make {name}, and name it in {_path(town.sumocfg)}: "
-        f"{_tool('duarouter')} -n {_path(town.net)} -r {_paths(town.routes) if town.routes else 'DEMAND'}{more} "
+        f"{_tool('duarouter')} -n {_path(town.net)} -r {_paths(town.routes)}{more} "
         f"--ignore-errors -o {_beside(town, name)}"
     )
 

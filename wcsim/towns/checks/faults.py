@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.towns.checks.cures import (
+    again_cure,
     grade_cure,
+    larger_cure,
     netedit_cure,
     pave_cure,
     paved_streets,
@@ -19,22 +21,21 @@ from wcsim.towns.checks.cures import (
 )
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.includes import with_included
-from wcsim.towns.scenario.manifest import changes_of, own_work
+from wcsim.towns.scenario.manifest import changes_of
 from wcsim.towns.scenario.town import Town, polygons_among
 from wcsim.towns.sumo.additional import read_items
-from wcsim.towns.sumo.net import WALK_KINDS, LaneKind, Net
+from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import CutOff
-from wcsim.towns.walking.overlaps import Overlap
+from wcsim.towns.walking.overlaps import LEAST_M2, Overlap
 
 _ENOUGH_SHARE = 0.95
 _WALKER = "pedestrian"
 LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
-_MUCH = 0.1  # of the pavement, under carriageways of other levels
 _BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
-_PROJECT = "build it again in metres: netconvert --osm-files EXTRACT --proj.utm -o {net}"
+_PROJECT = "build it again of the same files in metres, with netconvert's option --proj.utm"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +58,7 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     lines = [*_ways(town, net, found), *_demand(town, net, found), *projection_faults(town, net)]
     if found.mesh_faults > found.rays // 1000:
         lines.append(
-            f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: "
-            "wcsim cache --clear"
+            f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: wcsim cache --clear"
         )
     lines += _foreign_polygons(town, net)
     grade = steepest_grade(net)
@@ -66,9 +66,6 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
         lines.append(
             f"a lane of {town.net.name} is as steep as {grade:.2f}; expected at most {STEEPEST}: {grade_cure(town)}"
         )
-    if _large(net, found.overlaps):
-        cure = f"bridges belong on another level; delete them: {netedit_cure(town)}"
-        lines.append(f"{_overlap(found.overlaps)}; {cure}")
     return tuple(lines)
 
 
@@ -77,10 +74,10 @@ def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str,
     changes = changes_of(town)
     notes = [f"changed since the import: {name}" for name in changes.others]
     for name in changes.net:
-        again = routes_cure(town)
-        notes.append(f"changed since the import: {name}; traffic takes new ways when it is routed again: {again}")
-    if over and not _large(net, over):
-        notes.append(_overlap(over))
+        again = f"; traffic takes new ways when it is routed again: {routes_cure(town)}" if town.routes else ""
+        notes.append(f"changed since the import: {name}{again}")
+    if over:
+        notes.append(_overlap(town, over))
     if _polygons(town) is None and not _built_up(town, net):
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
@@ -91,13 +88,12 @@ def projection_faults(town: Town, net: Net) -> tuple[str, ...]:
     points_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
     size_m = np.ptp(points_m, axis=0)
     told = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m large"
-    cure = _PROJECT.format(net=town.net.name)
     if size_m.max() > LARGEST_M:
-        return (f"{told}, so its projection is wrong; {cure}",)
+        return (f"{told}, so its projection is wrong; {_PROJECT}",)
     drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for edge in net.edges for lane in edge.lanes)
     noted_m = sum(lane.length_m for edge in net.edges for lane in edge.lanes if lane.kind is not LaneKind.WALKINGAREA)
     if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
-        return (f"{told}, so its coordinates are degrees or in another unit; {cure}",)
+        return (f"{told}, so its coordinates are degrees or in another unit; {_PROJECT}",)
     return ()
 
 
@@ -112,13 +108,10 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
     things_m = [item.points_W_m for item in read_items(files, town.file.origin_m, net)]
     if not things_m or any(((low_m <= at) & (at <= high_m)).all(axis=1).any() for at in things_m):
         return []
-    cure = f"polyconvert --osm-files EXTRACT --net-file {town.net.name} -o {poly.name}"
+    told = f"none of the {len(things_m)} things of {poly.name} lies at the streets, so it was made for another net; "
     if town.file.rebuild:
-        cure = _again(town, town.file.rebuild)
-    return [
-        f"none of the {len(things_m)} things of {poly.name} lies at the streets, so it was made for another net; "
-        f"build it for this one: {cure}"
-    ]
+        return [told + again_cure(town, "build it for this one", town.file.rebuild)]
+    return [f"{told}build it of its map again, with polyconvert's option --net-file {town.net.name}"]
 
 
 def _polygons(town: Town) -> Path | None:
@@ -133,19 +126,21 @@ def _built_up(town: Town, net: Net) -> bool:
 
 
 def _ways(town: Town, net: Net, found: Findings) -> list[str]:
-    larger = f"take a larger area: wcsim town import --osm FILE --bbox W,S,E,N --name {town.name}"
     imported = "town import" in town.file.rebuild
-    pave = larger if imported else f"{'first ' * _walkers_later(town, net, found)}{pave_cure(town)}"
+
+    def paving() -> str:
+        return larger_cure(town) if imported else f"{'first ' * _walkers_later(town, net, found)}{pave_cure(town)}"
+
     if not found.walkingareas:
         paved = paved_streets(net)
         has = f"has pavements beside {paved} streets, but" if paved else "has"
-        return [f"the net {has} no walking areas{' to join them' if paved else ''}, so nobody can walk; {pave}"]
+        return [f"the net {has} no walking areas{' to join them' if paved else ''}, so nobody can walk; {paving()}"]
     lines = []
     if _lacks_crossings(net, found):
-        lines.append(f"the net has no crossings, so nobody can cross a street; {pave}")
+        lines.append(f"the net has no crossings, so nobody can cross a street; {paving()}")
     if found.walkable_largest_share < _ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
-        cure = larger if imported else f"join the parts: {netedit_cure(town)}"
+        cure = larger_cure(town) if imported else f"join the parts: {netedit_cure(town)}"
         lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
 
@@ -176,26 +171,18 @@ def _demand(town: Town, net: Net, found: Findings) -> list[str]:
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
-            cure = f"add some: {_again(town, shlex.join(words))}"
+            cure = again_cure(town, "add some", shlex.join(words))
         lines.append(f"nobody walks in this town: its demand has no persons on foot; {cure}")
     if found.unroutable:
         lines.append(f"{found.unroutable} trips have no way through the net; to drop or mend them, {routes_cure(town)}")
     return lines
 
 
-def _again(town: Town, rebuild: str) -> str:
-    """The command that builds a town again, run in its folder; it says so when somebody's work would be lost."""
-    command = f"cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}"
-    work = own_work(town.folder)
-    return f"{command} --replace (what you did to {', '.join(work)} is lost then)" if work else command
-
-
-def _large(net: Net, over: tuple[Overlap, ...]) -> bool:
-    paved_m2 = sum(lane.length_m * lane.width_m for lane in net.lanes(*WALK_KINDS))
-    return sum(item.area_m2 for item in over) > _MUCH * paved_m2
-
-
-def _overlap(over: tuple[Overlap, ...]) -> str:
-    total_m2 = sum(item.area_m2 for item in over)
-    worst = f"most of it edge {over[0].street} over {over[0].pavement}"
-    return f"{total_m2:.0f} m2 of carriageway lie on pavements of other streets, without a junction; {worst}"
+def _overlap(town: Town, over: tuple[Overlap, ...]) -> str:
+    total_m2, worst = sum(item.area_m2 for item in over), over[0]
+    return (
+        f"{total_m2:.0f} m2 of pavement lie under the carriageway of another street, without a junction (each place of "
+        f"more than {LEAST_M2:g} m2 counts): walkers and cars of SUMO do not see each other there; the largest is "
+        f"edge {worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
+        f"{netedit_cure(town)}"
+    )

@@ -102,13 +102,12 @@ def _refuse_degrees(root: Element, edges: list[Element], where: str) -> None:
     if len(edges) > 1 and 0.0 < min(apart_m, span_m) < _SMALLEST_M:
         raise TownError(
             f"{where}: reaches over {min(apart_m, span_m):.4f} m only; its coordinates look like degrees, expected "
-            "metres: build it again from the same files with a projection, --proj.utm, as in: netconvert --osm-files "
-            "FILE --proj.utm -o better.net.xml"
+            "metres: build it again of the same files, with netconvert's option --proj.utm"
         )
     if span_m > LARGEST_M:
         raise TownError(
             f"{where}: reaches over {span_m / 1e3:.0f} km; expected at most {LARGEST_M / 1e3:.0f} km: build it "
-            "again with a metric projection: netconvert --osm-files FILE --proj.utm -o better.net.xml"
+            "again of the same files, with netconvert's option --proj.utm"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -11,11 +11,12 @@ from wcsim.errors import TownError
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
 from wcsim.towns.osm.bridges import cut_bridges
 from wcsim.towns.osm.clean import filter_osm, strip_orphans
+from wcsim.towns.osm.left_out import NetWays
 from wcsim.towns.osm.sidewalk_rules import unpaved_ways, wrongly_paved
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import by_file
 from wcsim.towns.sumo.xml_io import xml_bytes
-from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_links, share_of, walkable_parts
+from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_links, share_of, walkable_parts, ways_of
 
 log = logging.getLogger("wcsim.towns")
 
@@ -32,6 +33,7 @@ class BuiltNet:
     net: Net
     share: float
     bridges: tuple[str, ...] = ()  # what they are called that were left out, for they pass over other streets
+    ways: NetWays = field(default_factory=NetWays)
 
 
 def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
@@ -42,8 +44,23 @@ def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
         SumoError: netconvert failed.
     """
     filter_osm(root)
+    before = _ids(root)
     bridges = cut_bridges(root, order.keep_service)
-    return replace(_hanging_together(order, root, folder), bridges=bridges)
+    cut = before - _ids(root)
+    built = _hanging_together(order, root, folder)
+    walkable = {edge.id for edge in built.net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
+    drawn = ways_of(folder / f"{order.name}.net.xml")
+    ways = NetWays(
+        given=_ids(root),
+        bridges=cut,
+        drawn=frozenset(way for made_of in drawn.values() for way in made_of),
+        walked=frozenset(way for edge, made_of in drawn.items() if edge in walkable for way in made_of),
+    )
+    return replace(built, bridges=bridges, ways=ways)
+
+
+def _ids(root: Element) -> frozenset[str]:
+    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way"))
 
 
 def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:

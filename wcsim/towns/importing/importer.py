@@ -24,15 +24,14 @@ from wcsim.towns.importing.map_marks import MapMarks, map_marks
 from wcsim.towns.importing.netconvert import NetOrder, convert_polygons
 from wcsim.towns.importing.parking import Parking, find_parking
 from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
-from wcsim.towns.osm.area import Box, check_box, middle_of, size_m
+from wcsim.towns.osm.area import Box, bbox_option, check_box, middle_of, size_m
 from wcsim.towns.osm.driving_side import Side, side_at
-from wcsim.towns.osm.left_out import LeftOut, crossings_inside, left_out_note, left_out_of, stops_inside, ways_inside
+from wcsim.towns.osm.left_out import LeftOut, crossings_inside, left_out_notes, left_out_of, stops_inside, ways_inside
 from wcsim.towns.osm.read import Extract, read_extract
 from wcsim.towns.scenario.manifest import hashes_of
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
-from wcsim.towns.walking.islands import ways_of
 
 Stage = Callable[[str], None]  # what begins now, in words
 
@@ -138,8 +137,7 @@ def _build(
     )
     built = build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
-    kept = {way for ways in ways_of(net_path).values() for way in ways}
-    left_out = left_out_of(mapped, kept)
+    left_out = left_out_of(mapped, built.ways)
     stage("buildings, trees, parked cars and ways of the traffic")
     marks = _marks(name, built, work)
     if dem is not None:
@@ -159,7 +157,7 @@ def _build(
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, side, work, built, extract.box)
-    told = (left_out_note(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
+    told = (*left_out_notes(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
     return Imported(
         town=_unfinished(work, order),
         side=side,
@@ -199,7 +197,7 @@ def _counts(
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
-    told = f"the extract names no bounds, so it was taken at {_size(extract.box)}; --bbox W,S,E,N cuts it"
+    told = f"the extract names no bounds, so it was taken at {_size(extract.box)}, as by {bbox_option(extract.box)}"
     return () if extract.bounded else (told,)
 
 
@@ -262,7 +260,7 @@ def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet,
 def _rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
     """The command that makes the same town again from what its folder holds, run in that folder."""
     words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
-    words += [f"--bbox={','.join(map(str, box))}", "--lefthand" if lefthand else "--righthand"]
+    words += [bbox_option(box), "--lefthand" if lefthand else "--righthand"]
     words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
     if order.per_hour:
         words += ["--per-hour", ",".join(f"{key}={value:g}" for key, value in order.per_hour.items())]

@@ -8,28 +8,53 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from wcsim.towns.osm.area import Box, size_m
+from wcsim.towns.osm.area import Box, is_within, size_m
 from wcsim.towns.osm.clean import is_hidden, tags_of
 
 LEAST_M = 50.0  # what is less is lost at the edges of any box
 TOLD = 5  # names
+TOLD_LOST = 10  # ways on foot
 _STREETS = frozenset(
     (
         "motorway", "trunk", "primary", "secondary", "tertiary", "unclassified", "residential", "living_street",
         "motorway_link", "trunk_link", "primary_link", "secondary_link", "tertiary_link"
     )
 )  # fmt: skip
-_FOOTWAYS = frozenset(("footway", "pedestrian", "path"))
+_FOOTWAYS = frozenset(("footway", "pedestrian", "path", "steps"))
+_CLOSED = ("no", "private")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapWay:
     """A street or a way on foot of a map."""
 
-    id: str
+    id: str  # without a sign; of a relation with the word before it
     street: bool
     name: str
-    inside_m: float  # how much of it lies in the box
+    inside_m: float  # how much of it lies in the box; of an area, its outline
+    nodes: frozenset[str] = frozenset()
+    leaves: bool = False  # the box
+    why: str = ""  # it may be missing, by its tags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetWays:
+    """What became of the ways of a map, by their ids without a sign."""
+
+    given: frozenset[str] = frozenset()  # to netconvert
+    bridges: frozenset[str] = frozenset()  # over other streets, which were not given
+    drawn: frozenset[str] = frozenset()  # in the net
+    walked: frozenset[str] = frozenset()  # of these, those with lanes for walkers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LostWay:
+    """A way on foot that the net has not."""
+
+    id: str
+    name: str
+    inside_m: float
+    why: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,24 +65,60 @@ class LeftOut:
     footways_m: float = 0.0
     streets_left_out_m: float = 0.0
     footways_left_out_m: float = 0.0
-    names: tuple[str, ...] = ()  # of what is left out, longest first
+    names: tuple[str, ...] = ()  # of streets that are left out, longest first
+    footways: tuple[LostWay, ...] = ()  # all that are left out, longest first
 
 
 def ways_inside(root: Element, box: Box) -> tuple[MapWay, ...]:
-    """The streets and the ways on foot of an extract at street level; `root` is as it was read."""
+    """The streets of an extract at street level, and its ways on foot; `root` is as it was read."""
     places = {
         node.get("id", ""): (float(node.get("lon", "0")), float(node.get("lat", "0"))) for node in root.iterfind("node")
     }
+    lines = {
+        way.get("id", ""): [ref for node in way.iterfind("nd") if (ref := node.get("ref", "")) in places]
+        for way in root.iterfind("way")
+    }
     found = []
-    for way in root.iterfind("way"):
-        tags = tags_of(way)
-        kind = tags.get("highway", "")
-        if kind in _STREETS | _FOOTWAYS and not is_hidden(tags) and tags.get("area") != "yes":
-            points = [places[ref] for node in way.iterfind("nd") if (ref := node.get("ref", "")) in places]
-            inside_m = _inside_m(points, box)
-            name = tags.get("name", "")
-            found.append(MapWay(id=way.get("id", ""), street=kind in _STREETS, name=name, inside_m=inside_m))
+    for item in (*root.iterfind("way"), *root.iterfind("relation")):
+        tags = tags_of(item)
+        street = tags.get("highway") in _STREETS and not is_hidden(tags) and tags.get("area") != "yes"
+        if not street and not _is_footway(tags):
+            continue
+        parts = [lines[item.get("id", "")]] if item.tag == "way" else _outline(item, lines)
+        nodes = frozenset(itertools.chain(*parts))
+        way = MapWay(
+            id=f"{'relation ' * (item.tag == 'relation')}{item.get('id', '').lstrip('-')}",
+            street=street,
+            name=tags.get("name", ""),
+            inside_m=sum(_inside_m([places[node] for node in part], box) for part in parts),
+            nodes=nodes,
+            leaves=any(not is_within(places[node], box) for node in nodes),
+            why=_why_by_tags(tags),
+        )
+        found.append(way)
     return tuple(way for way in found if way.inside_m > 0.0)
+
+
+def _is_footway(tags: dict[str, str]) -> bool:
+    shared = tags.get("highway") == "cycleway" and tags.get("foot") in ("yes", "designated")
+    return shared or (tags.get("highway") in _FOOTWAYS and tags.get("foot") != "no")
+
+
+def _outline(relation: Element, lines: dict[str, list[str]]) -> list[list[str]]:
+    outer = [
+        m.get("ref", "") for m in relation.iterfind("member") if m.get("type") == "way" and m.get("role") != "inner"
+    ]
+    return [lines[ref] for ref in outer if ref in lines] if tags_of(relation).get("type") == "multipolygon" else []
+
+
+def _why_by_tags(tags: dict[str, str]) -> str:
+    if is_hidden(tags):
+        return "a tunnel, indoors, or on another level"
+    if tags["highway"] == "steps":
+        return "steps"
+    if tags.get("area") == "yes" or tags.get("type") == "multipolygon":
+        return "an area, which is open ground" if tags["highway"] == "pedestrian" else "an area"
+    return "closed to the public" if tags.get("foot", tags.get("access")) in _CLOSED else ""
 
 
 def crossings_inside(root: Element, box: Box) -> int:
@@ -66,8 +127,7 @@ def crossings_inside(root: Element, box: Box) -> int:
 
 
 def _is_inside(node: Element, box: Box) -> bool:
-    west, south, east, north = box
-    return west <= float(node.get("lon", "0")) <= east and south <= float(node.get("lat", "0")) <= north
+    return is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box)
 
 
 def stops_inside(root: Element, box: Box) -> int:
@@ -75,41 +135,69 @@ def stops_inside(root: Element, box: Box) -> int:
     return sum(tags_of(node).get("highway") == "bus_stop" and _is_inside(node, box) for node in root.iterfind("node"))
 
 
-def left_out_of(ways: Collection[MapWay], kept: Collection[str]) -> LeftOut:
-    """What is left out of `ways` when the net was made of the ways `kept`, by id."""
-    gone = [way for way in ways if way.id not in kept]
+def left_out_of(ways: Collection[MapWay], made: NetWays) -> LeftOut:
+    """What of `ways` is not in the net."""
+    gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
     by_name: dict[str, float] = {}
     for way in gone:
-        if way.name:
+        if way.name and way.street:
             by_name[way.name] = by_name.get(way.name, 0.0) + way.inside_m
+    rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
+    lost = [
+        LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
+        for way in gone
+        if not way.street
+    ]
     return LeftOut(
         streets_m=sum(way.inside_m for way in ways if way.street),
         footways_m=sum(way.inside_m for way in ways if not way.street),
         streets_left_out_m=sum(way.inside_m for way in gone if way.street),
-        footways_left_out_m=sum(way.inside_m for way in gone if not way.street),
+        footways_left_out_m=sum(way.inside_m for way in lost),
         names=tuple(sorted(by_name, key=lambda name: (-by_name[name], name))),
+        footways=tuple(sorted(lost, key=lambda way: (-way.inside_m, way.id))),
     )
 
 
-def left_out_note(found: LeftOut) -> str:
-    """One line that says what is left out, "" where that is next to nothing."""
-    if found.streets_left_out_m + found.footways_left_out_m < LEAST_M:
-        return ""
-    names = ", ".join(found.names[:TOLD]) + " and more" * (len(found.names) > TOLD)
-    return (
-        f"left out are {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets and "
-        f"{_km(found.footways_left_out_m)} of {_km(found.footways_m)} of ways on foot: bridges, and what hangs "
-        f"together with the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox, or "
-        "--keep-service, may join them"
-    )
+def _why(way: MapWay, made: NetWays, rest: frozenset[str]) -> str:
+    """Why nobody walks along a way in the net; `rest` are the nodes of all ways of the net."""
+    if way.why or way.id in made.bridges:
+        return way.why or "a bridge over another street"
+    if way.id in made.drawn:
+        return "the net lets no walkers on it"
+    if way.leaves:
+        return "cut by the edge of the box"
+    joined = way.id in made.given and way.nodes & rest
+    return "part of a junction, or left out by netconvert" if joined else "not connected to the rest in the box"
+
+
+def left_out_notes(found: LeftOut) -> tuple[str, ...]:
+    """What is left out: streets where they are more than next to nothing, and each way on foot or the longest."""
+    notes = []
+    if found.streets_left_out_m >= LEAST_M:
+        names = ", ".join(found.names[:TOLD]) + " and more" * (len(found.names) > TOLD)
+        notes.append(
+            f"left out are {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and what "
+            f"hangs together with the rest only outside of the box{' (' + names + ')' if names else ''}; a larger "
+            "--bbox, or --keep-service, may join them"
+        )
+    if lost := found.footways:
+        told = ", ".join(
+            f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
+        )
+        more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
+        more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
+        notes.append(
+            f"left out are {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of ways on foot in the box, by "
+            f"the map's ids: {told}{more}"
+        )
+    return tuple(notes)
 
 
 def _inside_m(points: list[tuple[float, float]], box: Box) -> float:
     """Length in m of the parts between points (longitude, latitude) that have their middles in the box."""
-    west, south, east, north = box
     total_m = 0.0
     for (x1, y1), (x2, y2) in itertools.pairwise(points):
-        if west <= (x1 + x2) / 2 <= east and south <= (y1 + y2) / 2 <= north:
+        if is_within(((x1 + x2) / 2, (y1 + y2) / 2), box):
             total_m += math.hypot(*size_m((x1, y1, x2, y2)))
     return total_m
 

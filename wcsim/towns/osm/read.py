@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 
 from wcsim.core.reading import FileKind, opened, regular_size, shown
 from wcsim.errors import TownError
-from wcsim.towns.osm.area import LONGEST_M, Box, check_box, grown, size_m
+from wcsim.towns.osm.area import LONGEST_M, Box, check_box, grown, is_within, size_m
 from wcsim.towns.sumo.tools import Limits, run_child
 from wcsim.towns.sumo.unpack import bunzip2
 from wcsim.towns.sumo.xml_io import (
@@ -75,6 +75,16 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
             f"{path}: no street lies in the bounding box {box}; its streets lie in {told}: give a box there"
         )
     return Extract(root=root, box=box, bounded=named is not None)
+
+
+def holds_more(path: Path, box: Box) -> bool:
+    """Whether an extract holds streets that lie outside of a box; one that was cut to that box holds none."""
+    if not path.is_file():
+        return False
+    root = parse_root(_xml_of(path, None), str(path))
+    places = _places(root)
+    inside = {key for key, place in places.items() if is_within(place, box)}
+    return any(inside.isdisjoint(nd.get("ref", "") for nd in way.iterfind("nd")) for way in _streets(root))
 
 
 def _xml_of(path: Path, box: Box | None) -> bytes:
@@ -220,8 +230,8 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
 def _needed(root: Element, places: dict[str, tuple[float, float]], box: Box) -> tuple[set[str], set[str], set[Element]]:
     """Ids of the nodes and ways around a box, and the ways that are not; all ways lose what is not within reach."""
     near, far = grown(box, MARGIN_M), grown(box, FAR_M)
-    inside = {key for key, place in places.items() if _within(place, near)}
-    reachable = {key for key, place in places.items() if _within(place, far)}
+    inside = {key for key, place in places.items() if is_within(place, near)}
+    reachable = {key for key, place in places.items() if is_within(place, far)}
     nodes, ways, elsewhere = set(inside), set(), set()
     for way in root.iterfind("way"):
         way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
@@ -240,8 +250,3 @@ def _is_needed(item: Element, nodes: set[str], ways: set[str]) -> bool:
     if item.tag == "relation":
         return any(m.get("type") == "way" and m.get("ref") in ways for m in item.iterfind("member"))
     return item.tag == "way"
-
-
-def _within(place: tuple[float, float], box: Box) -> bool:
-    west, south, east, north = box
-    return west <= place[0] <= east and south <= place[1] <= north

@@ -37,6 +37,7 @@ class NeverGreen:
     signal: str
     edge: str  # one that is crossed
     in_net: bool  # where the program lies; else in an additional file
+    rings: bool  # whether it is a NEMA controller's
 
 
 @dataclass(slots=True, kw_only=True)
@@ -230,9 +231,10 @@ def _program(
         paving.overridden.add(signal)
     given = [phase.get("state", "") for phase in phases]
     durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
-    states = shut(given, links) if logic.get("type") == _RINGS else padded(given, durations_s, links)
+    rings = logic.get("type") == _RINGS
+    states = shut(given, links) if rings else padded(given, durations_s, links)
     never = [min(links.crossings[link]) for link in links.crossings if all(state[link] == "r" for state in states)]
-    paving.never_green += [NeverGreen(signal=signal, edge=edge, in_net=in_net) for edge in never]
+    paving.never_green += [NeverGreen(signal=signal, edge=edge, in_net=in_net, rings=rings) for edge in never]
     return {
         number_of[phase]: {"state": state}
         for phase, old, state in zip(phases, given, states, strict=True)

@@ -10,7 +10,15 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FASTEST_MPS, netedit_cure, paved_streets, signals_cure, slowest_street_mps
+from wcsim.towns.checks.cures import (
+    FASTEST_MPS,
+    netedit_cure,
+    pave_command,
+    paved_streets,
+    signals_cure,
+    slowest_street_mps,
+    speeds_mps,
+)
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.pave.edit import edited
 from wcsim.towns.pave.elements import Paving, edits_of, note_routes
@@ -86,7 +94,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
         crossings = _count(after, "crossing")
         if not crossings and not any(shifts.values()):
-            raise TownError(f"{town.net}: none of its streets got a pavement: {_why_none(net, fastest_mps)}")
+            raise TownError(_why_none(town, net, out, fastest_mps))
         if out.is_dir():
             out.rmdir()
         work.replace(out)
@@ -99,7 +107,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
-        notes=(*_joined_note(net), *_notes(paving, out / place.relative_to(work))),
+        notes=(*_net_notes(town, net, out, fastest_mps), *_notes(paving, out / place.relative_to(work))),
     )
 
 
@@ -116,13 +124,32 @@ def _unpaved(net: Net) -> list[str]:
     ]
 
 
-def _why_none(net: Net, fastest_mps: float) -> str:
-    slowest_mps = slowest_street_mps(net)
+def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
+    """How many streets have no pavement for their speed, with the command that gives them one; what junctions got."""
+    bare = (edge for edge in net.edges if all(lane.kind is not LaneKind.SIDEWALK for lane in edge.lanes))
+    limits = speeds_mps(net)
+    fast = [limits[edge.id] for edge in bare if limits.get(edge.id, 0.0) > fastest_mps]
+    notes = []
+    if fast:
+        other = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
+        notes.append(
+            f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; pave them "
+            f"too, into another folder: {pave_command(town, other, max(fast))}"
+        )
+    if not any(edge.function == "internal" for edge in net.edges):
+        notes.append("lanes within junctions were added, which crossings need: vehicles jumped over junctions before")
+    return tuple(notes)
+
+
+def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
+    told, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
     if slowest_mps is None:
-        return "it has none that cars use; choose another scenario"
+        return f"{told}it has none that cars use; choose another scenario"
     if slowest_mps <= fastest_mps:
-        return "netconvert guessed none; draw them in netedit"
-    return f"they are faster than {fastest_mps:g} m/s; take faster ones too, with --max-speed {math.ceil(slowest_mps)}"
+        return f"{told}netconvert guessed none; draw them in netedit"
+    return (
+        f"{told}they are faster than {fastest_mps:g} m/s; take faster ones too: {pave_command(town, out, slowest_mps)}"
+    )
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
@@ -166,13 +193,6 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
             _write(path, edited(data, edits, path.name))
 
 
-def _joined_note(net: Net) -> tuple[str, ...]:
-    """What changes for the traffic of a net without lanes within junctions."""
-    if any(edge.function == "internal" for edge in net.edges):
-        return ()
-    return ("lanes within junctions were added, which crossings need: vehicles jumped over junctions before",)
-
-
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
     notes = []
     if paving.parking:
@@ -190,16 +210,18 @@ def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
 
 def _never_green(paving: Paving, cure: str, *, in_net: bool) -> list[str]:
     """Crossings without a phase in the programs in the net that are in force, or in those of additional files."""
-    found = dict.fromkeys(
-        f"over {item.edge} at {item.signal}"
+    items = [
+        item
         for item in paving.never_green
         if item.in_net == in_net and not (in_net and item.signal in paving.overridden)
-    )
-    if not found:
+    ]
+    if not items:
         return []
+    found = dict.fromkeys(f"over {item.edge} at {item.signal}" for item in items)
     told = ", ".join(list(found)[:TOLD]) + " and more" * (len(found) > TOLD)
     place = "the net" if in_net else "an additional file"
-    why = "for cars may come over them in each of its phases (of which a NEMA controller shows two at once)"
+    why = "for cars may come over them in each of its phases"
+    why += " (of which a NEMA controller shows two at once)" if any(item.rings for item in items) else ""
     return [f"crossings that their signal's program in {place} never gives green, {why}: {told}; {cure}"]
 
 

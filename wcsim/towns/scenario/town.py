@@ -258,7 +258,7 @@ def _main_config(folder: Path) -> Path:
             raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
         return path
     if (folder / "scene.toml").is_file():
-        raise TownError(f"{folder} is a scene, not a town; run or film it: wcsim scene run {folder} [--film FILE.webm]")
+        raise TownError(f"{folder} is a scene, not a town; run it: wcsim scene run {folder}")
     configs = _configs(folder)
     named = [item for item in configs if item.stem == folder.resolve().name]
     if len(named or configs) == 1:
