@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 from wcsim.cli.shared.exit_codes import Exit, exit_of
-from wcsim.cli.shared.surroundings import require_letters, require_streams, told_cause
+from wcsim.cli.shared.told_cause import require_letters, require_streams, told_cause
 from wcsim.core.reading import shown
 from wcsim.errors import WcsimError, meant
 
