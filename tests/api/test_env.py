@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import signal
 import subprocess
 import sys
@@ -269,6 +270,67 @@ def test_a_closed_env_can_be_reset_again(corner):
         first = drive(env, 5, seed=1)
         env.unwrapped.close()
         assert equal(first, drive(env, 5, seed=1))
+
+
+@contextmanager
+def interrupted(monkeypatch: pytest.MonkeyPatch, place: str) -> Iterator[None]:
+    """While open, Ctrl-C comes where the world steps, or where it is waited for."""
+
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(place, stop)
+        yield
+
+
+IN_THE_WORLD = "wcsim.bridge.world.World.tick"
+FACES: tuple[tuple[Any, Any], ...] = (
+    (WheelchairEnv, lambda env: env.step(40)),
+    (StreetParallelEnv, lambda env: env.step(dict.fromkeys(env.agents, 40))),
+    (StreetVecEnv, lambda env: env.step(np.full(2, 40))),
+)
+
+
+@pytest.mark.parametrize(("face", "step"), FACES, ids=lambda value: getattr(value, "__name__", ""))
+def test_a_step_that_was_interrupted_is_gone_on_from_by_reset(corner, monkeypatch, face, step):
+    env = face(str(corner), overrides=(NO_WARMUP, *TINY), seed=1)
+    env.reset()
+    for _ in range(2):
+        with interrupted(monkeypatch, IN_THE_WORLD):
+            step(env)
+        with pytest.raises(ProtocolError, match="call reset"):
+            step(env)
+        env.reset()
+        step(env)
+    env.close()
+
+
+def test_so_it_is_where_the_world_is_a_process_of_its_own(corner, monkeypatch):
+    with made(corner) as first, made(corner, seed=1) as other:
+        first.reset(seed=2)
+        env = other.unwrapped
+        env.reset()
+        with interrupted(monkeypatch, "wcsim.server.links.child_world.ChildSeat._pump"):
+            env.step(40)
+        env.reset()
+        env.step(40)
+
+
+def test_an_env_can_be_pickled_before_its_first_reset(corner):
+    with made(corner) as env:
+        first = drive(env, 3, seed=1)
+        env.unwrapped.close()
+        again = pickle.loads(pickle.dumps(env.unwrapped))  # noqa: S301
+        assert equal(first, drive(again, 3, seed=1))
+        again.close()
+
+
+@pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv])
+@pytest.mark.parametrize("terms", [[3], 3, None, [object], "word"])
+def test_what_is_no_reward_term_is_refused_when_the_environment_is_made(face, terms):
+    with pytest.raises(ConfigError, match=r"reward_terms=.*; expected a list of objects with the methods reset"):
+        face("nowhere", reward_terms=terms)
 
 
 def test_info_says_what_is_promised(corner):

@@ -17,6 +17,7 @@ Observation = Mapping[str, npt.NDArray[Any]]
 DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
 DANGER_KEY: Final = "danger"  # what a danger network said, beside what was seen; not of an environment's own
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
+ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
 
 
 class NotFinite(PolicyError):

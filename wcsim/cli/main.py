@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from types import FrameType
 
 from wcsim.cli.shared.exit_codes import Exit, exit_of
+from wcsim.cli.shared.told_cause import require_letters, require_streams, told_cause
 from wcsim.core.reading import shown
 from wcsim.errors import WcsimError, meant
 
@@ -63,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code, see `cli/shared/exit_codes.py`."""
     try:
         with _orderly_end(own_process=arguments is None):
-            code = _run(sys.argv[1:] if arguments is None else arguments)
+            code = _run(sys.argv[1:] if arguments is None else arguments, own_process=arguments is None)
             if arguments is None and code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED):
                 _end_undisturbed()
         sys.stdout.flush()
@@ -98,11 +99,14 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise Terminated
 
 
-def _run(words: list[str]) -> int:
+def _run(words: list[str], own_process: bool) -> int:
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
-    if chosen is None:
-        return _no_subcommand(words)
     try:
+        if own_process:
+            require_streams()
+        require_letters(words)
+        if chosen is None:
+            return _no_subcommand(words)
         return int(importlib.import_module(chosen.module).run(words[1:]) or Exit.DONE)
     except WcsimError as error:
         print(f"wcsim: {printable(str(error))}", file=sys.stderr)
@@ -115,14 +119,12 @@ def _run(words: list[str]) -> int:
         return Exit.INTERRUPTED
     except BrokenPipeError:
         raise
-    except OSError as error:
-        from wcsim.server.protocol.limits import told_limit
-
-        told = told_limit(error)
+    except Exception as error:
+        told, code = told_cause(error)
         if not told:
             raise
         print(f"wcsim: {told}", file=sys.stderr)
-        return Exit.FAILED
+        return code
     except SystemExit as leave:  # from the parser of options: 0 after --help, 2 after a mistake
         return leave.code if isinstance(leave.code, int) else Exit.REFUSED
 

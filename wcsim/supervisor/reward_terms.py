@@ -15,3 +15,8 @@ class RewardTerm(Protocol):
 
     def reward(self, before: ClientSnapshot, after: ClientSnapshot) -> float:
         """What this tick adds to the reward."""
+
+
+def is_reward_term(value: object) -> bool:
+    """Whether an object, or the objects of a class, have these methods."""
+    return all(callable(getattr(value, method, None)) for method in ("reset", "reward"))

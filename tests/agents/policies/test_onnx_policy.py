@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
+from wcsim.agents.policies import onnx_policy
 from wcsim.agents.policies.onnx_policy import MODEL_FILE, OnnxPolicy, is_onnx_folder, read_about
 from wcsim.errors import PolicyError
 
@@ -31,23 +35,40 @@ def write_model(folder: Path, joystick: str = "joystick", actions: int = ACTIONS
     first[0, 3] = 1.0
     constants = {"weight": weight, "one": np.ones((1, 1), np.float32), "first": first}
     constants["third"] = np.full((1, 1), 0.3, np.float32)
-    graph = helper.make_graph(
-        nodes,
-        "toy",
-        [
-            helper.make_tensor_value_info(joystick, TensorProto.FLOAT, [1, 2]),
-            helper.make_tensor_value_info("state_h", TensorProto.FLOAT, [1, 1]),
-        ],
-        [
-            helper.make_tensor_value_info("values", TensorProto.FLOAT, [1, actions]),
-            helper.make_tensor_value_info(state, TensorProto.FLOAT, [1, 1]),
-            helper.make_tensor_value_info("warning", TensorProto.FLOAT, [1, 1]),
-        ],
-        [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()],
-    )
+    info = helper.make_tensor_value_info
+    inputs = [info(joystick, TensorProto.FLOAT, [1, 2]), info("state_h", TensorProto.FLOAT, [1, 1])]
+    outputs = [info("values", TensorProto.FLOAT, [1, actions]), info(state, TensorProto.FLOAT, [1, 1])]
+    outputs.append(info("warning", TensorProto.FLOAT, [1, 1]))
+    return save_model(folder, nodes, inputs, outputs, constants)
+
+
+def save_model(folder: Path, nodes: list, inputs: list, outputs: list, constants: dict[str, np.ndarray]) -> Path:
+    tensors = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
+    graph = helper.make_graph(nodes, "toy", inputs, outputs, tensors)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     onnx.save(model, folder / MODEL_FILE)
     return folder
+
+
+def write_step(folder: Path, *nodes: onnx.NodeProto, **constants: np.ndarray) -> Path:
+    """A model whose nodes make `values` of the joystick."""
+    info = helper.make_tensor_value_info
+    given, made = info("joystick", TensorProto.FLOAT, [1, 2]), info("values", TensorProto.FLOAT, None)
+    return save_model(folder, list(nodes), [given], [made], constants)
+
+
+def write_endless(folder: Path) -> Path:
+    """A model whose step does not end."""
+    info = helper.make_tensor_value_info
+    inside = [helper.make_node("Identity", [name], [f"{name}_next"]) for name in ("goes_on", "x")]
+    body = helper.make_graph(
+        inside,
+        "body",
+        [info("i", TensorProto.INT64, []), info("goes_on", TensorProto.BOOL, []), info("x", TensorProto.FLOAT, [1, 2])],
+        [info("goes_on_next", TensorProto.BOOL, []), info("x_next", TensorProto.FLOAT, [1, 2])],
+    )
+    loop = helper.make_node("Loop", ["", "true", "joystick"], ["values"], body=body)
+    return write_step(folder, loop, true=np.array(True))
 
 
 def test_the_highest_value_wins_states_go_round_and_an_episode_begins_anew(tmp_path: Path) -> None:
@@ -93,3 +114,42 @@ def test_a_folder_is_read_or_refused(tmp_path: Path) -> None:
         (tmp_path / "policy.toml").write_text(text)
         with pytest.raises(PolicyError, match=r"policy\.toml"):
             read_about(tmp_path)
+
+
+def test_a_step_that_does_not_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    policy = OnnxPolicy(write_endless(tmp_path), "endless", 2)
+    policy.reset()
+    monkeypatch.setattr(onnx_policy, "ANSWER_S", 0.2)
+    with pytest.raises(PolicyError, match=r"no answer for 0\.2 s; expected one a tick"):
+        policy.act(SEEN)
+
+
+def test_a_signal_ends_a_step_that_does_not_end(tmp_path: Path) -> None:
+    policy = OnnxPolicy(write_endless(tmp_path), "endless", 2)
+    policy.reset()
+    threading.Timer(0.2, os.kill, [os.getpid(), signal.SIGINT]).start()
+    with pytest.raises(KeyboardInterrupt):
+        policy.act(SEEN)
+
+
+def test_a_model_is_bounded_in_memory(tmp_path: Path) -> None:
+    large = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, 2 * [1 << 20]) for name in ("state_a", "next_state_a")
+    ]
+    node = helper.make_node("Identity", ["state_a"], ["next_state_a"])
+    with pytest.raises(PolicyError, match="its states have 4398046511104 bytes; expected at most 1073741824"):
+        OnnxPolicy(save_model(tmp_path, [node], large[:1], large[1:], {}), "large", ACTIONS)
+    node = helper.make_node("ConstantOfShape", ["shape"], ["values"])
+    policy = OnnxPolicy(write_step(tmp_path, node, shape=np.array([1 << 17, 1 << 16], np.int64)), "34 GB", 2)
+    policy.reset()
+    with pytest.raises(PolicyError, match="refuses the observation"):
+        policy.act(SEEN)
+
+
+def test_what_a_model_says_is_bounded_and_printable(tmp_path: Path) -> None:
+    node = helper.make_node("MatMul", ["joystick", "joystick"], ["values"], name="a\nb\x1b[31m" + 5000 * "c")
+    with pytest.raises(PolicyError) as told:
+        policy = OnnxPolicy(write_step(tmp_path, node), "x", 2)
+        policy.reset()
+        policy.act(SEEN)
+    assert str(told.value).isprintable() and len(str(told.value)) < 500

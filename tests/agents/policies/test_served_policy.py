@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,9 @@ import pytest
 
 from wcsim.agents.evaluation.suite.drive import FIRST_SHARE, LATE_S
 from wcsim.agents.evaluation.suite.named_policy import identity_of
+from wcsim.agents.policies import served_policy
 from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policy_api import ANSWER_S
 from wcsim.errors import PolicyError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "served_policy.py"
@@ -60,7 +63,7 @@ def test_the_example_follows_and_creeps_when_something_is_near(example: str) -> 
         policy.close()
 
 
-def answering(*answers: bytes, late_s: float = 0.0, asked: list[bytes] | None = None) -> str:
+def answering(*answers: bytes, late_s: float = 0.0, byte_s: float = 0.0, asked: list[bytes] | None = None) -> str:
     """A process that answers so, one answer a message and each so late, and then closes the connection."""
     server = socket.create_server(("127.0.0.1", 0))
 
@@ -73,7 +76,11 @@ def answering(*answers: bytes, late_s: float = 0.0, asked: list[bytes] | None = 
                 if asked is not None:
                     asked.append(message)
                 time.sleep(late_s)
-                there.sendall(len(answer).to_bytes(4, "little") + answer)
+                said = len(answer).to_bytes(4, "little") + answer
+                with suppress(OSError):
+                    for part in [said] if not byte_s else [said[at : at + 1] for at in range(len(said))]:
+                        time.sleep(byte_s)
+                        there.sendall(part)
 
     threading.Thread(target=serve, daemon=True).start()
     return f"tcp:127.0.0.1:{server.getsockname()[1]}"
@@ -97,6 +104,11 @@ def test_a_suite_that_asks_for_the_version_names_the_actions_too() -> None:
         (b'{"action": true}', "a whole number"),
         (b"[1]", "a JSON object"),
         (b"\xff", "no answer to 'act'"),
+        (b"[" * 60_000, "is not JSON"),
+        (b'{"action": -1}', "from 0 to 2"),
+        (b'{"action": 3}', "from 0 to 2"),
+        (b'{"action": 1' + 4000 * b"0" + b"}", "expected at most 64"),
+        (b'{"action": 1' + 5000 * b"0" + b"}", "is not JSON"),
         (b" " * (1 << 17), "at most 65536"),
         (None, "no answer to 'act'"),
     ],
@@ -120,5 +132,29 @@ def test_an_answer_may_take_longer_than_a_connection(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("wcsim.agents.policies.served_policy._PATIENCE_S", 0.3)
     policy = ServedPolicy(answering(HELLO, b"{}", late_s=0.6), POINTS)
     policy.reset()
-    assert policy._socket.gettimeout() > LATE_S * FIRST_SHARE
+    assert LATE_S * FIRST_SHARE < ANSWER_S
     policy.close()
+
+
+@pytest.mark.parametrize(
+    "hello",
+    [
+        b"[" * 60_000,
+        json.dumps({"name": 50_000 * "x", "version": "1"}).encode(),
+        json.dumps({"name": "x\ny", "version": "\x1b[31m"}).encode(),
+        json.dumps({"name": "x", "version": "\ud800"}).encode(),
+    ],
+)
+def test_who_says_hello_so_is_refused_in_a_line(hello: bytes) -> None:
+    with pytest.raises(PolicyError) as told:
+        ServedPolicy(answering(hello), POINTS)
+    assert str(told.value).isprintable() and len(str(told.value)) < 500
+
+
+def test_an_answer_that_drips_is_ended_and_no_later_one_is_taken_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    act = b'{"action": 1}' + 100 * b" "
+    policy = ServedPolicy(answering(HELLO, act, act, byte_s=0.01), POINTS)
+    monkeypatch.setattr(served_policy, "ANSWER_S", 0.3)
+    for _ in range(2):
+        with pytest.raises(PolicyError, match=r"no answer to 'act' within 0\.3 s"):
+            policy.act(seen(1))

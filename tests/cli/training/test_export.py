@@ -43,6 +43,12 @@ def lacking(told: str) -> list[str]:
     return shlex.split(told.partition("that made it with ")[2].partition(", or by")[0])
 
 
+def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, folder, monkeypatch):
+    monkeypatch.setattr("wcsim.agents.networks.onnx_form.can_export", lambda: False)
+    monkeypatch.setattr(export, "_ride", lambda _: pytest.fail("it was driven"))
+    refused(wcsim("export", policy, "--onnx", "x"), "pip install 'wcsim[onnx]'")
+
+
 @pytest.mark.parametrize("name", ["dwa", "dwa@1.5", "follow", "tests.own:Policy"])
 def test_what_has_no_network_is_not_exported(wcsim, folder, name):
     refused(wcsim("export", name, "--onnx", "x"), f"{name} has no network", "a danger network", "shipped")

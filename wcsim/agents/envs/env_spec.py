@@ -22,7 +22,7 @@ from wcsim.errors import ConfigError, meant
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import imu_size, observation_space
-from wcsim.supervisor.reward_terms import RewardTerm
+from wcsim.supervisor.reward_terms import RewardTerm, is_reward_term
 from wcsim.users.recorded import find_user
 
 RENDER_MODES = ("rgb_array",)
@@ -107,10 +107,11 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
         own: What the environment takes by name besides.
 
     Raises:
-        ConfigError: The configuration, the user's profile or the render mode cannot be used.
+        ConfigError: The configuration, a reward term, the user's profile or the render mode cannot be used.
         TypeError: There is no such option.
     """
     _require_known(options, own)
+    _require_terms(options.get("reward_terms", ()))
     render_mode, resolved = options.get("render_mode"), _resolved(options)
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
@@ -148,6 +149,16 @@ def _require_known(options: Iterable[str], own: Collection[str]) -> None:
     for name in options:
         if name not in known:
             raise TypeError(f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}")
+
+
+def _require_terms(terms: object) -> None:
+    """Raise ConfigError for what is no list of objects with the methods of `RewardTerm`."""
+    for term in terms if isinstance(terms, Sequence) else (terms,):
+        if not isinstance(terms, Sequence) or isinstance(term, type) or not is_reward_term(term):
+            raise ConfigError(
+                f"reward_terms={shown_value(terms)}; expected a list of objects with the methods reset() and "
+                "reward(before, after), see examples/own_reward.py"
+            )
 
 
 def checked_chairs(chairs: int) -> int:

@@ -25,12 +25,14 @@ class Chairs:
 
     @property
     def open(self) -> bool:
-        """Whether there is a world."""
-        return self._group is not None
+        """Whether there is a world, and no step of it was interrupted."""
+        return self._group is not None and not any(link.interrupted for link in self._group.links)
 
     def begin(self, seed: int | None) -> list[tuple[Observation, Info]]:
         """Begin everybody's first episode in a world made anew; without a seed, with one drawn from the system."""
         seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
+        if not self.open:
+            self.close()
         if self._group is None:
             self._group = open_group(self.face.order(seed, len(self.all)))
             frames = self._group.join()
@@ -40,7 +42,7 @@ class Chairs:
 
     def begin_next(self) -> list[tuple[Observation, Info]]:
         """Begin everybody's next episode where the world is now, without a tick."""
-        if self._group is None:
+        if self._group is None or not self.open:
             return self.begin(None)
         frames = self._group.respawn()
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
@@ -53,8 +55,8 @@ class Chairs:
 
     def close(self) -> None:
         """End the world; a second call does nothing."""
-        if self._group is not None:
-            self._group.close()
-            self._group = None
+        group, self._group = self._group, None
         for chair in self.all:
             chair.now = None
+        if group is not None:
+            group.close()

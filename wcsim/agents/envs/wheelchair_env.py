@@ -65,7 +65,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
         self._waits_no_more = False
-        self.due_work: Callable[[], Callable[[], None] | None] = lambda: None  # to be done while a step is waited for
+        self.due_work: Callable[[], Callable[[], None] | None] | None = None  # to be done while a step is waited for
         terms = tuple(options.get("reward_terms", ()))
         with suppress(TypeError):  # one that holds a file or the like cannot be copied, and is taken as it is
             terms = copy.deepcopy(terms)  # others may have these as well
@@ -110,7 +110,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
             self._chair.send(link, action)
-            work = self.due_work()
+            work = None if self.due_work is None else self.due_work()
             if work is not None:
                 link.while_waiting(work)
             return self._chair.receive(link)
@@ -126,10 +126,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
 
     def close(self) -> None:
         """Leave the world; a second call does nothing."""
-        if self._link is not None:
-            self._link.close()
-            self._link = None
-            self._chair.now = None
+        link, self._link, self._chair.now = self._link, None, None
+        if link is not None:
+            link.close()
 
     @property
     def epoch(self) -> int:
@@ -158,7 +157,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             self._link.wait_no_more()
 
     def _first_frame(self, seed: int | None) -> ClientSnapshot:
-        """The first frame of the next episode."""
+        """The first frame of the next episode; a world whose step was interrupted is made, or joined, anew."""
+        if self._link is not None and self._link.interrupted:
+            self.close()
         link, now = self._link, self._chair.now
         if link is None:
             return self._open(seed if seed is not None else self._first_seed)

@@ -20,6 +20,12 @@ def can_export() -> bool:
     return find_spec("onnx") is not None and find_spec("onnxruntime") is not None
 
 
+def require_onnx() -> None:
+    """Raise PolicyError where the extra `onnx` is not installed."""
+    if not can_export():
+        raise PolicyError("exporting needs ONNX, which is not installed: pip install 'wcsim[onnx]'")
+
+
 class Bare(nn.Module):
     """A network that is called with tensors, in the place of one that is called with a dict of them."""
 
@@ -45,8 +51,7 @@ def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[s
         PolicyError: ONNX is not installed, or the network cannot be expressed in it.
     """
     held = io.BytesIO()
-    if not can_export():
-        raise PolicyError("exporting needs ONNX, which is not installed: pip install 'wcsim[onnx]'")
+    require_onnx()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # tracing warns of every shape that is a Python number

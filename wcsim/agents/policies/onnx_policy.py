@@ -4,16 +4,21 @@ The model's inputs are named as the keys of an observation (`depth`, `seg`, `imu
 have a first dimension of 1. Its first output (1, actions) holds a value for each action; the highest one is taken. An
 input `state_X` is zero at the start of an episode and then what the output `next_state_X` was. An output `warning`
 above 0.5 warns the user. ONNX: https://onnx.ai; the `onnx` extra brings its runtime.
+
+A model is bounded: in bytes, in the memory of its arrays and in the time of loading and of each step.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import NotFinite, Observation
+from wcsim.agents.policy_api import ANSWER_S, NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import FileKind, is_file, read_toml, shown
@@ -23,7 +28,9 @@ MODEL_FILE: Final = "policy.onnx"
 ABOUT_FILE: Final = "policy.toml"
 _ABOUT: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=1 << 20)
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
-_LIMIT_BYTES: Final = 1 << 30
+_LIMIT_BYTES: Final = 1 << 30  # of a model, and of its states
+_MEMORY_BYTES: Final = 1 << 32  # of all arrays of a process's models
+_STOP_S: Final = 5.0  # for a model to stop
 
 
 def is_onnx_folder(path: Path) -> bool:
@@ -57,9 +64,18 @@ class OnnxPolicy:
         self._session = open_session(path / MODEL_FILE)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
-        for key in self._inputs:
-            if key.startswith(_STATE) and f"{_NEXT}{key}" not in self._outputs:
-                raise PolicyError(f"{shown(path)}: input {key!r} has no output {_NEXT + key!r}; expected one")
+        self._shapes = {
+            key: [size if isinstance(size, int) else 1 for size in item.shape]
+            for key, item in self._inputs.items()
+            if key.startswith(_STATE)
+        }
+        for key in self._shapes:
+            if f"{_NEXT}{key}" not in self._outputs:
+                told = f"input {shown(key, 40)!r} has no output {_NEXT + shown(key, 40)!r}; expected one"
+                raise PolicyError(f"{shown(path)}: {told}")
+        size = 4 * sum(math.prod(shape) for shape in self._shapes.values())
+        if size > _LIMIT_BYTES:
+            raise PolicyError(f"{shown(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}")
         self._state: dict[str, Any] = {}
 
     @property
@@ -73,20 +89,23 @@ class OnnxPolicy:
     def reset(self) -> None:
         """Every state is zero."""
         self._warning = False
-        self._state = {
-            key: np.zeros([size if isinstance(size, int) else 1 for size in item.shape], np.float32)
-            for key, item in self._inputs.items()
-            if key.startswith(_STATE)
-        }
+        self._state = {key: np.zeros(shape, np.float32) for key, shape in self._shapes.items()}
 
     def act(self, observation: Observation) -> int:
-        """The action of the highest value. Raises PolicyError when the model cannot use the observation."""
+        """The action of the highest value.
+
+        Raises:
+            PolicyError: The model cannot use the observation, gives something else, or needs more than `ANSWER_S`.
+        """
         given = {key: self._state[key] if key in self._state else _fed(key, observation) for key in self._inputs}
         try:
-            found = dict(zip(self._outputs, self._session.run(None, given), strict=True))
+            found = self._found(given)
+            values = np.asarray(found[self._outputs[0]], np.float64).reshape(-1)
+            warning = _WARNING in found and float(np.asarray(found[_WARNING]).reshape(-1)[0]) > 0.5
+        except PolicyError:
+            raise
         except Exception as error:  # the runtime has a class of its own for each kind of mistake
-            raise PolicyError(f"{self.name}: its model refuses the observation: {error}") from None
-        values = np.asarray(found[self._outputs[0]]).reshape(-1)
+            raise PolicyError(f"{self.name}: its model refuses the observation: {shown(error)}") from None
         if values.shape != (self._actions,) or not np.isfinite(values).all():
             kind = PolicyError if values.shape != (self._actions,) else NotFinite
             raise kind(
@@ -94,18 +113,62 @@ class OnnxPolicy:
                 f"expected {self._actions} finite ones: set env.actions in {ABOUT_FILE} as in its training"
             )
         self._state = {key: found[f"{_NEXT}{key}"] for key in self._state}
-        self._warning = _WARNING in found and float(np.asarray(found[_WARNING]).reshape(-1)[0]) > 0.5
+        self._warning = warning
         return int(values.argmax())
+
+    def _found(self, given: dict[str, Any]) -> dict[str, Any]:
+        import onnxruntime
+
+        options = onnxruntime.RunOptions()
+        values = _bounded(
+            lambda: self._session.run(None, given, options),
+            lambda: setattr(options, "terminate", True),
+            f"{shown(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a tick: make it faster",
+        )
+        return dict(zip(self._outputs, values, strict=True))
+
+
+def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> Any:
+    """What `work` returns or raises, within `ANSWER_S`; raises PolicyError with the text `late` after that.
+
+    The runtime hears no signal, so it works in another thread. Ctrl-C, too, ends it by `stop`.
+    """
+    found: list[Any] = []
+    faults: list[Exception] = []
+    ended = Event()
+
+    def run() -> None:
+        try:
+            found.append(work())
+        except Exception as error:  # raised again in the thread that waits
+            faults.append(error)
+        ended.set()
+
+    Thread(target=run, daemon=True).start()
+    in_time = False
+    try:
+        in_time = ended.wait(ANSWER_S)
+    finally:
+        if not in_time:
+            stop()
+            ended.wait(_STOP_S)  # a process that ends before the runtime has stopped would abort
+    if not in_time:
+        raise PolicyError(late)
+    if faults:
+        raise faults[0]
+    return found[0]
 
 
 def _fed(key: str, observation: Observation) -> Any:
     if key not in observation:
-        raise PolicyError(f"the model wants an input {key!r}; this test observes {', '.join(sorted(observation))}")
+        raise PolicyError(
+            f"the model wants an input {shown(key, 40)!r}; this test observes {', '.join(sorted(observation))}"
+        )
     return np.ascontiguousarray(observation[key])[None]
 
 
 def open_session(path: Path) -> Any:
-    """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded."""
+    """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`."""
     try:
         import onnxruntime
     except ImportError:
@@ -116,8 +179,19 @@ def open_session(path: Path) -> Any:
         raise PolicyError(f"{shown(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
+    options.log_severity_level = 4  # what fails is raised; the log would show a model's own words as they are
+    memory = onnxruntime.OrtMemoryInfo(
+        "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
+    )
+    onnxruntime.create_and_register_allocator(memory, onnxruntime.OrtArenaCfg({"max_mem": _MEMORY_BYTES}))
+    options.add_session_config_entry("session.use_env_allocators", "1")
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return _bounded(
+            lambda: onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"]),
+            lambda: options.set_load_cancellation_flag(True),
+            f"{shown(path)} could not be loaded within {ANSWER_S:g} s; expected a smaller model",
+        )
+    except PolicyError:
+        raise
     except Exception as error:  # the runtime has a class of its own for each kind of mistake
-        raise PolicyError(f"{shown(path)} cannot be loaded: {error}; expected an ONNX model") from None
+        raise PolicyError(f"{shown(path)} cannot be loaded: {shown(error)}; expected an ONNX model") from None

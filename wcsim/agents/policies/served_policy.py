@@ -16,20 +16,21 @@ from __future__ import annotations
 
 import json
 import socket
+import time
 from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.policy_api import Observation
-from wcsim.core.reading import shown
+from wcsim.agents.policy_api import ANSWER_S, Observation
+from wcsim.core.reading import FileKind, parse_json, shown
 from wcsim.errors import PolicyError
 
 SCHEME: Final = "tcp:"
 _ANSWER_BYTES: Final = 1 << 16
 _PATIENCE_S: Final = 10.0  # for a connection
-_ANSWER_S: Final = 90.0  # for an answer: whoever asks has a bound of its own, and it may load and compile at first
+_ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=_ANSWER_BYTES, error=PolicyError)
 
 
 def is_served(name: str) -> bool:
@@ -47,20 +48,19 @@ class ServedPolicy:
 
     def __init__(self, address: str, points: npt.NDArray[Any]) -> None:
         """Raises PolicyError when nobody answers there."""
-        self.name, self._warning = address, False
+        self.name, self._warning, self._actions = address, False, len(points)
         host, port = _parts(address)
         try:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
-            self._socket.settimeout(_ANSWER_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             raise PolicyError(f"{shown(address)}: nobody serves a policy there ({error}); start it first") from None
-        try:
-            about = self._asked("hello", {}, actions=points.tolist())
-        except PolicyError:
-            self._socket.close()
-            raise
+        about = self._asked("hello", {}, actions=points.tolist())
         self.version = f"{about.get('name', '')} {about.get('version', '')}"
+        if self.version != shown(self.version):  # results are told apart by it, so it must not be cut
+            self.close()
+            told = "expected a printable name and version of at most 160 letters"
+            raise PolicyError(f"{self.name}: is called {shown(self.version, 60)!r}; {told}")
 
     @property
     def warning(self) -> bool:
@@ -83,8 +83,9 @@ class ServedPolicy:
         """The action that the process answers with. Raises PolicyError when it is gone, or answers something else."""
         answer = self._asked("act", observation)
         action = answer.get("action")
-        if not isinstance(action, int) or isinstance(action, bool):
-            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; expected an action, a whole number")
+        if not isinstance(action, int) or isinstance(action, bool) or not 0 <= action < self._actions:
+            told = f"expected an action, a whole number from 0 to {self._actions - 1}"
+            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; {told}")
         self._warning = answer.get("warning") is True
         return action
 
@@ -93,21 +94,25 @@ class ServedPolicy:
         named = [[key, array.dtype.name, list(array.shape)] for key, array in arrays.items()]
         head = json.dumps({"kind": kind, **more, "arrays": named}).encode() + b"\n"
         text = head + b"".join(array.tobytes() for array in arrays.values())
+        ends_s = time.monotonic() + ANSWER_S
         try:
+            self._socket.settimeout(ANSWER_S)
             self._socket.sendall(len(text).to_bytes(4, "little") + text)
-            length = int.from_bytes(self._read(4), "little")
+            length = int.from_bytes(self._read(4, ends_s), "little")
             if length > _ANSWER_BYTES:
                 raise PolicyError(f"{self.name}: an answer of {length} bytes; expected at most {_ANSWER_BYTES}")
-            answer = json.loads(self._read(length))
-        except (OSError, ValueError) as error:
-            raise PolicyError(f"{self.name}: no answer to {kind!r}: {error}; is the process alive?") from None
-        if not isinstance(answer, dict):
-            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; expected a JSON object")
-        return answer
+            return parse_json(self._read(length, ends_s).decode(), f"{self.name}: its answer to {kind!r}", _ANSWER)
+        except BaseException as error:  # also by Ctrl-C: what comes late must not be taken for the next answer
+            self.close()
+            if not isinstance(error, OSError | UnicodeError):
+                raise
+            told = f"no answer to {kind!r} within {ANSWER_S:g} s: {error}"
+            raise PolicyError(f"{self.name}: {told}; is the process alive and fast enough?") from None
 
-    def _read(self, length: int) -> bytes:
+    def _read(self, length: int, ends_s: float) -> bytes:
         found = b""
         while len(found) < length:
+            self._socket.settimeout(max(1e-3, ends_s - time.monotonic()))
             more = self._socket.recv(length - len(found))
             if not more:
                 raise ConnectionError("the process has closed the connection")

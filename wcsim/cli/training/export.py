@@ -71,7 +71,9 @@ def run(words: list[str]) -> int:
     path = _network(options.policy)
     from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
+    from wcsim.agents.networks.onnx_form import require_onnx
 
+    require_onnx()
     config, ride, recorded = _ride(options)
     limit_ms = math.inf if options.force else LIMIT_MS - RESERVE_MS
     chosen = None if recorded is None else recorded.actions

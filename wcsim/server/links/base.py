@@ -83,9 +83,11 @@ class WorldLink(Closing):
         self.take(self.core.join(self._now_s()))
 
     def send(self, tick: int, joystick: Joystick) -> None:
-        """The first half of `act`: say what to do."""
+        """The first half of `act`: say what to do. Raises ProtocolError after a step that was interrupted."""
         self._refuse_closed()
         self._raise_error()
+        if self.interrupted:
+            raise ProtocolError("the step before was interrupted, or not waited for; call reset() first")
         self.take(self.core.act(tick, joystick, self._now_s()))
 
     def receive(self) -> ClientSnapshot:
@@ -132,6 +134,11 @@ class WorldLink(Closing):
         """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
         if not self._closed:
             self.take(self.core.beat(progress))
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether an answer is owed while nobody waits for it, as after Ctrl-C in a step."""
+        return self.core.waiting
 
     @property
     def seat(self) -> int:

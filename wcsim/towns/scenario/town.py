@@ -270,11 +270,11 @@ def _main_config(folder: Path) -> Path:
 def _is_town(folder: Path) -> bool:
     if folder.name.startswith("."):  # an import that is not done, or was killed
         return False
-    return bool(_configs(folder)) or (folder / TOWN_TOML).is_file()
+    return bool(_configs(folder)) or is_file(folder / TOWN_TOML)
 
 
 def _configs(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.sumocfg")) if folder.is_dir() else []
+    return sorted(folder.glob("*.sumocfg")) if is_folder(folder) else []
 
 
 def _known() -> str:

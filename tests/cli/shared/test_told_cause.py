@@ -1,0 +1,90 @@
+"""What is wrong around a command is told in a line; a fault of wcsim's own keeps its traceback."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import wcsim
+from wcsim.cli import main as cli
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.shared.told_cause import told_cause
+
+
+def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
+    done = subprocess.run(
+        ["bash", "-c", words, sys.executable],
+        cwd=folder,
+        env={**os.environ, **more},
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("$0 -m wcsim --help >&-", "standard output is closed"),
+        ("mkdir gone && cd gone && rmdir ../gone && $0 -m wcsim town list", "the working folder is gone"),
+        ("$0 -m wcsim town run helsinki --out $'r\\xff'", "argument 'r\\udcff' is not in UTF-8"),
+    ],
+)
+def test_a_command_in_bad_surroundings_ends_with_a_line_and_code_2(tmp_path: Path, words: str, told: str) -> None:
+    package = str(Path(wcsim.__file__).parents[1])
+    code, err = _run(words, tmp_path, PYTHONPATH=package)
+    assert (code, err.count("\n")) == (Exit.REFUSED, 1), err
+    assert err.startswith(f"wcsim: {told}")
+
+
+def test_help_in_a_terminal_of_two_columns_is_laid_out(tmp_path: Path) -> None:
+    assert _run("$0 -m wcsim snapshot --help >/dev/null", tmp_path, COLUMNS="2") == (Exit.DONE, "")
+
+
+def _caught(raised: Exception) -> Exception:
+    try:
+        raise raised
+    except Exception as error:
+        return error
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "told"),
+    [
+        (FileNotFoundError(errno.ENOENT, "No such file", "/proc/x"), Exit.REFUSED, "/proc/x: No such file; expected"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", 5000 * "y"), Exit.REFUSED, "yyy: File name too long"),
+        (OSError(errno.ENOSPC, "No space left"), Exit.FAILED, "no room is left"),
+        (FileNotFoundError(errno.ENOENT, "No such file", str(Path(wcsim.__file__).parent / "x")), Exit.FAILED, ""),
+        (OSError(errno.EBADF, "Bad file descriptor"), Exit.FAILED, ""),
+        (ValueError("ours"), Exit.FAILED, ""),
+    ],
+)
+def test_the_cause_decides_what_is_told(raised: Exception, code: Exit, told: str) -> None:
+    line, ends = told_cause(_caught(raised))
+    assert ends == code
+    assert told in line if told else line == ""
+
+
+def test_settings_that_numba_refuses_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "numba").mkdir()
+    code = compile("raise ValueError('must be > 0')", str(tmp_path / "numba" / "parallel.py"), "exec")
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "0")
+    with pytest.raises(ValueError, match="must be") as refused:
+        exec(code)  # noqa: S102
+    assert told_cause(refused.value)[0].endswith("try again after: unset NUMBA_NUM_THREADS")
+
+
+def test_a_fault_of_ours_comes_with_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_words: list[str]) -> int:
+        raise KeyError("ours")
+
+    monkeypatch.setattr("wcsim.cli.cache.run", broken)
+    with pytest.raises(KeyError):
+        cli.main(["cache"])
