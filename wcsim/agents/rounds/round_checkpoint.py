@@ -67,11 +67,11 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     """
     path = checkpoint_path(folder, number)
     state = _state(path)
-    try:
-        read_learner(path, learner, int(state["updates"]), float(state["loss"]))
-        segments = {str(name): str(sha256) for name, sha256 in state["segments"].items()}
-    except (RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise PolicyError(f"{shown(path)} does not fit this run ({error}); expected its own checkpoint") from None
+    updates, loss, segments = (state.get(name) for name in ("updates", "loss", "segments"))
+    named = isinstance(segments, dict) and all(isinstance(sha256, str) for sha256 in segments.values())
+    if type(updates) is not int or type(loss) is not float or not isinstance(segments, dict) or not named:
+        raise PolicyError(f"{shown(path / STATE)} is damaged; expected updates, a loss and segments")
+    read_learner(path, learner, updates, loss)
     try:
         in_order(segments)
     except PolicyError as error:
