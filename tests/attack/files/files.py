@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.attack.files.damage import swollen
 from tests.attack.files.family import Family, model_twist
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
@@ -134,6 +135,8 @@ def trace_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
     payloads = [record.payload for record in whole_records(io.BytesIO(sound))]
 
     def twist(rng: Rng) -> tuple[bytes, str]:
+        if integer(rng, 5) == 0:
+            return swollen(sound, rng, framed), "swollen"
         at = integer(rng, len(payloads))
         line, newline, raw = payloads[at].partition(b"\n")
         if at and integer(rng, 3) == 0:
@@ -167,7 +170,9 @@ def sound_trace(work: Path) -> bytes:
         for tick in range(3)
     ]  # fmt: skip
     path = work / "sound.trace"
-    _write_trace(path, TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3)), ticks)
+    _write_trace(
+        path, TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3)), ticks
+    )
     data = path.read_bytes()
     path.unlink()
     return data
@@ -245,4 +250,3 @@ def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case
         return take_config(made) and load_run_config("quick", (text,)).digest() != ""
 
     return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed)
-

@@ -172,7 +172,9 @@ def _take_round(path: Path) -> bool:
     if number < 0:
         return True  # a run without any begins again, or says which are damaged
     segments = load_round(path.parents[1], number, learner)
-    return _same(checkpoint_path(path.parents[1], number), learner, lambda out: save_round(out, number, learner, segments))
+    return _same(
+        checkpoint_path(path.parents[1], number), learner, lambda out: save_round(out, number, learner, segments)
+    )
 
 
 def _same(folder: Path, learner: DangerLearner, save: Callable[[Path], object]) -> bool:
@@ -182,5 +184,7 @@ def _same(folder: Path, learner: DangerLearner, save: Callable[[Path], object]) 
     again = out / folder.name
     said, now = (json.loads((place / STATE).read_text()) for place in (folder, again))
     keys = said.keys() - {"seal", "sha256", "schema_version"}
-    tensors = all(unpacked((folder / name).read_bytes()) == unpacked((again / name).read_bytes()) for name in (WEIGHTS, MOMENTS))
+    tensors = all(
+        unpacked((folder / name).read_bytes()) == unpacked((again / name).read_bytes()) for name in (WEIGHTS, MOMENTS)
+    )
     return tensors and all(said[key] == now[key] for key in keys)

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from tests.attack.files.damage import swollen
 from tests.attack.files.family import Family, model_twist
 from tests.attack.scenarios.twists import Rng, integer, json_text, spoiled, toml_text, twisted, without_none
 from tests.support.framing import chained
@@ -18,7 +19,7 @@ from wcsim.users.recording.drive_bytes import event_payload, header_payload, tic
 from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveRecording, RecordedEvent
-from wcsim.users.recording.framing import whole_records
+from wcsim.users.recording.framing import framed, whole_records
 
 STUDY = {
     "name": "a-study",
@@ -91,9 +92,12 @@ def sound_drive(path: Path) -> bytes:
 
 def drive_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
     """Fields of the header or of an event, or bytes of a tick, with lengths and checksums made to fit."""
-    payloads = [record.payload for record in whole_records(io.BytesIO(sound), 0)]
+    records = list(whole_records(io.BytesIO(sound), 0))
+    payloads, last = [record.payload for record in records], records[-1].crc
 
     def twist(rng: Rng) -> tuple[bytes, str]:
+        if integer(rng, 5) == 0:
+            return swollen(sound, rng, lambda payload: framed(payload, last)), "swollen"
         at = integer(rng, len(payloads))
         kind, rest = payloads[at][:1], payloads[at][1:]
         if kind == b"T":
