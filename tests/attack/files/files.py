@@ -17,9 +17,7 @@ from tests.attack.files.family import Family, model_twist
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
-    PLACES,
     Rng,
-    cleared,
     integer,
     json_text,
     pick,

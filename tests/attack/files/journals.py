@@ -12,6 +12,7 @@ import numpy as np
 
 from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, pick, swollen
 from tests.attack.outcomes import Case
+from tests.attack.scenarios.twists import cleared
 from tests.server.journal.test_journal import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces
@@ -33,6 +34,8 @@ def cases(count: int, seed: int, work: Path, areas: tuple[str, ...] = ("journals
     """So many attacks on some of "journals", "ledgers", "metrics" and "events"."""
     folder = work / "case"
     sound = {area: MAKERS[area](work / f"sound-{area}") for area in areas}
+    for area in areas:
+        cleared(work / f"sound-{area}")
     for number in range(count):
         rng = np.random.default_rng((seed, number))
         area = areas[number % len(areas)]
@@ -43,6 +46,11 @@ def cases(count: int, seed: int, work: Path, areas: tuple[str, ...] = ("journals
             name=f"{number} {spoil.__name__}",
             feed=lambda a=area, d=data: _feed(a, d, b"".join(sound[a]), folder),  # type: ignore[misc]
         )
+
+
+def other_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
+    """So many attacks on the others than journals."""
+    return cases(count, seed, work, ("ledgers", "metrics", "events"))
 
 
 def _feed(area: str, data: bytes, whole: bytes, folder: Path) -> bool:
