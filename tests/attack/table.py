@@ -1,4 +1,4 @@
-"""The one table of what is attacked: whoever adds a family adds a line here, and both the count and the tests have it."""
+"""The one table of what is attacked: a family added here is in the count and in the tests."""
 
 from __future__ import annotations
 
