@@ -41,7 +41,7 @@ TABLE = (
     _of_files("studies, users, drives", people.families, 3),
     _of_files("results, lists, tables", results.families, 6),
     _of_files("FCD, MCAP", exports.families, 3),
-    _of_files("danger networks", learners.families, 7, 20),
+    _of_files("danger networks", learners.families, 7, 10),
     Row(name="policies", cases=policies.cases, whole=6_000, sample=250),
     Row(name="checkpoints", cases=checkpoints.cases, whole=5_000, sample=250),
     Row(name="journals", cases=journals.cases, whole=20_000, sample=300),

@@ -25,6 +25,7 @@ from wcsim.agents.online.online_checkpoint import Counters, OnlineState, load_on
 from wcsim.agents.online.taught_ride import TaughtRide
 from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
 from wcsim.core import files
+from wcsim.core.reading import is_file, is_folder
 
 ONLINE, ROUND = "step-00000240", "round-007"
 WEIGHTS, MOMENTS = "weights.safetensors", "moments.safetensors"
@@ -153,7 +154,7 @@ def _tensors_twist(data: bytes) -> Callable[[Rng], tuple[bytes, str]]:
 def _resealed(path: Path) -> None:
     """Give the state the hash that another file has by now."""
     state = path.with_name(STATE)
-    if path.name != STATE and path.is_file() and path.stat().st_size < 1 << 24 and state.is_file():
+    if path.name != STATE and is_file(path) and path.stat().st_size < 1 << 24 and state.is_file():
         data = json.loads(state.read_text())
         data["sha256"][path.name] = files.sha256(path)
         state.write_bytes(_sealed(json.dumps(data)))
@@ -168,7 +169,7 @@ def _take_online(path: Path) -> bool:
 
 def _take_round(path: Path) -> bool:
     _resealed(path)
-    learner, number = _learner(), newest_round(path.parents[1])
+    learner, number = _learner(), newest_round(path.parents[1]) if is_folder(path.parents[1]) else -1
     if number < 0:
         return True  # a run without any begins again, or says which are damaged
     segments = load_round(path.parents[1], number, learner)
