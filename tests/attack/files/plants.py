@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -12,11 +13,15 @@ import numpy as np
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import pick, toml_text, without_none
 from tests.physics.rig import rig, step_street
+from wcsim.config import ChairConfig
 from wcsim.config.plant import PlantFile, known_plants, read_plant, with_values
+from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.plant_urdf import urdf
 from wcsim.types import Joystick
 
 _TICKS, _KERB_M = 8, 0.05
 _MOST_M, _MOST_MPS = 30.0, 30.0  # away from where it was put, and how fast it may be
+_INERTIA = re.compile(r'ixx="([^"]*)" iyy="([^"]*)" izz="([^"]*)"')
 _SCHEMA = PlantFile.model_json_schema()
 
 
@@ -39,6 +44,8 @@ def _drives(plant: str, values: dict[str, float], work: Path) -> bool:
     path = work / "p.toml"
     try:
         path.write_text(toml_text(without_none(with_values(read_plant(plant), values).model_dump(mode="json"))))
+        if not all(map(_is_of_a_body, _INERTIA.findall(urdf(plant_spec(ChairConfig(plant=str(path))))))):
+            return False
         with rig(step_street(_KERB_M, at_x_m=1.5), plant=str(path)) as driven:
             for stick in ((0.0, 1.0), (1.0, 1.0), (0.0, -1.0), (-1.0, 0.0)):
                 ride = driven.drive(Joystick(*stick), _TICKS)
@@ -49,6 +56,12 @@ def _drives(plant: str, values: dict[str, float], work: Path) -> bool:
     finally:
         path.unlink(missing_ok=True)
     return True
+
+
+def _is_of_a_body(told: tuple[str, str, str]) -> bool:
+    """Whether no principal moment of inertia is larger than the other two together."""
+    least, middle, most = sorted(map(float, told))
+    return 0.0 < least and most <= 1.000001 * (least + middle)
 
 
 def _bounds(plant: str) -> list[tuple[str, tuple[float, float]]]:
