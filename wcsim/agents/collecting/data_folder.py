@@ -32,6 +32,7 @@ SEGMENTS: Final = "segments"
 _NAME: Final = re.compile(r"([0-9]+)-([0-9]{3,})-([0-9]{4,})\.npz\.zst", re.ASCII)
 _LEVEL: Final = 3
 _MOST_BYTES: Final = 1 << 30
+_LARGEST: Final = 1e9  # of a number, metres, seconds and newtons alike
 _MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed
 _SETTINGS: Final = (
     *("cameras.0.width_px", "cameras.0.height_px", "cameras.0.hfov_deg"),
@@ -213,10 +214,10 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     if wrong:
         raise PolicyError(f"{shown(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
     lengths = {len(column) for column in columns.values()}
-    finite = all(np.isfinite(column).all() for column in columns.values() if column.dtype.kind == "f")
+    finite = all((np.abs(column) <= _LARGEST).all() for column in columns.values() if column.dtype.kind == "f")
     if len(lengths) != 1 or not finite:
         raise PolicyError(
-            f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers that are not finite; collect it again"
+            f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; collect it again"
         )
     pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
     acted = columns["action"].max(initial=0) < said == columns["truth"].shape[1]
