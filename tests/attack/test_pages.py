@@ -98,7 +98,12 @@ def test_the_report_of_a_hostile_training_shows_its_names(context: Any, tmp_path
 
 def test_the_page_of_a_hostile_demo_shows_its_names(context: Any, tmp_path: Path) -> None:
     what = DemoShown(
-        learned=NAMES[0], results=(), film="film.mp4", film_says=NAMES[1], still_png=b"", commands=[(NAMES[2], NAMES[3])]
+        learned=NAMES[0],
+        results=(),
+        film="film.mp4",
+        film_says=NAMES[1],
+        still_png=b"",
+        commands=[(NAMES[2], NAMES[3])],
     )
     assert NAMES[2] in shown(context, write_demo_page(tmp_path, what))
 

@@ -61,7 +61,7 @@ def _drives(plant: str, values: dict[str, float], work: Path) -> bool:
 def _is_of_a_body(told: tuple[str, str, str]) -> bool:
     """Whether no principal moment of inertia is larger than the other two together."""
     least, middle, most = sorted(map(float, told))
-    return 0.0 < least and most <= 1.000001 * (least + middle)
+    return least > 0.0 and most <= 1.000001 * (least + middle)
 
 
 def _bounds(plant: str) -> list[tuple[str, tuple[float, float]]]:
