@@ -32,7 +32,8 @@ pytestmark = [
 RAN = "window.evil=1;alert(1);fetch('http://127.0.0.1:9/evil')"
 NAMES = (
     f"<script>{RAN}</script>", f'"><img src=x onerror="{RAN}">', f"</style></title></script><script>{RAN}</script>",
-    f"<svg onload={RAN}>", f"javascript:{RAN}", f"'-({RAN})-'", "\u202eevil\u2066", "$\\mathrm{x}^{$ _ % \\frac{", "\0\x1b[31m",
+    f"<svg onload={RAN}>", f"javascript:{RAN}", f"'-({RAN})-'", "\u202eevil\u2066",
+    "$\\mathrm{x}^{$ _ % \\frac{", "\0\x1b[31m",
     "<iframe src=http://127.0.0.1:9/>", f"<a href=javascript:{RAN} autofocus onfocus={RAN}>" + "b" * 3000,
     "<meta http-equiv=refresh content=0;url=http://127.0.0.1:9/>", "&lt;script&gt;", "]]><!--", "{{7*7}}${7*7}",
 )  # fmt: skip

@@ -188,7 +188,6 @@ def test_a_stick_that_is_commanded_is_the_same_forward(tmp_path):
     assert told.axes.tolist() == [0.5, 0.75]
 
 
-def test_a_recording_that_begins_before_0_is_refused_in_a_line(tmp_path):
-    drive = read_drive(write_drive(tmp_path / "a.drive", [tick(1, time_s=-5.0)]))
-    with pytest.raises(JournalError, match=r"begins at -5.1 s; expected 0 or later"):
-        drive_bag(drive, tmp_path / "a.mcap")
+def test_a_time_before_0_is_refused_in_a_line(tmp_path):
+    with pytest.raises(JournalError, match=r"-0.1 s; expected 0 or later"), RosBag(tmp_path / "a.mcap") as bag:
+        bag.joy("/joy", -0.1, (0.0, 0.0))
