@@ -227,10 +227,9 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     asked = {"suite": name, "preset": order.preset, "network": order.network, "out": str(order.out)}
 
     def fill(part: Path) -> None:  # all of it first: a full disk leaves what an earlier test wrote as it was
-        beside = {EPISODES: episodes, ASKED: asked}
-        for file, said in ((part, result), *((part.with_name(name), said) for name, said in beside.items())):
-            write_json(file, said)
-        for file in beside:
+        for file, said in ((RESULT, result), (EPISODES, episodes), (ASKED, asked)):
+            write_json(part.with_name(file), said)
+        for file in (EPISODES, ASKED):
             part.with_name(file).replace(order.out / file)
 
     write_whole(order.out / RESULT, fill)
