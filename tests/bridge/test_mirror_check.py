@@ -104,6 +104,7 @@ def test_it_costs_next_to_nothing(engine):
     actors = tuple(actor(f"v:{k:03}", 7.0 * k, 0.0) for k in range(60))
     pool.place(mirror.moves({}, actors, 0.1))
 
+
     def one_round():
         for turn in range(EVERY):
             check_mirror(pool, actors, turn, EVERY)

@@ -151,9 +151,7 @@ def _check_doors(options: Options) -> None:
         check_folder("--keys", options.keys)
         make_keys(options.keys, some_words("--make-keys", options.make_keys))
     if options.keys is not None and not options.listen:
-        raise ConfigError(
-            "--keys without --listen: keys are for clients of other machines; add --listen tcp://HOST:PORT"
-        )
+        raise ConfigError("--keys without --listen: keys are for clients of other machines; add --listen tcp://HOST:PORT")
     if options.listen and not is_loopback(options.listen) and options.keys is None:
         raise ConfigError(
             f"--listen {options.listen} can be reached from other machines; expected --keys FOLDER "

@@ -34,7 +34,6 @@ class RewardConfig(Model):
             raise ValueError("a window or the pair max_follow_distance, max_distance is empty; expected low < high")
         return self
 
-
 Window = Annotated[int, Field(ge=1, le=16)]
 
 

@@ -24,7 +24,9 @@ Recovery = Literal["new_epoch", "replay"]
 
 def seat_spec(env: EnvConfig) -> SeatSpec:
     """What a client with these settings asks for when it takes a seat."""
-    return SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible)
+    return SeatSpec(
+        profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

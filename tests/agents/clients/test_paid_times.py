@@ -52,7 +52,9 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
 
 
 def test_two_clients_of_one_name_are_told_apart():
-    mates = [Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)]
+    mates = [
+        Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)
+    ]
     assert names_of(mates) == ["a (seat 1)", "a"]
 
 

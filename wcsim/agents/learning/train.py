@@ -270,7 +270,9 @@ class _Session:
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
 
 
-def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]) -> Loaded | None:
+def _loaded(
+    run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]
+) -> Loaded | None:
     """The newest sound checkpoint, restored; None for a run that has none yet and begins again."""
     if newest_step(run.checkpoints) < 0:
         say(f"{run.path} was ended before its first checkpoint; it begins again")

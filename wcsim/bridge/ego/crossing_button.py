@@ -48,7 +48,9 @@ class CrossingButton:
         self._since_s = 0.0
         self._pressed = False
 
-    def see(self, arc_m: float, speed_mps: float, time_s: float, signals: Iterable[SignalState]) -> GreenRequest | None:
+    def see(
+        self, arc_m: float, speed_mps: float, time_s: float, signals: Iterable[SignalState]
+    ) -> GreenRequest | None:
         """What the chair asks for now: from the press on until the light is green or the chair has left.
 
         Args:

@@ -28,7 +28,9 @@ def require_in_town(start: StartSpec | None, router: Router) -> None:
         raise ConfigError(f"start with a heading of {start.yaw_rad} rad; expected a finite number")
 
 
-def is_clear(grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:
+def is_clear(
+    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
+) -> bool:
     """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m

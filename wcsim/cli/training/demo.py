@@ -209,4 +209,6 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
 
 def free_folder(parent: Path, name: str) -> Path:
     """The first of name, name-2, name-3, ... that does not exist yet."""
-    return next(path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists())
+    return next(
+        path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists()
+    )

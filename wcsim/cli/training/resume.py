@@ -198,3 +198,4 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
 def _another(path: Path, what: str, said: str, own: object = None) -> PolicyError:
     its = "" if own is None else f" ({own})"
     return PolicyError(f"{said}: {path} was made with another {what}{its}; resume with its own, or leave it out")
+

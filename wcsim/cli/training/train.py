@@ -267,7 +267,9 @@ def train_in(
     notes = (note,) if note else ()
     with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(run.out):
         place = beside(bar.console)
-        announce = _once(lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True))
+        announce = _once(
+            lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True)
+        )
 
         def show(now: TrainProgress) -> None:
             announce()

@@ -45,7 +45,9 @@ class RasterRenderer:
         )
         self._light = np.array([AMBIENT, DIFFUSE, *HORIZON_RGB, *ZENITH_RGB])
 
-    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
+    def render(
+        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
+    ) -> None:
         """Draw into `out`; see `Renderer.render`."""
         check_images(camera, out)
         wordless = out.rgb is None and out.instance is None

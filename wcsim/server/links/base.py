@@ -151,7 +151,9 @@ class WorldLink(Closing):
     @property
     def waits(self) -> Waits:
         """Where the time went so far."""
-        return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s)
+        return Waits(
+            steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s
+        )
 
     def wait_less(self) -> None:
         """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.

@@ -136,7 +136,8 @@ class Crew:
                 self._somebody_s = time.monotonic()
             elif time.monotonic() - self._somebody_s > self._nobody_s:
                 raise WorkersError(
-                    f"there has been nobody to work for {self._nobody_s:.0f} s; expected a machine that joins; {_KEPT}"
+                    f"there has been nobody to work for {self._nobody_s:.0f} s; expected a machine that joins; "
+                    f"{_KEPT}"
                 )
             for name in names:
                 if name not in self._at and (work := self._next_for(name, names)) is not None:

@@ -57,7 +57,8 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     lines = [*_ways(town, net, found), *_demand(town, net, found), *projection_faults(town, net)]
     if found.mesh_faults > found.rays // 1000:
         lines.append(
-            f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: wcsim cache --clear"
+            f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: "
+            "wcsim cache --clear"
         )
     lines += _foreign_polygons(town, net)
     grade = steepest_grade(net)

@@ -19,6 +19,7 @@ _LOOK_M = 26.0  # solid things so far outside a piece still count for its cleara
 _SHIFT = 4  # bits of sub-cell precision for cv2
 
 
+
 class GridMaker:
     """Draws pieces of one town's raster; finds the triangles and footprints of a piece quickly."""
 

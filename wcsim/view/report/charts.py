@@ -266,4 +266,4 @@ def _legend(axes: Axes, entries: int) -> None:
 def _short(name: str, most: int = 28) -> str:
     """A name that fits: the end of a path says which it is. Matplotlib leaves names out that begin with "_"."""
     name = f" {name}" if name.startswith("_") else name
-    return name if len(name) <= most else f"…{name[-(most - 1) :]}"
+    return name if len(name) <= most else f"…{name[-(most - 1):]}"

@@ -39,7 +39,9 @@ class StreetSense:
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
 
-    def __init__(self, config: RunConfig, actions: ActionSet, outline: Outline, delay_ticks: int | None = None) -> None:
+    def __init__(
+        self, config: RunConfig, actions: ActionSet, outline: Outline, delay_ticks: int | None = None
+    ) -> None:
         camera, self._chair, self._tick_s = config.cameras[0], config.chair, config.world.tick_s
         self.box_B_m = box_of(outline)
         self.commands, self.limits = shaped_rows(actions.points, self._chair), limits_of(self._chair)
