@@ -217,7 +217,9 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     assert newest_round(tmp_path) == 0
     with pytest.raises(PolicyError, match="does not have the hash that it says"):
         load_round(tmp_path, 1, learner)
-    del state["seal"]
+    seal = state.pop("seal")
+    path.write_text(json.dumps({**state, "sea1": seal}))
+    assert newest_round(tmp_path) == 0, "a seal under another name is none"
     path.write_text(json.dumps(state))
     assert newest_round(tmp_path) == 1, "of before there were seals"
 

@@ -7,6 +7,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -156,7 +157,8 @@ def _resealed(path: Path) -> None:
     state = path.with_name(STATE)
     if path.name != STATE and is_file(path) and path.stat().st_size < 1 << 24 and state.is_file():
         data = json.loads(state.read_text())
-        data["sha256"][path.name] = files.sha256(path)
+        with suppress(OSError):
+            data["sha256"][path.name] = files.sha256(path)
         state.write_bytes(_sealed(json.dumps(data)))
 
 
@@ -183,9 +185,9 @@ def _same(folder: Path, learner: DangerLearner, save: Callable[[Path], object]) 
     out = folder.parent / "again"
     save(out)
     again = out / folder.name
-    said, now = (json.loads((place / STATE).read_text()) for place in (folder, again))
+    said, now = (json.loads((place / STATE).read_text("utf-8-sig")) for place in (folder, again))
     keys = said.keys() - {"seal", "sha256", "schema_version"}
     tensors = all(
         unpacked((folder / name).read_bytes()) == unpacked((again / name).read_bytes()) for name in (WEIGHTS, MOMENTS)
     )
-    return tensors and all(said[key] == now[key] for key in keys)
+    return tensors and all(said[key] == now.get(key) for key in keys)

@@ -17,6 +17,7 @@ from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
 KEPT_ROUNDS: Final = 3  # checkpoints that are kept
+_KEYS: Final = frozenset(("updates", "loss", "segments", "sha256"))
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
@@ -67,7 +68,7 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     """
     path = checkpoint_path(folder, number)
     state = _state(path)
-    updates, loss, segments = (state.get(name) for name in ("updates", "loss", "segments"))
+    updates, loss, segments = (state[name] for name in ("updates", "loss", "segments"))
     named = isinstance(segments, dict) and all(isinstance(sha256, str) for sha256 in segments.values())
     if type(updates) is not int or type(loss) is not float or not isinstance(segments, dict) or not named:
         raise PolicyError(f"{shown(path / STATE)} is damaged; expected updates, a loss and segments")
@@ -102,6 +103,8 @@ def _state(path: Path) -> dict[str, Any]:
     """What a checkpoint says of itself. Raises PolicyError when it is not what was written."""
     state = read_json(path / STATE, _KIND)
     files.take_seal(state, shown(path / STATE))
+    if set(state) != _KEYS:  # a seal whose name is damaged is no missing one
+        raise PolicyError(f"{shown(path / STATE)} has the keys {shown(sorted(state))}; it is damaged")
     return state
 
 
