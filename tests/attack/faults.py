@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from tests.attack.files.damage import flipped, pick
 from wcsim.agents.clients.clients_folder import open_clients_folder
@@ -159,6 +160,32 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
             row.codes[child.returncode] += 1
             row.note(wrong_with(run, child.returncode, err, (Exit.FAILED,)), f"disk {number}")
         _went_on(row, folder, begin_s)
+    return row
+
+
+def stops(folder: Path, corner: Path, count: int, seed: int) -> Row:
+    """A client or the world that stands still for up to 20 s, as with SIGSTOP, and goes on; nobody loses a tick."""
+    row, begin_s, run = Row(what="SIGSTOP and SIGCONT"), time.monotonic(), folder / "run"
+    folder.mkdir()
+    words = ("--town", corner, "--clients", "small,small", "--steps", FOREVER, "--out", "run", *QUICK)
+    child = start(folder, *words)
+    for number in range(count):
+        rng, before = np.random.default_rng((seed, number)), ticks_of(run)
+        while child.poll() is None and ticks_of(run) < before + 10:
+            time.sleep(0.2)
+        chosen = pick(rng, psutil.Process(child.pid).children(recursive=True))
+        row.codes[0] += 1
+        with contextlib.suppress(psutil.NoSuchProcess):
+            chosen.suspend()
+            time.sleep(float(pick(rng, (0.3, 3.0, 20.0))))
+            chosen.resume()
+    before = ticks_of(run)
+    while child.poll() is None and ticks_of(run) < before + 10:
+        time.sleep(0.2)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=120)
+    row.note(wrong_with(run, child.returncode, err, (Exit.STOPPED,)), f"after {count} stops")
+    row.seconds = time.monotonic() - begin_s
     return row
 
 

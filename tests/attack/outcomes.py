@@ -8,10 +8,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 
 from wcsim.errors import WcsimError
 
-LIMIT_S = 5.0  # or ten times what the sound input takes, where that is more
+LIMIT_S = 5.0  # of the processor, or ten times what the sound input takes, where that is more
+PATIENCE = 12  # times that by the clock, on a machine with other work
+LIMIT_BYTES = 128 << 20  # of memory at once, beside what is held already; a sound input takes a few MiB
+_STATUS, _FORGET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 class Outcome(Enum):
@@ -22,6 +26,7 @@ class Outcome(Enum):
     WRONG = "accepted wrongly"
     TRACEBACK = "traceback"
     HUNG = "hung"
+    SWOLLEN = "memory"
     OUTSIDE = "wrote outside"
 
 
@@ -36,6 +41,7 @@ class Case:
     name: str  # enough to make it again: the generator's number and what was done
     feed: Callable[[], Outcome | bool]  # True: harmless; False: accepted wrongly; a WcsimError: refused
     limit_s: float = LIMIT_S
+    limit_bytes: int = LIMIT_BYTES
 
 
 @dataclass(slots=True)
@@ -48,11 +54,14 @@ class Tally:
     def run(self, cases: Iterable[Case]) -> Tally:
         """Feed all cases; an exception that is not wcsim's own is a traceback, whatever it is."""
         for case in cases:
-            begun_s = time.monotonic()
+            held, worked_s, begun_s = _held_bytes(), time.process_time(), time.monotonic()
             outcome, words = _outcome(case)
-            took_s = time.monotonic() - begun_s
+            took_s = max(time.process_time() - worked_s, (time.monotonic() - begun_s) / PATIENCE)
+            took_bytes = _held_bytes(at_most=True) - held
             if outcome in SOUND and took_s > case.limit_s:
                 outcome, words = Outcome.HUNG, f"took {took_s:.1f} s of {case.limit_s:.1f} s"
+            elif outcome in SOUND and took_bytes > case.limit_bytes:
+                outcome, words = Outcome.SWOLLEN, f"took {took_bytes >> 20} MiB of {case.limit_bytes >> 20}"
             self.count(case.area, outcome, f"{case.name}: {words}")
         return self
 
@@ -83,6 +92,15 @@ class Tally:
         totals = [sum(self.counts[area, outcome] for area in areas) for outcome in Outcome]
         rows.append(["all", str(self.total), *map(str, totals)])
         return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _held_bytes(at_most: bool = False) -> int:
+    """Memory of this process now, from when on its peak is counted; or that peak."""
+    if not at_most:
+        _FORGET.write_text("5", encoding="ascii")  # Linux forgets the peak
+    name = "VmHWM:" if at_most else "VmRSS:"
+    line = next(line for line in _STATUS.read_text(encoding="ascii").splitlines() if line.startswith(name))
+    return int(line.split()[1]) << 10
 
 
 def _outcome(case: Case) -> tuple[Outcome, str]:

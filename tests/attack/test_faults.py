@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -10,8 +12,13 @@ from pathlib import Path
 import pytest
 
 from tests.attack import faults
+from tests.view.report.results import records_of
+from wcsim.agents.evaluation.suite.list_file import open_suite
+from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder
+from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
+from wcsim.errors import ConfigError
 
 
 def told(*rows: faults.Row) -> None:
@@ -22,6 +29,38 @@ def told(*rows: faults.Row) -> None:
 @pytest.mark.proof
 def test_storms_of_signals_cost_nothing(tmp_path: Path, corner: Path) -> None:
     told(faults.storms(tmp_path / "storms", corner, 20, 1))
+
+
+@pytest.mark.proof
+def test_who_is_stopped_and_goes_on_loses_no_tick(tmp_path: Path, corner: Path) -> None:
+    told(faults.stops(tmp_path / "stops", corner, 8, 1))
+
+
+def test_nothing_waits_by_a_clock_that_may_be_set_back() -> None:
+    """Times of day stand in a log, and are held against those of cached files; leases and waits are monotonic."""
+    package, names = (
+        faults.ROOT / "wcsim",
+        re.compile(r"\btime\.time(_ns)?\(|from time import .*\btime\b|datetime\.(utc)?now\("),
+    )
+    found = {str(file.relative_to(package)) for file in package.rglob("*.py") if names.search(file.read_text("utf-8"))}
+    assert found == {"server/launch/event_log.py", "towns/cache/files.py"}
+
+
+@pytest.mark.parametrize("room_kb", [0, 4, 8, 12, 16])
+def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_whole(
+    tmp_path: Path, room_kb: int
+) -> None:
+    order = SuiteOrder(suite=open_suite("dev"), out=tmp_path)
+    keep_result(order, "dev", {UNAIDED: records_of("dwa"), "mine": records_of("dwa")})
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room_kb << 10, limits[1]))
+    try:
+        with pytest.raises(ConfigError, match="cannot be written"):
+            keep_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.proof

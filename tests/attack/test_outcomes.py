@@ -15,7 +15,7 @@ def fail() -> bool:
 
 
 def dawdle() -> bool:
-    time.sleep(0.05)
+    time.sleep(0.2)
     return True
 
 
@@ -27,6 +27,7 @@ def test_every_outcome_is_counted_and_every_defect_is_told() -> None:
         Case(area="b", name="4", feed=fail),
         Case(area="b", name="5", feed=dawdle, limit_s=0.01),
         Case(area="b", name="6", feed=lambda: Outcome.OUTSIDE),
+        Case(area="b", name="7", feed=lambda: len(bytearray(64 << 20)) > 0, limit_bytes=32 << 20),
     ]
     tally = Tally().run(cases)
     assert {key: count for key, count in tally.counts.items()} == {
@@ -36,7 +37,8 @@ def test_every_outcome_is_counted_and_every_defect_is_told() -> None:
         ("b", Outcome.TRACEBACK): 1,
         ("b", Outcome.HUNG): 1,
         ("b", Outcome.OUTSIDE): 1,
+        ("b", Outcome.SWOLLEN): 1,
     }
-    assert tally.total == 6
-    assert [line.split(": ")[2] for line in tally.defects] == ["3", "4", "5", "6"]
-    assert "| b | 4 | 0 | 0 | 1 | 1 | 1 | 1 |" in tally.table()
+    assert tally.total == 7
+    assert [line.split(": ")[2] for line in tally.defects] == ["3", "4", "5", "6", "7"]
+    assert "| b | 5 | 0 | 0 | 1 | 1 | 1 | 1 | 1 |" in tally.table()

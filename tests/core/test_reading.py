@@ -132,3 +132,15 @@ def test_a_frame_that_says_nothing_of_its_size_is_bounded_all_the_same() -> None
 
 def test_an_empty_frame_is_no_bytes() -> None:
     assert unzstd(zstandard.compress(b""), 0) == b""
+
+
+def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
+    path, kind = tmp_path / "a", FileKind(what="a file", limit_bytes=256 << 20)
+    with path.open("wb") as file:
+        file.truncate(kind.limit_bytes + 1)
+    tracemalloc.start()
+    with pytest.raises(ConfigError, match="larger than"):
+        read_bytes(path, kind)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < kind.limit_bytes / 100

@@ -66,8 +66,9 @@ def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
 def read_bytes(path: Path, kind: FileKind) -> bytes:
     """The whole content of a file. Raises FileError, of the kind's class."""
     with opened(path, kind) as file:
-        data = file.read(kind.limit_bytes + 1)
-    if len(data) > kind.limit_bytes:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(kind.limit_bytes + 1) if size <= kind.limit_bytes else b""
+    if max(size, len(data)) > kind.limit_bytes:
         raise kind.error(f"{shown(path)}: larger than {kind.limit_bytes} bytes; expected {kind.what}")
     return data
 

@@ -82,9 +82,10 @@ def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
         read_segment(path, sha256)
 
 
-def test_numbers_that_are_none_are_refused(tmp_path: Path):
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e38])
+def test_numbers_that_are_none_are_refused(tmp_path: Path, value: float):
     segment, path = a_segment(), tmp_path / "a.npz.zst"
-    segment.imu[2, 1] = np.nan
+    segment.imu[2, 1] = value
     write_segment(path, segment)
     with pytest.raises(PolicyError, match="not finite"):
         read_segment(path)
@@ -129,16 +130,31 @@ def test_a_segment_that_says_it_is_larger_than_memory_is_refused(tmp_path: Path)
         read_segment(path)
 
 
-@pytest.mark.parametrize("way", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
-def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_path: Path, monkeypatch, way: int):
+def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_does(tmp_path: Path, monkeypatch):
     path = tmp_path / "a.npz.zst"
     black = {name: np.zeros((2000, 24, 32), np.uint8) for name in ("depth", "seg")}
-    path.write_bytes(packed(way, **a_segment(2000).arrays() | black))
+    path.write_bytes(packed(**a_segment(2000).arrays() | black))
     read_segment(path)
     monkeypatch.setattr(data_folder, "_MOST_BYTES", 1 << 20)
     assert path.stat().st_size < 1 << 19
     with pytest.raises(PolicyError, match="more than"):
         read_segment(path)
+
+
+@pytest.mark.parametrize("way", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_what_is_packed_once_more_may_unpack_to_anything_and_is_refused(tmp_path: Path, way: int):
+    (tmp_path / "a.npz.zst").write_bytes(packed(way, **a_segment().arrays()))
+    with pytest.raises(PolicyError, match="packed in another way"):
+        read_segment(tmp_path / "a.npz.zst")
+
+
+@pytest.mark.parametrize("shape", ["(" * 3000, "-" * 9000 + "1", "(" + "'x'," * 9])
+def test_a_header_that_numpy_fails_at_is_refused(tmp_path: Path, shape: str):
+    head = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    column = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head
+    (tmp_path / "a.npz.zst").write_bytes(packed(**a_segment().arrays() | {"reward": column}))
+    with pytest.raises(PolicyError, match="cannot be read"):
+        read_segment(tmp_path / "a.npz.zst")
 
 
 def packed(way: int = zipfile.ZIP_STORED, **columns: np.ndarray | bytes) -> bytes:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +12,9 @@ from typing import Any
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
-from tests.agents.danger.sights import a_segment, small_config
+from tests.agents.danger.sights import a_segment, lectures, small_config
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_folder import segment_path, write_manifest, write_segment
@@ -27,6 +30,7 @@ from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig
+from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town
@@ -213,9 +217,63 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     assert newest_round(tmp_path) == 0
     with pytest.raises(PolicyError, match="does not have the hash that it says"):
         load_round(tmp_path, 1, learner)
-    del state["seal"]
+    seal = state.pop("seal")
+    path.write_text(json.dumps({**state, "sea1": seal}))
+    assert newest_round(tmp_path) == 0, "a seal under another name is none"
     path.write_text(json.dumps(state))
     assert newest_round(tmp_path) == 1, "of before there were seals"
+
+
+@pytest.mark.parametrize("name", ["weights.safetensors", "moments.safetensors"])
+def test_a_pipe_or_endless_zeros_in_place_of_arrays_are_passed_over_at_once(tmp_path: Path, name: str) -> None:
+    for number in range(3):
+        save_round(tmp_path, number, a_learner(), {})
+    for number, lay in ((1, os.mkfifo), (2, lambda path: path.symlink_to("/dev/zero"))):
+        (checkpoint_path(tmp_path, number) / name).unlink()
+        lay(checkpoint_path(tmp_path, number) / name)
+    assert newest_round(tmp_path) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("weights", lambda value: torch.full_like(value, torch.nan)),
+        ("weights", lambda value: value.double()),
+        ("moments", lambda value: torch.full_like(value, torch.inf)),
+        ("moments", lambda value: value.flatten()[:1]),
+    ],
+)
+def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
+    tmp_path: Path, name: str, change: Callable[[torch.Tensor], torch.Tensor]
+) -> None:
+    learner = a_learner()
+    learner.learn(lectures(small_config()), 1)
+    save_round(tmp_path, 0, learner, {})
+    path = checkpoint_path(tmp_path, 0) / f"{name}.safetensors"
+    held = load_file(path)
+    key = next(key for key, value in held.items() if value.numel() > 1)
+    save_file({**held, key: change(held[key]).contiguous()}, path)
+    resealed(
+        path.with_name("state.json"), sha256={item.name: files.sha256(item) for item in path.parent.glob("*.saf*")}
+    )
+    assert newest_round(tmp_path) == 0
+    with pytest.raises(PolicyError, match=rf"{re.escape(key)}|not finite"):
+        load_round(tmp_path, 0, learner)
+
+
+@pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])
+def test_a_state_of_other_types_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
+    save_round(tmp_path, 0, a_learner(), {})
+    resealed(checkpoint_path(tmp_path, 0) / "state.json", **changes)
+    with pytest.raises(PolicyError, match="is damaged; expected updates"):
+        load_round(tmp_path, 0, a_learner())
+
+
+def resealed(path: Path, **changes: Any) -> None:
+    """Say something else, under a seal that fits."""
+    state = {**json.loads(path.read_text()), **changes}
+    del state["seal"]
+    files.write_sealed_json(path, state)
 
 
 def test_the_newest_three_rounds_are_kept_and_a_gap_before_them_costs_nothing(tmp_path: Path) -> None:

@@ -28,7 +28,15 @@ def test_a_round_in_which_nothing_was_learned_has_no_loss(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "row", ["0,1", "0,x,0,0,0,0,0,0,0", "1,2,2,0,0,0,0,0,0", "0,-5,0,0,0,0,0,0,0", "0,nan,0,0,0,0,0,0,1"]
+    "row",
+    [
+        "0,1",
+        "0,x,0,0,0,0,0,0,0",
+        "1,2,2,0,0,0,0,0,0",
+        "0,-5,0,0,0,0,0,0,0",
+        "0,nan,0,0,0,0,0,0,1",
+        "9" * 5000 + ",0" * 8,
+    ],
 )
 def test_a_damaged_row_is_refused(tmp_path: Path, row: str) -> None:
     path = tmp_path / "metrics.csv"
@@ -55,6 +63,12 @@ def test_another_log_is_none_of_rounds(tmp_path: Path) -> None:
     assert not logs_rounds(path)
     with pytest.raises(PolicyError, match="expected those of this version"):
         read_rounds(path)
+
+
+def test_a_cell_that_no_table_has_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "metrics.csv").write_text("x" * 200_000)
+    with pytest.raises(PolicyError, match="has columns none"):
+        read_rounds(tmp_path / "metrics.csv")
 
 
 def test_large_counts_lose_no_digit(tmp_path: Path) -> None:

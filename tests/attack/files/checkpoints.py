@@ -266,5 +266,3 @@ ATTACKS: tuple[Attack, ...] = (
     damaged_file, damaged_file, damaged_file, flipped_state, flipped_state, edited_state, edited_state, edited_state,
     bombed_state, moved_file, odd_file, odd_names, odd_folder, odd_latest,
 )  # fmt: skip
-
-

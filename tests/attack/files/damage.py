@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -99,6 +101,23 @@ def bomb(rng: np.random.Generator) -> bytes:
             ),
         )
     )  # fmt: skip
+
+
+def swollen(sound: bytes, rng: np.random.Generator, framed: Callable[[bytes], bytes]) -> bytes:
+    """Records, and after them one that unpacks to much or says much, or an end in which very many streams begin."""
+    what = int(rng.integers(5))
+    if what == 0:
+        return sound + framed(bytes(pick(rng, (1 << 20, 60 << 20, 240 << 20))))
+    if what == 1:
+        return sound + framed(b'{"magic": [' + b"[]," * 2_000_000 + b"[]]}")
+    if what == 2:
+        return framed(b'{"magic": "wcsim-drive-1", "town": "' + b"a" * pick(rng, (1 << 20, 30 << 20)) + b'"}')
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    bomb = packer.compress(bytes(50 << 20))  # and no end
+    heads = b""
+    for _ in range(pick(rng, (0, 1, 3, 20, 1000, 9000))):
+        heads = b"\x78\x9c\0" + struct.pack("<HH", len(heads) % 65_536, ~len(heads) % 65_536) + heads[:65_535]
+    return sound + struct.pack("<II", 1 << 17, 0) + (heads + bomb)[: pick(rng, (65_000, 70_000))]
 
 
 def change(path: Path, how: Damage, rng: np.random.Generator) -> bool:

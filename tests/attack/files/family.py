@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import functools
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tests.attack.scenarios.twists import Rng, twisted
+import numpy as np
+
+from tests.attack.outcomes import Case
+from tests.attack.scenarios.twists import PLACES, Rng, integer, pick, spoiled, twisted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """A kind of file: a sound one, how it is spoilt, and what says that it was taken rightly."""
+    """A kind of file: a sound one as its writer makes it, how it is spoilt, and its reader."""
 
     name: str
-    file: str
+    file: str  # where it lies in a folder of its own
     sound: bytes
     twist: Callable[[Rng], tuple[bytes, str]]
     take: Callable[[Path], bool]  # whether what was made of the file makes the same again
-    share: int  # of all cases
     beside: tuple[tuple[str, bytes], ...] = ()  # files that a sound one needs
+
+
+Families = Callable[[Path], Sequence[Family]]
+"""Makes sound files, each once, in a folder that is empty again afterwards."""
 
 
 def model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str]) -> Callable[[Rng], tuple[bytes, str]]:
@@ -31,3 +39,41 @@ def model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str]) ->
         return write(changed).encode(), told
 
     return twist
+
+
+def spoilt(families: Families, count: int, seed: int, work: Path) -> Iterator[Case]:
+    """So many hostile files, of each kind in turn; each is gone before the next one comes."""
+    kinds = families(work)
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        yield _case(kinds[number % len(kinds)], rng, number, work / "case")
+
+
+def laid(kind: Family, folder: Path, lay: Callable[[Path], object]) -> bool:
+    """Have a file read in a new folder, with all that a sound one needs beside it."""
+    path = folder / kind.file
+    path.parent.mkdir(parents=True)
+    try:
+        for name, data in kind.beside:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+        lay(path)
+        return kind.take(path)
+    finally:
+        shutil.rmtree(folder)
+
+
+def _case(kind: Family, rng: Rng, number: int, folder: Path) -> Case:
+    how = integer(rng, 20)
+    if how == 0:
+        told = pick(rng, sorted(PLACES))
+        feed = functools.partial(laid, kind, folder, PLACES[told])
+    elif how == 1:
+        path, told = folder / kind.file, "an odd path"
+        odd = (path.with_name(f"x\0{path.name}"), folder / ("a" * 300) / kind.file, path / "deeper")
+        wrong = pick(rng, odd)
+        feed = functools.partial(laid, replace(kind, take=lambda _: kind.take(wrong)), folder, PLACES["nothing"])
+    else:
+        data, told = (kind.sound, "sound") if how == 2 else spoiled(kind.sound, rng) if how < 9 else kind.twist(rng)
+        feed = functools.partial(laid, kind, folder, lambda place: place.write_bytes(data))
+    return Case(area=kind.name, name=f"{number}: {told}", feed=feed)

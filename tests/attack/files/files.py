@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import csv
-import functools
 import io
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tests.attack.files import people
+from tests.attack.files.damage import swollen
 from tests.attack.files.family import Family, model_twist
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
-    PATIENCE_S,
-    PLACES,
     Rng,
-    cleared,
     integer,
     json_text,
     pick,
@@ -35,13 +30,11 @@ from tests.attack.scenarios.twists import (
 )
 from wcsim.agents.envs.env_spec import make_face
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
-from wcsim.bridge.recording.fcd import write_fcd
 from wcsim.bridge.recording.trace import ActorBody, TickRecord, TraceHeader, TraceWriter
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
 from wcsim.config.plant import plant_text, read_plant
 from wcsim.config.scene import SceneFile
-from wcsim.errors import WcsimError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
@@ -104,8 +97,6 @@ def _take_trace(path: Path) -> bool:
     header, ticks = read_trace(path)
     _write_trace(path, header, ticks)
     found, again = read_trace(path)
-    with suppress(WcsimError):  # there may be no tick of epoch 0
-        write_fcd(path, path)
     return found == header and len(again) == len(ticks) and all(map(_same_tick, ticks, again))
 
 
@@ -124,7 +115,7 @@ def _write_trace(path: Path, header: TraceHeader, ticks: Sequence[TickRecord]) -
 # --- sound ones ---
 
 
-def _csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
+def csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
     def twist(rng: Rng) -> tuple[bytes, str]:
         table = [list(row) for row in rows]
         line, number = integer(rng, len(table)), integer(rng, len(NASTY))
@@ -137,11 +128,13 @@ def _csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
     return twist
 
 
-def _trace_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
+def trace_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
     """A field of the JSON in one record, or its numbers, with length and checksum made to fit."""
     payloads = [record.payload for record in whole_records(io.BytesIO(sound))]
 
     def twist(rng: Rng) -> tuple[bytes, str]:
+        if integer(rng, 5) == 0:
+            return swollen(sound, rng, framed), "swollen"
         at = integer(rng, len(payloads))
         line, newline, raw = payloads[at].partition(b"\n")
         if at and integer(rng, 3) == 0:
@@ -161,7 +154,7 @@ def _odd_number(raw: bytes, rng: Rng) -> bytes:
     return numbers.tobytes()
 
 
-def _sound_trace(work: Path) -> bytes:
+def sound_trace(work: Path) -> bytes:
     rng = np.random.default_rng(0)
     bodies = (
         ActorBody(id="v:a", kind=ActorKind.CAR, size_lwh_m=(4.5, 1.8, 1.5)),
@@ -170,12 +163,14 @@ def _sound_trace(work: Path) -> bytes:
     ticks = [
         TickRecord(
             epoch=0, tick=tick, commands=rng.random((2, 2)), plants=rng.random((2, 15)), actor_ids=("v:a", "p:b"),
-            actors=rng.random((2, 8)), state_hash="ab" * 8, time_s=0.1 * tick, bodies=bodies, seats=(0, 3),
+            actors=rng.random((2, 8)), state_hash="ab" * 8, time_s=0.1 * (tick + 1), bodies=bodies, seats=(0, 3),
         )
         for tick in range(3)
     ]  # fmt: skip
     path = work / "sound.trace"
-    _write_trace(path, TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a"), ticks)
+    _write_trace(
+        path, TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3)), ticks
+    )
     data = path.read_bytes()
     path.unlink()
     return data
@@ -208,76 +203,38 @@ def families(work: Path) -> list[Family]:
     scene = {"name": "a", "shows": "a street", "seed": 3, "duration_s": 9.0, "seats": seats,
              "expect": {"crashed": False, "climb_m": [0.1, 0.2]}, "warmup_s": 1.0, "lefthand": False}  # fmt: skip
     sticks = [list(COLUMNS), *([0.1 * row, 0.01 * row, 0.5] for row in range(12))]
-    trace = _sound_trace(work)
+    trace = sound_trace(work)
     toml, run_json = without_none(whole), json_text(whole).encode()
     stick_text = "\n".join(",".join(map(str, row)) for row in sticks).encode()
     lone = {key: value for key, value in manifest.items() if key != "clients"}
     return [
         Family(name="config", file="c.toml", sound=toml_text(toml).encode(), twist=model_twist(toml, toml_text),
-               take=lambda path: take_config(load_run_config("quick", (), path)), share=24),
+               take=lambda path: take_config(load_run_config("quick", (), path))),
         Family(name="plant", file="p.toml", sound=toml_text(without_none(plant)).encode(),
-               twist=model_twist(without_none(plant), toml_text), take=_take_plant, share=14),
+               twist=model_twist(without_none(plant), toml_text), take=_take_plant),
         Family(name="scene", file="scene.toml", sound=toml_text(scene).encode(), twist=model_twist(scene, toml_text),
-               take=_take_scene, share=10),
+               take=_take_scene),
         Family(name="town", file="town.toml", sound=toml_text(town).encode(), twist=model_twist(town, toml_text),
-               take=_take_town, share=10),
+               take=_take_town),
         Family(name="manifest", file=MANIFEST, sound=json_text(manifest).encode(),
-               twist=model_twist(manifest, json_text), take=_take_manifest, share=10),
-        Family(name="run", file=CONFIG, sound=run_json, twist=model_twist(whole, json_text), take=_take_run, share=8,
+               twist=model_twist(manifest, json_text), take=_take_manifest),
+        Family(name="run", file=CONFIG, sound=run_json, twist=model_twist(whole, json_text), take=_take_run,
                beside=((MANIFEST, json_text(lone).encode()),)),
-        Family(name="recording", file="s.csv", sound=stick_text, twist=_csv_twist(sticks), take=_take_recording,
-               share=8),
-        Family(name="trace", file="trace", sound=trace, twist=_trace_twist(trace), take=_take_trace, share=8),
-        *people.families(work),
+        Family(name="recording", file="s.csv", sound=stick_text, twist=csv_twist(sticks), take=_take_recording),
+        Family(name="trace", file="trace", sound=trace, twist=trace_twist(trace), take=_take_trace),
     ]  # fmt: skip
 
 
-# --- cases ---
+# --- words of a command ---
 
 
-def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
-    """So many hostile files, one after the other; each is removed before the next one."""
-    kinds = families(work)
+def set_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
+    """So many values after `--set`."""
+    del work
     config = load_run_config("quick")
     keys = [".".join(map(str, at)) for at in places(config.model_dump(mode="json"))]
-    order = [kind for kind in kinds for _ in range(kind.share)]
     for number in range(count):
-        rng = np.random.default_rng([seed, number])
-        at = integer(rng, len(order) + 20)
-        yield _file_case(order[at], rng, number, work) if at < len(order) else _set_case(config, keys, rng, number)
-
-
-def _file_case(kind: Family, rng: Rng, number: int, work: Path) -> Case:
-    path = work / kind.file
-    how = integer(rng, 20)
-    if how == 0:
-        place = pick(rng, sorted(PLACES))
-        return _case(kind, number, place, functools.partial(_feed, kind, path, PLACES[place]))
-    if how == 1:
-        wrong = pick(rng, (work / f"x\0{kind.file}", work / ("a" * 300) / kind.file, work / kind.file / "deeper"))
-        return _case(kind, number, "an odd path", functools.partial(kind.take, wrong))
-    if how == 2:
-        data, told = kind.sound, "sound"
-    else:
-        data, told = spoiled(kind.sound, rng) if how < 9 else kind.twist(rng)
-    return _case(kind, number, told, functools.partial(_feed, kind, path, lambda place: place.write_bytes(data)))
-
-
-def _case(kind: Family, number: int, told: str, feed: Callable[[], bool]) -> Case:
-    return Case(area=kind.name, name=f"{number}: {told}", feed=feed, limit_s=PATIENCE_S)
-
-
-def _feed(kind: Family, path: Path, lay: Callable[[Path], object]) -> bool:
-    beside = [path.parent / name for name, _ in kind.beside]
-    try:
-        for place, (_, data) in zip(beside, kind.beside, strict=True):
-            place.write_bytes(data)
-        lay(path)
-        return kind.take(path)
-    finally:
-        for place in (path, *beside):
-            with suppress(FileNotFoundError):
-                cleared(place)
+        yield _set_case(config, keys, np.random.default_rng([seed, number]), number)
 
 
 def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case:
@@ -290,5 +247,4 @@ def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case
         find_user(made.env.profile)
         return take_config(made) and load_run_config("quick", (text,)).digest() != ""
 
-    return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed, limit_s=PATIENCE_S)
-
+    return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed)

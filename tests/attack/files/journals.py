@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, pick
+from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, pick, swollen
 from tests.attack.outcomes import Case
+from tests.attack.scenarios.twists import cleared
 from tests.server.journal.test_journal import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces
@@ -33,6 +34,8 @@ def cases(count: int, seed: int, work: Path, areas: tuple[str, ...] = ("journals
     """So many attacks on some of "journals", "ledgers", "metrics" and "events"."""
     folder = work / "case"
     sound = {area: MAKERS[area](work / f"sound-{area}") for area in areas}
+    for area in areas:
+        cleared(work / f"sound-{area}")
     for number in range(count):
         rng = np.random.default_rng((seed, number))
         area = areas[number % len(areas)]
@@ -43,6 +46,11 @@ def cases(count: int, seed: int, work: Path, areas: tuple[str, ...] = ("journals
             name=f"{number} {spoil.__name__}",
             feed=lambda a=area, d=data: _feed(a, d, b"".join(sound[a]), folder),  # type: ignore[misc]
         )
+
+
+def other_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
+    """So many attacks on the others than journals."""
+    return cases(count, seed, work, ("ledgers", "metrics", "events"))
 
 
 def _feed(area: str, data: bytes, whole: bytes, folder: Path) -> bool:
@@ -164,6 +172,11 @@ def huge_lengths(parts: list[bytes], rng: np.random.Generator) -> bytes:
     return b"".join([*parts, struct.pack("<II", size, int(rng.integers(1 << 32))), rest])
 
 
+def a_swollen_end(parts: list[bytes], rng: np.random.Generator) -> bytes:
+    after = struct.unpack_from("<I", parts[-1], 4)[0]
+    return swollen(b"".join(parts), rng, lambda payload: framed(payload, after))
+
+
 def another_header(parts: list[bytes], rng: np.random.Generator) -> bytes:
     head = header_bytes(HEADER)
     other = pick(rng, (bomb(rng), head.replace(b"2", b"3"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
@@ -260,7 +273,8 @@ MAKERS: dict[str, Callable[[Path], list[bytes]]] = {
 SPOILS: dict[str, tuple[Spoil, ...]] = {
     "journals": (
         any_damage, any_damage, any_damage, a_flip_near_the_end, a_flipped_length, a_flipped_length,
-        lengths_and_contents, doubled, swapped, left_out, strange_records, huge_lengths, another_header,
+        lengths_and_contents, doubled, swapped, left_out, strange_records, huge_lengths,
+        a_swollen_end, another_header,
     ),
     "ledgers": (any_damage, any_damage, any_damage, lengths_and_contents, doubled, swapped, left_out),
     "metrics": (any_damage, any_damage, doubled, swapped, a_bomb),

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from tests.attack.files.damage import swollen
 from tests.attack.files.family import Family, model_twist
 from tests.attack.scenarios.twists import Rng, integer, json_text, spoiled, toml_text, twisted, without_none
 from tests.support.framing import chained
@@ -18,7 +19,7 @@ from wcsim.users.recording.drive_bytes import event_payload, header_payload, tic
 from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveRecording, RecordedEvent
-from wcsim.users.recording.framing import whole_records
+from wcsim.users.recording.framing import framed, whole_records
 
 STUDY = {
     "name": "a-study",
@@ -42,13 +43,13 @@ PROFILE = {"base": "ataxic", "reaction_s": 0.4, "noise": 0.1, "tremor_hz": 4.0, 
 
 def families(work: Path) -> list[Family]:
     """All kinds of files about people."""
-    drive = _sound_drive(work / "sound.drive")
+    drive = sound_drive(work / "sound.drive")
     return [
         Family(name="study", file="study.toml", sound=toml_text(STUDY).encode(), twist=model_twist(STUDY, toml_text),
-               take=_take_study, share=8),
+               take=_take_study),
         Family(name="profile", file="u.toml", sound=toml_text(PROFILE).encode(), twist=model_twist(PROFILE, toml_text),
-               take=_take_profile, share=8),
-        Family(name="drive", file="a.drive", sound=drive, twist=_drive_twist(drive), take=_take_drive, share=8),
+               take=_take_profile),
+        Family(name="drive", file="a.drive", sound=drive, twist=drive_twist(drive), take=_take_drive),
     ]  # fmt: skip
 
 
@@ -82,18 +83,21 @@ def _payloads(drive: DriveRecording) -> list[bytes]:
     return [header_payload(drive.header), *map(event_payload, drive.events), *map(tick_payload, drive.ticks)]
 
 
-def _sound_drive(path: Path) -> bytes:
+def sound_drive(path: Path) -> bytes:
     events = (RecordedEvent(tick=2, time_s=0.2, kind="help", detail="the user asks for help"),)
     data = write_drive(path, [tick(number) for number in range(1, 5)], events).read_bytes()
     path.unlink()
     return data
 
 
-def _drive_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
+def drive_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
     """Fields of the header or of an event, or bytes of a tick, with lengths and checksums made to fit."""
-    payloads = [record.payload for record in whole_records(io.BytesIO(sound), 0)]
+    records = list(whole_records(io.BytesIO(sound), 0))
+    payloads, last = [record.payload for record in records], records[-1].crc
 
     def twist(rng: Rng) -> tuple[bytes, str]:
+        if integer(rng, 5) == 0:
+            return swollen(sound, rng, lambda payload: framed(payload, last)), "swollen"
         at = integer(rng, len(payloads))
         kind, rest = payloads[at][:1], payloads[at][1:]
         if kind == b"T":

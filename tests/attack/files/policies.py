@@ -17,7 +17,6 @@ from tests.agents.toy import ToyStreet, toy_camera
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import (
     NASTY,
-    PATIENCE_S,
     PLACES,
     Rng,
     cleared,
@@ -143,7 +142,7 @@ def _renamed(tensors: Tensors, rng: Rng) -> tuple[Tensors, str]:
 CHANGES: tuple[Change, ...] = (_cast, _cast, _as_doubles, _filled, _filled, _reshaped, _renamed)
 
 
-def _bad_header(tensors: Tensors, rng: Rng) -> tuple[bytes, str]:
+def bad_header(tensors: Tensors, rng: Rng) -> tuple[bytes, str]:
     """A file whose header is wrong, and whose tensors are not."""
     name, what = pick(rng, sorted(tensors)), integer(rng, 9)
     sound = packed(tensors)
@@ -198,7 +197,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
             changed_tensors, told = pick(rng, CHANGES)(tensors, rng)
             weights = packed(changed_tensors)
         elif how < 15:
-            weights, told = _bad_header(tensors, rng)
+            weights, told = bad_header(tensors, rng)
         elif how < 18:
             weights, told = spoiled(weights, rng)
         elif how < 19:
@@ -208,7 +207,7 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
             about = json_text({**sound.about, "weights_sha256": hashlib.sha256(weights).hexdigest()}).encode()
         area = "policy.json" if how < 8 else "weights"
         feed = functools.partial(_feed, sound, work / "p", {POLICY_JSON: about, WEIGHTS: weights}, lay)
-        yield Case(area=area, name=f"{number}: {told}", feed=feed, limit_s=PATIENCE_S)
+        yield Case(area=area, name=f"{number}: {told}", feed=feed)
 
 
 def _other_description(about: dict[str, Any], rng: Rng) -> tuple[dict[str, Any], str]:

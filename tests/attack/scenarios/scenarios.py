@@ -18,6 +18,8 @@ from pathlib import Path
 from tests.attack.outcomes import Case, Outcome
 from tests.attack.scenarios.oracle import escapes
 from tests.attack.scenarios.parts import Theirs, furnish, write_scenario
+from tests.attack.scenarios.twists import cleared
+from tests.towns.made import hostile
 from wcsim.core.seeding import generator
 from wcsim.errors import SumoError, WcsimError
 from wcsim.towns.importing.adopt import files_of
@@ -25,6 +27,8 @@ from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import open_town
+from wcsim.towns.scene_folders.build import build_scene, find_scene
+from wcsim.towns.sumo.xml_io import read_bytes
 
 SETTINGS = Settings(step_s=0.1, seed=5)
 SOUND_EVERY = 40  # one of so many is a sound scenario, which must be taken
@@ -45,8 +49,11 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
         yield Case(area="scenarios", name=f"scenario {number} of {seed}", feed=partial(_filter, number, seed, work))
 
 
-def started(count: int, seed: int, work: Path, net: bytes, lane: str) -> Iterator[Case]:
+def started(count: int, seed: int, work: Path) -> Iterator[Case]:
     """Scenarios on a net that SUMO can open, which it runs if the filter lets them pass, each in a child."""
+    town = build_scene(find_scene("pedestrian-crossing"), work / "town")[0]
+    net, lane = read_bytes(town.net), hostile.lane_of(town)
+    cleared(work / "town")
     for number in range(count):
         name = f"started scenario {number} of {seed}"
         feed = partial(_start, number, seed, work, net, lane)

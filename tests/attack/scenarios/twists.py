@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-PATIENCE_S = 60.0  # on a machine with other work; an input takes some milliseconds
 Rng = np.random.Generator
 Data = dict[str, Any]
 _KEY = re.compile(rb'"[^"\\]{1,40}": ')

@@ -19,7 +19,7 @@ from wcsim.bridge.recording.ros_chairs import RosChair, drive_bag, quaternion_of
 from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import load_run_config
 from wcsim.core.rotations import matrix, quaternion
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, JournalError
 from wcsim.physics.sensors.camera_geometry import mount
 from wcsim.types import CameraFrame, Joystick
 from wcsim.users.recording.drive_reader import read_drive
@@ -186,3 +186,8 @@ def test_a_stick_that_is_commanded_is_the_same_forward(tmp_path):
     assert "/joy_intent" not in counts
     (told,) = [m for topic, _, _, m in messages(tmp_path / "a.mcap") if topic == "/joy_command"]
     assert told.axes.tolist() == [0.5, 0.75]
+
+
+def test_a_time_before_0_is_refused_in_a_line(tmp_path):
+    with pytest.raises(JournalError, match=r"-0.1 s; expected 0 or later"), RosBag(tmp_path / "a.mcap") as bag:
+        bag.joy("/joy", -0.1, (0.0, 0.0))

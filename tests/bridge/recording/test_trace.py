@@ -74,6 +74,13 @@ def test_a_tick_that_holds_what_no_writer_writes_is_refused(tmp_path):
             assert len(read_trace(tmp_path / "b")[1]) == 1
 
 
+@pytest.mark.parametrize("name", ["v:\x00", "v:a\x1b[2J", "p:\u202e", "v:a\nb"])
+def test_a_name_that_no_xml_can_hold_is_refused(tmp_path, name):
+    write(tmp_path / "a", [record(0, actors=(name, "p:b"))])
+    with pytest.raises(WcsimError, match="not a trace of this version"):
+        read_trace(tmp_path / "a")
+
+
 def test_something_else_is_refused(tmp_path):
     (tmp_path / "a").write_text("hello")
     with pytest.raises(WcsimError, match="not a trace"):

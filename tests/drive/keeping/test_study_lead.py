@@ -256,8 +256,9 @@ def test_what_cannot_be_is_refused_before_anybody_drives(
 
 
 def test_a_study_that_is_not_there_or_another_one_is_refused(corner: Path, tmp_path: Path, begin: Begin) -> None:
-    with pytest.raises(ConfigError, match="there is no such study; expected assistance"):
-        open_study("nothing", 1)
+    for name in ("nothing", "a" * 5000, "~nobody-is-called-so/study.toml"):
+        with pytest.raises(ConfigError, match="there is no such study; expected assistance"):
+            open_study(name, 1)
     with pytest.raises(ConfigError, match="--participant 0: expected 1 to 9999"):
         open_study("assistance", 0)
     person = begin(opened(corner, tmp_path))

@@ -1,6 +1,7 @@
 """Plants: their files, what is refused, what varies, and the body that PyBullet makes of them."""
 
 import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -186,6 +187,13 @@ def test_the_urdf_names_every_part(spec):
         sum(2 * (pair.arm is not None) + (pair.beam is not None) for pair in spec.casters)
     )
     assert text.count("<box ") == len(spec.frame.boxes)
+
+
+def test_the_lightest_beam_has_the_inertia_of_a_body():
+    spec = varied(RWD, {"casters.0.beam.mass_kg": 0.1})
+    for told in re.findall(r'ixx="([^"]*)" iyy="([^"]*)" izz="([^"]*)"', urdf(spec)):
+        least, middle, most = sorted(map(float, told))
+        assert 0.0 < most <= 1.000001 * (least + middle)
 
 
 def test_a_caster_has_an_arm_or_a_beam():

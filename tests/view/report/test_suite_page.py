@@ -176,3 +176,12 @@ def test_a_town_that_was_made_for_a_list_is_drawn_from_the_results_folder(tmp_pa
 def test_the_legend_says_that_saved_and_lost_are_crashes_by_the_own_fault():
     says = {column.key: column.says for column in SAFETY}
     assert all("by its own fault" in says[key] for key in ("saved", "lost"))
+
+
+def test_a_town_with_a_very_long_name_has_a_figure_whose_file_can_be_written(tmp_path):
+    write_result(tmp_path)
+    text = (tmp_path / "episodes.json").read_text(encoding="utf-8").replace('"nowhere"', f'"{"x " * 1500}"')
+    (tmp_path / "episodes.json").write_text(text, encoding="utf-8")
+    result = read_result(tmp_path)
+    write_suite_page(result, tmp_path, failures_of(result, tmp_path), {}, "")
+    assert (tmp_path / "report" / f"town-{'x-' * 40}.svg").is_file()

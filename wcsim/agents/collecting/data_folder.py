@@ -32,6 +32,8 @@ SEGMENTS: Final = "segments"
 _NAME: Final = re.compile(r"([0-9]+)-([0-9]{3,})-([0-9]{4,})\.npz\.zst", re.ASCII)
 _LEVEL: Final = 3
 _MOST_BYTES: Final = 1 << 30
+_LARGEST: Final = 1e9  # of a number, metres, seconds and newtons alike
+_MAX_RATIO, _FREE_BYTES = 100, 64 << 20  # unpacked against packed
 _SETTINGS: Final = (
     *("cameras.0.width_px", "cameras.0.height_px", "cameras.0.hfov_deg"),
     *("chair", "env.actions", "env.classes"),
@@ -99,9 +101,9 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
         )
     try:
         columns = _columns(data)
-    except (zstandard.ZstdError, ValueError, KeyError, OSError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+    except Exception as error:  # of zstd, zipfile or NumPy, by what is wrong with the bytes
         raise PolicyError(
-            f"{shown(path)} cannot be read ({error}); expected a segment as `wcsim collect` writes it"
+            f"{shown(path)} cannot be read ({shown(error)}); expected a segment as `wcsim collect` writes it"
         ) from None
     _require_whole(path, columns)
     return Segment(**columns)
@@ -199,9 +201,10 @@ def _part(dumped: dict[str, Any], name: str) -> Any:
 
 def _columns(data: bytes) -> dict[str, np.ndarray]:
     """The arrays of a packed segment, which may be anybody's. Raises what NumPy and zstd do, or ValueError."""
-    with zipfile.ZipFile(io.BytesIO(unzstd(data, _MOST_BYTES))) as held:
-        if sum(item.file_size for item in held.infolist()) > _MOST_BYTES:
-            raise ValueError(f"more than {_MOST_BYTES} bytes")
+    unpacked = unzstd(data, min(_MOST_BYTES, _FREE_BYTES + _MAX_RATIO * len(data)))
+    with zipfile.ZipFile(io.BytesIO(unpacked)) as held:
+        if any(item.compress_type != zipfile.ZIP_STORED for item in held.infolist()):  # so that none unpacks to more
+            raise ValueError("packed in another way")
         names = {field.name: f"{field.name}.npy" for field in fields(Segment)}
         return {name: np.lib.format.read_array(io.BytesIO(held.read(file))) for name, file in names.items()}
 
@@ -211,10 +214,10 @@ def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     if wrong:
         raise PolicyError(f"{shown(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
     lengths = {len(column) for column in columns.values()}
-    finite = all(np.isfinite(column).all() for column in columns.values() if column.dtype.kind == "f")
+    finite = all((np.abs(column) <= _LARGEST).all() for column in columns.values() if column.dtype.kind == "f")
     if len(lengths) != 1 or not finite:
         raise PolicyError(
-            f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers that are not finite; collect it again"
+            f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; collect it again"
         )
     pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
     acted = columns["action"].max(initial=0) < said == columns["truth"].shape[1]

@@ -84,11 +84,20 @@ class DangerLearner:
         }
 
     def restore(self, moments: dict[str, torch.Tensor], updates: int, loss: float) -> None:
-        """Go on after so many updates with what `moments` gave then. Raises KeyError when it is of another network."""
+        """Go on after so many updates with what `moments` gave then.
+
+        Raises:
+            KeyError: It is of another network.
+            ValueError: A tensor of it is of another form, or not finite.
+        """
         parameters = dict(self.net.named_parameters())
         self._optimizer.state.clear()
         for name in sorted({name.rpartition(".")[0] for name in moments}):
             held = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
+            for key, value in held.items():
+                wanted = torch.Size() if key == "step" else parameters[name].shape
+                if value.dtype != torch.float32 or value.shape != wanted or not bool(torch.isfinite(value).all()):
+                    raise ValueError(f"{name}.{key}")
             # The count of steps stays on the CPU, where AdamW keeps it.
             self._optimizer.state[parameters[name]] = {
                 key: value if key == "step" else value.to(self._device) for key, value in held.items()

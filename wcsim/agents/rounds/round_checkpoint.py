@@ -17,6 +17,7 @@ from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import PolicyError
 
 KEPT_ROUNDS: Final = 3  # checkpoints that are kept
+_KEYS: Final = frozenset(("updates", "loss", "segments", "sha256"))
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
@@ -67,11 +68,11 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     """
     path = checkpoint_path(folder, number)
     state = _state(path)
-    try:
-        read_learner(path, learner, int(state["updates"]), float(state["loss"]))
-        segments = {str(name): str(sha256) for name, sha256 in state["segments"].items()}
-    except (RuntimeError, KeyError, ValueError, TypeError) as error:
-        raise PolicyError(f"{shown(path)} does not fit this run ({error}); expected its own checkpoint") from None
+    updates, loss, segments = (state[name] for name in ("updates", "loss", "segments"))
+    named = isinstance(segments, dict) and all(isinstance(sha256, str) for sha256 in segments.values())
+    if type(updates) is not int or type(loss) is not float or not isinstance(segments, dict) or not named:
+        raise PolicyError(f"{shown(path / STATE)} is damaged; expected updates, a loss and segments")
+    read_learner(path, learner, updates, loss)
     try:
         in_order(segments)
     except PolicyError as error:
@@ -102,6 +103,8 @@ def _state(path: Path) -> dict[str, Any]:
     """What a checkpoint says of itself. Raises PolicyError when it is not what was written."""
     state = read_json(path / STATE, _KIND)
     files.take_seal(state, shown(path / STATE))
+    if set(state) != _KEYS:  # a seal whose name is damaged is no missing one
+        raise PolicyError(f"{shown(path / STATE)} has the keys {shown(sorted(state))}; it is damaged")
     return state
 
 

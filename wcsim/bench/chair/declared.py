@@ -147,7 +147,7 @@ def _parts(spec: PlantSpec) -> Iterator[Part]:
             if pair.beam is not None:  # half of a rod as long as the pair's track
                 long = 0.5 * pair.beam.mass_kg * pair.track_m**2 / 12.0
                 at = (pair.swivel_x_m, 0.0, swivel_z)
-                yield 0.5 * pair.beam.mass_kg, at, (long, 0.5 * BEAM_INERTIA_KGM2, long)
+                yield 0.5 * pair.beam.mass_kg, at, (long, min(0.5 * BEAM_INERTIA_KGM2, long), long)
         for antitip in spec.antitips:
             x, y, z = antitip.p_m
             yield antitip.mass_kg, (x, sign * y, z), (antitip.inertia_kgm2,) * 3

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.core.closing import Closing
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, JournalError
 from wcsim.types import F32, F64, U8
 
 _VERSION: Final = 8  # of the format that ROS 2 Humble and later read
@@ -174,14 +174,14 @@ class RosBag(Closing):
                 topic, kind, typestore=self._store, offered_qos_profiles=offered
             )
         data = self._store.serialize_cdr(self._made(kind, **content), kind)
-        self._writer.write(self._topics[topic], round(stamp_s * 1e9), data)
+        self._writer.write(self._topics[topic], _stamp_ns(stamp_s), data)
         self.counts[topic] = self.counts.get(topic, 0) + 1
 
     def _made(self, kind: str, **content: Any) -> Any:
         return self._store.types[kind](**content)
 
     def _header(self, time_s: float, frame: str) -> Any:
-        seconds, nanoseconds = divmod(round(time_s * 1e9), 1_000_000_000)
+        seconds, nanoseconds = divmod(_stamp_ns(time_s), 1_000_000_000)
         stamp = self._made("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
         return self._made("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
@@ -196,6 +196,14 @@ class RosBag(Closing):
     def _quaternion(self, q: F64) -> Any:
         x, y, z, w = q.tolist()
         return self._made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def _stamp_ns(time_s: float) -> int:
+    """Nanoseconds. Raises JournalError for a time before 0, which no MCAP file can hold."""
+    stamp_ns = round(time_s * 1e9)
+    if stamp_ns < 0:
+        raise JournalError(f"a recording begins at {time_s:.9g} s; expected 0 or later: record it again")
+    return stamp_ns
 
 
 def _kept_for_late_ones() -> Any:

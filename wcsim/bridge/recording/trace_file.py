@@ -122,7 +122,7 @@ def _list(value: Any) -> list[Any]:
 
 
 def _text(value: Any) -> str:
-    _require(isinstance(value, str))
+    _require(isinstance(value, str) and value.isprintable())  # XML has no place for control characters
     return str(value)
 
 

@@ -14,7 +14,16 @@ from rich.console import Console
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, parse, write_json
+from wcsim.cli.shared.common import (
+    OutFile,
+    OutFolder,
+    Repeated,
+    check_folder,
+    in_bounds,
+    parse,
+    write_json,
+    write_whole,
+)
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, said_of
@@ -215,9 +224,14 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
         pooled.append(whole)
     suite = order.suite
     result = {**result_of(suite.file, suite.sha256, rows, pooled), "changed": list(order.settings)}
-    write_json(order.out / RESULT, result)
     episodes = {policy: [record.to_json() for record in found] for policy, found in records.items()}
-    write_json(order.out / EPISODES, episodes)
     asked = {"suite": name, "preset": order.preset, "network": order.network, "out": str(order.out)}
-    write_json(order.out / ASKED, asked)
+
+    def fill(part: Path) -> None:  # all of it first: a full disk leaves what an earlier test wrote as it was
+        for file, said in ((RESULT, result), (EPISODES, episodes), (ASKED, asked)):
+            write_json(part.with_name(file), said)
+        for file in (EPISODES, ASKED):
+            part.with_name(file).replace(order.out / file)
+
+    write_whole(order.out / RESULT, fill)
     return result

@@ -12,11 +12,12 @@ from wcsim.agents.evaluation.suite.named_policy import is_own_class, open_named,
 from wcsim.agents.policy_api import Levelled
 from wcsim.config import CONFIG_FILE, parse
 from wcsim.config.study import StudyFile, StudyPlace
-from wcsim.core.reading import parse_toml, read_text, shown
+from wcsim.core.reading import is_file, parse_toml, read_text, shown
 from wcsim.drive.keeping.study_plan import order_words
 from wcsim.drive.keeping.study_table import columns_of, read_rows
 from wcsim.drive.starting import PRESET, DriveStart, checked, require_kept
 from wcsim.errors import ConfigError
+from wcsim.towns.scenario.town import expanded
 
 MOST_PARTICIPANTS: Final = 9999
 _SHIPPED: Final = Path(__file__).parents[2] / "config" / "presets" / "studies"
@@ -72,8 +73,8 @@ def open_study(
     """
     if not 1 <= participant <= MOST_PARTICIPANTS:
         raise ConfigError(f"--participant {participant}: expected 1 to {MOST_PARTICIPANTS}")
-    path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in shipped_studies() else Path(name_or_path).expanduser()
-    if not path.is_file():
+    path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in shipped_studies() else expanded(name_or_path)
+    if not is_file(path):
         known = ", ".join(shipped_studies())
         raise ConfigError(f"--study {shown(name_or_path)}: there is no such study; expected {known}, or a TOML file")
     text = read_text(path, CONFIG_FILE)

@@ -78,7 +78,8 @@ def _beam(name: str, pair: CasterPart, beam: BeamPart) -> Iterator[str]:
     """A rod as long as the pair's track, level with the swivels; its pivot's axis is x."""
     long = beam.mass_kg * pair.track_m**2 / 12.0
     com = (0.0, 0.0, pair.radius_m + FORK_M - beam.pivot_z_m)
-    yield f'<link name="{name}">{_inertial(beam.mass_kg, (long, BEAM_INERTIA_KGM2, long), com)}</link>'
+    inertia = (long, min(BEAM_INERTIA_KGM2, long), long)  # Bullet takes one that no body can have for none
+    yield f'<link name="{name}">{_inertial(beam.mass_kg, inertia, com)}</link>'
     stop_rad = rad(beam.stop_deg)
     limit = f'<limit lower="{-stop_rad}" upper="{stop_rad}" effort="{_BEAM_EFFORT_NM}" velocity="{_BEAM_RADPS}"/>'
     yield _joint(name, "frame", (pair.swivel_x_m, 0.0, beam.pivot_z_m), axis="1 0 0", kind="revolute", limit=limit)

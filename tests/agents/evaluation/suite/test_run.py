@@ -120,8 +120,9 @@ def test_a_town_with_other_streets_is_refused(corner, tmp_path):
 
 
 def test_a_list_that_is_none_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="no such list"):
-        open_suite(str(tmp_path / "nothing.json"))
+    for name in (str(tmp_path / "nothing.json"), "a" * 5000, "~nobody-is-called-so/list.json"):
+        with pytest.raises(ConfigError, match="no such list"):
+            open_suite(name)
     (tmp_path / "bad.json").write_text('{"suite": "x", "set": "y"}', encoding="utf-8")
     with pytest.raises(ConfigError, match="blocks"):
         open_suite(str(tmp_path / "bad.json"))

@@ -11,10 +11,10 @@ from typing import Final
 
 from wcsim.config import parse
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
-from wcsim.core.reading import FileKind, read_json, shown
+from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.manifest import own_work
-from wcsim.towns.scenario.town import Town, content_hash, find_town, open_town
+from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town, open_town
 
 MADE: Final = "made"
 TIGHT: Final = "tight"  # the part whose towns are generated scenes
@@ -42,8 +42,8 @@ def shipped() -> tuple[str, ...]:
 
 def open_suite(name_or_path: str) -> Suite:
     """A set that comes with wcsim, or a list at a path. Raises ConfigError when it is none, or broken."""
-    path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else Path(name_or_path).expanduser()
-    if not path.is_file():
+    path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
+    if not is_file(path):
         known = ", ".join(shipped()) or "(none)"
         raise ConfigError(f"--suite {shown(name_or_path)!r}: there is no such list; expected {known}, or a file")
     return suite_of(parse(SuiteFile, read_json(path, _LIST), shown(path)))

@@ -1,0 +1,130 @@
+"""Hostile names on wcsim's pages in a real browser: they are words there, no script runs, and no request leaves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from tests.drive.page.conftest import browser  # noqa: F401 - a fixture
+from tests.drive.page.stage import ABOUT, PageAlone, Stage
+from tests.drive.page.test_page import CHROMIUM
+from tests.drive.playing import films
+from tests.support.worlds import dqn_config
+from tests.view.report.results import write_result
+from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile
+from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.cli.main import main
+from wcsim.drive.playing.play_messages import FailedLine
+from wcsim.drive.playing.play_state import about_of
+from wcsim.server.specs import RunInfo
+from wcsim.view.report.training.demo_page import DemoShown, write_demo_page
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
+]
+RAN = "window.evil=1;alert(1);fetch('http://127.0.0.1:9/evil')"
+NAMES = (
+    f"<script>{RAN}</script>", f'"><img src=x onerror="{RAN}">', f"</style></title></script><script>{RAN}</script>",
+    f"<svg onload={RAN}>", f"javascript:{RAN}", f"'-({RAN})-'", "\u202eevil\u2066",
+    "$\\mathrm{x}^{$ _ % \\frac{", "\0\x1b[31m",
+    "<iframe src=http://127.0.0.1:9/>", f"<a href=javascript:{RAN} autofocus onfocus={RAN}>" + "b" * 3000,
+    "<meta http-equiv=refresh content=0;url=http://127.0.0.1:9/>", "&lt;script&gt;", "]]><!--", "{{7*7}}${7*7}",
+)  # fmt: skip
+TEXTS = ("part", "town", "profile", "reason", "fault", "partner")
+
+
+@pytest.fixture
+def context(browser: Any) -> Iterator[Any]:  # noqa: F811 - that fixture
+    found = browser.new_context()
+    yield found
+    found.close()
+
+
+def shown(context: Any, path: Path) -> str:
+    """What a file looks like to its reader; nothing in it ran or asked for anything."""
+    page, asked, told = context.new_page(), list[str](), list[str]()
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("dialog", lambda dialog: (told.append(dialog.message), dialog.dismiss()))
+    page.on("pageerror", lambda error: told.append(str(error)))
+    page.goto(path.as_uri())
+    page.locator("th").first.click() if page.locator("th").count() else None  # its own script sorts
+    page.wait_for_timeout(200)
+    others = [url for url in asked if url != path.as_uri() and not url.startswith("data:")]
+    assert (others, told, page.evaluate("window.evil")) == ([], [], None)
+    assert page.locator("script").count() == 1 and page.locator("iframe, svg, meta[http-equiv=refresh]").count() == 0
+    text = str(page.locator("body").text_content())
+    page.close()
+    return text
+
+
+def hostile_result(folder: Path) -> None:
+    """A finished test in which every name is one."""
+    write_result(folder, suite=NAMES[0], set=NAMES[1], list_sha256=NAMES[2], changed=list(NAMES))
+    result, episodes = (json.loads((folder / name).read_text()) for name in ("result.json", "episodes.json"))
+    names = dict(zip(episodes, NAMES[2:], strict=False))
+    for row in (*result["rows"], *result["pooled"]):
+        row["policy"] = names[row["policy"]]
+        row["part"] = {"": "", "free": NAMES[0], "hazard": NAMES[1]}.get(row["part"], row["part"])
+    for number, record in enumerate(record for each in episodes.values() for record in each):
+        record.update({name: NAMES[(number + place) % len(NAMES)] for place, name in enumerate(TEXTS)})
+        record["part"] = NAMES[0] if record["block"] < 2 else NAMES[1]
+    (folder / "result.json").write_text(json.dumps(result))
+    (folder / "episodes.json").write_text(json.dumps({names[name]: each for name, each in episodes.items()}))
+
+
+def test_the_report_of_a_hostile_test_shows_its_names(context: Any, tmp_path: Path) -> None:
+    hostile_result(tmp_path / "<img src=x onerror=alert(1)>")
+    assert main(["report", str(tmp_path / "<img src=x onerror=alert(1)>"), "--pictures", "0"]) == 0
+    text = shown(context, tmp_path / "<img src=x onerror=alert(1)>" / "report.html")
+    assert NAMES[2] in text and NAMES[1] in text
+
+
+def test_the_report_of_a_hostile_training_shows_its_names(context: Any, tmp_path: Path) -> None:
+    run, config = tmp_path / "<svg onload=alert(1)>", dqn_config()
+    create_run(run, config, make_manifest(config, RunInfo(seed=1, town=NAMES[0], rewards=NAMES[1:3])))
+    metrics = MetricsFile(run / "metrics.csv")
+    for step, name in enumerate(NAMES, 1):
+        row = {"step": 10 * step, "phase": 1, "length": 10, "kpi1": 0.5, "crash_reason": name.replace("\0", "")}
+        metrics.add({**dict.fromkeys(COLUMNS, 0), **row})
+    assert main(["report", str(run)]) == 0
+    assert run.name in shown(context, run / "report.html")
+
+
+def test_the_page_of_a_hostile_demo_shows_its_names(context: Any, tmp_path: Path) -> None:
+    what = DemoShown(
+        learned=NAMES[0],
+        results=(),
+        film="film.mp4",
+        film_says=NAMES[1],
+        still_png=b"",
+        commands=[(NAMES[2], NAMES[3])],
+    )
+    assert NAMES[2] in shown(context, write_demo_page(tmp_path, what))
+
+
+@pytest.mark.parametrize("name", ["index.html", "play.html"])
+def test_a_drive_and_a_film_of_hostile_names_show_them(context: Any, name: str) -> None:
+    asked: list[str] = []
+    context.on("request", lambda request: asked.append(request.url))
+    drives = name == "index.html"
+    page = Stage(context) if drives else PageAlone(context, name)
+    page.page.on("dialog", lambda dialog: page.errors.append(dialog.message))
+    for evil in NAMES:
+        if drives:
+            words = {key: evil for key in ("place", "town", "policy", "profile")}
+            suites = {evil: [(evil, 1)]}
+            page.hear(msgspec.structs.replace(ABOUT, **words, towns=[evil], profiles=[evil], suites=suites))
+        else:
+            line = FailedLine(policy=evil, block=0, seat=0, told=evil)
+            page.hear(about_of(msgspec.structs.replace(films.ABOUT, title=evil, town=evil), (line,), evil, 0))
+        page.page.wait_for_timeout(20)
+    assert (page.errors, page.page.evaluate("window.evil")) == ([], None)
+    assert page.page.locator("iframe, svg[onload], img[onerror], a[autofocus]").count() == 0
+    assert all(url.startswith("http://127.0.0.1:9/") and "evil" not in url for url in asked)
