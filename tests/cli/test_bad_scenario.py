@@ -84,7 +84,7 @@ def test_a_net_that_was_never_projected(wcsim, folder, theirs):
         ("run", theirs, *RUN),
         ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
     ):
-        refused(wcsim("town", *words), "a.net.xml", "degrees", "netconvert --osm-files", "--proj.utm")
+        refused(wcsim("town", *words), "a.net.xml", "degrees", "with netconvert's option --proj.utm")
     assert files_in(folder) == set()
 
 
@@ -117,7 +117,7 @@ def test_polygons_of_another_town(wcsim, folder, theirs):
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
     assert "none of the 1 things of a.poly.xml lies at the streets, so it was made for another net" in one_line(checked)
-    assert "polyconvert --osm-files EXTRACT --net-file a.net.xml" in one_line(checked)
+    assert "build it of its map again, with polyconvert's option --net-file a.net.xml" in one_line(checked)
 
 
 def test_routes_for_another_net(wcsim, folder, theirs):

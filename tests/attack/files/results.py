@@ -62,7 +62,7 @@ def _take_result(path: Path) -> bool:
     """The page of a result has one script, its own; figures are left out, which take seconds."""
     result = read_result(path.parent)
     with mock.patch("wcsim.view.report.suite_page.figures_of", lambda *_: ()):
-        page = write_suite_page(result, path.parent, failures_of(result, path.parent), {}, "")
+        page = write_suite_page(result, path.parent, failures_of(result, path.parent), {}, "", path.parent)
     return page.read_text(encoding="utf-8").count("<script") == 1
 
 

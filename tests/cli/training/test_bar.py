@@ -40,4 +40,4 @@ def test_work_stays_whatever_has_ended_it(tmp_path, kept):
 def test_no_more_steps_are_told_than_there_are_to_do(capsys):
     with TrainBar(50) as bar:
         bar.show(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
-    assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episodes, 0 crashes\n"
+    assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"

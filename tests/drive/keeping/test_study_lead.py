@@ -175,7 +175,7 @@ def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(
     for _ in range(2):
         person.session.ask_for_help()
     person.press()  # ended early, without another tick
-    assert rows_of(study)[0]["helps"] == "2"
+    assert rows_of(study)[0]["helps"] == "1", "one call a tick counts"
 
 
 def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None:

@@ -183,5 +183,5 @@ def test_a_town_with_a_very_long_name_has_a_figure_whose_file_can_be_written(tmp
     text = (tmp_path / "episodes.json").read_text(encoding="utf-8").replace('"nowhere"', f'"{"x " * 1500}"')
     (tmp_path / "episodes.json").write_text(text, encoding="utf-8")
     result = read_result(tmp_path)
-    write_suite_page(result, tmp_path, failures_of(result, tmp_path), {}, "")
+    write_suite_page(result, tmp_path, failures_of(result, tmp_path), {}, "", tmp_path)
     assert (tmp_path / "report" / f"town-{'x-' * 40}.svg").is_file()
