@@ -129,7 +129,8 @@ def entries(folder: Path) -> set[str]:
         "plants",
         "presets",
     }
-    inside = (path.relative_to(folder) for path in tracked() if folder in path.parents)
+    place = str(folder.relative_to(ROOT))
+    inside = (path.relative_to(folder) for path in tracked("" if place == "." else place))
     code = (path for path in inside if len(path.parts) > 1 or folder == ROOT or path.suffix not in (".xml", ".toml"))
     return {path.parts[0] for path in code if not path.parts[0].startswith(".")} - hidden
 

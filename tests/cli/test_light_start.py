@@ -92,7 +92,8 @@ def mistakes() -> set[tuple[str, ...]]:
     found = {("trian",), *((*words[:1], "nope") for words in commands() if len(words) > 1)}
     for words in commands():
         found.add((*words, "--no-such-option", "3"))
-        found |= {(*words, name, "x") for name in re.findall(r"(--[\w-]+) (?:INT|FLOAT)", told(words))}
+        first = re.search(r"(--[\w-]+) (?:INT|FLOAT)", told(words))  # all are read before a command begins
+        found |= {(*words, first[1], "x")} if first else set()
     return found
 
 

@@ -51,7 +51,6 @@ def test_a_new_scene_runs_is_blessed_and_then_kept(tmp_path, capsys, monkeypatch
     assert json.loads(Path("told.json").read_text())["mine"]["gave_way"] == 1
 
 
-@pytest.mark.proof
 def test_commands_that_are_told_can_be_typed_as_they_stand(tmp_path, capsys):
     folder = tmp_path / "my scenes"
     assert main(["scene", "new", "mine", "--out", str(folder)]) == 0
@@ -61,6 +60,7 @@ def test_commands_that_are_told_can_be_typed_as_they_stand(tmp_path, capsys):
     assert all(Path(word).is_file() for word in typed[1][2::2])
 
 
+@pytest.mark.proof
 def test_a_changed_scene_fails_and_is_blessed_again(tmp_path, capsys):
     folder = tmp_path / "mine"
     shutil.copytree(find_scene("kerb-drop"), folder)

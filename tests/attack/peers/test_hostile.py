@@ -61,7 +61,7 @@ def besieged(folder: Path, town: str, rounds: int, phase_s: float) -> dict[str, 
 
 
 def test_nobody_loses_a_step_to_a_flood(tmp_path: Path) -> None:
-    facts = besieged(tmp_path, "", rounds=1, phase_s=3.0)
+    facts = besieged(tmp_path, "", rounds=1, phase_s=1.5)
     assert (facts["members"], facts["lost"]) == (4, 0)
     assert facts["ticks"] > 100
 
