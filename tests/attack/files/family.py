@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.attack.outcomes import Case
-from tests.attack.scenarios.twists import PLACES, Rng, integer, pick, spoiled, twisted
+from tests.attack.outcomes import Case, Outcome
+from tests.attack.scenarios.twists import NASTY, PLACES, Rng, integer, pick, spoiled, twisted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,11 +31,13 @@ Families = Callable[[Path], Sequence[Family]]
 """Makes sound files, each once, in a folder that is empty again afterwards."""
 
 
-def model_twist(data: dict[str, Any], write: Callable[[dict[str, Any]], str]) -> Callable[[Rng], tuple[bytes, str]]:
+def model_twist(
+    data: dict[str, Any], write: Callable[[dict[str, Any]], str], nasty: tuple[Any, ...] = NASTY
+) -> Callable[[Rng], tuple[bytes, str]]:
     """Fields of a sound one are others, none or more than there were."""
 
     def twist(rng: Rng) -> tuple[bytes, str]:
-        changed, told = twisted(data, rng)
+        changed, told = twisted(data, rng, nasty)
         return write(changed).encode(), told
 
     return twist
@@ -49,16 +51,18 @@ def spoilt(families: Families, count: int, seed: int, work: Path) -> Iterator[Ca
         yield _case(kinds[number % len(kinds)], rng, number, work / "case")
 
 
-def laid(kind: Family, folder: Path, lay: Callable[[Path], object]) -> bool:
-    """Have a file read in a new folder, with all that a sound one needs beside it."""
+def laid(kind: Family, folder: Path, lay: Callable[[Path], object]) -> bool | Outcome:
+    """Have a file read in a new folder, with all that a sound one needs beside it; nothing is made outside of it."""
     path = folder / kind.file
     path.parent.mkdir(parents=True)
+    around = set(folder.parent.iterdir())
     try:
         for name, data in kind.beside:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(data)
         lay(path)
-        return kind.take(path)
+        taken = kind.take(path)
+        return Outcome.OUTSIDE if set(folder.parent.iterdir()) != around else taken
     finally:
         shutil.rmtree(folder)
 

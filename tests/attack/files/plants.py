@@ -28,6 +28,7 @@ _SCHEMA = PlantFile.model_json_schema()
 def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """Each bound of each plant alone, in turn, and then draws of many."""
     bounds = [(plant, key, value) for plant in known_plants() for key, both in _bounds(plant) for value in both]
+    _drives("rwd", {}, work)  # machine code is made once
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         plant, key, value = bounds[(number // 2 * 7919) % len(bounds)]

@@ -12,7 +12,7 @@ from unittest import mock
 from tests.attack.files.family import Family, model_twist
 from tests.attack.files.files import csv_twist, same
 from tests.attack.files.people import STUDY
-from tests.attack.scenarios.twists import cleared, json_text, toml_text
+from tests.attack.scenarios.twists import NASTY, cleared, json_text, toml_text
 from tests.view.report.results import write_result
 from wcsim.agents.evaluation.suite.list_file import open_suite, write_list
 from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, read_result
@@ -25,6 +25,8 @@ from wcsim.view.report.failures import failures_of
 from wcsim.view.report.suite_page import write_suite_page
 
 COLUMNS = columns_of(parse(StudyFile, parse_toml(toml_text(STUDY), "a study", FileKind(what="", limit_bytes=1)), ""))
+
+_ODD = (*NASTY, *("/../../../x", "../../../x", "a/../../../../x") * 4)
 
 
 def families(work: Path) -> list[Family]:
@@ -43,7 +45,8 @@ def families(work: Path) -> list[Family]:
         cleared(work / name)
     return [
         *(
-            Family(name=name, file=name, sound=data, twist=model_twist(json.loads(data), json_text), take=_take_result,
+            Family(name=name, file=name, sound=data, take=_take_result,
+                   twist=model_twist(json.loads(data), json_text, _ODD),
                    beside=tuple(item for item in held.items() if item[0] != name))
             for name, data in held.items()
         ),

@@ -178,10 +178,15 @@ def test_the_legend_says_that_saved_and_lost_are_crashes_by_the_own_fault():
     assert all("by its own fault" in says[key] for key in ("saved", "lost"))
 
 
-def test_a_town_with_a_very_long_name_has_a_figure_whose_file_can_be_written(tmp_path):
-    write_result(tmp_path)
-    text = (tmp_path / "episodes.json").read_text(encoding="utf-8").replace('"nowhere"', f'"{"x " * 1500}"')
-    (tmp_path / "episodes.json").write_text(text, encoding="utf-8")
-    result = read_result(tmp_path)
-    write_suite_page(result, tmp_path, failures_of(result, tmp_path), {}, "", tmp_path)
-    assert (tmp_path / "report" / f"town-{'x-' * 40}.svg").is_file()
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", ["x " * 1500, "/../../../escaped", "\0", ".."])
+def test_files_of_a_town_or_part_of_any_name_lie_in_the_folder(tmp_path, name):
+    folder = tmp_path / "a" / "result"
+    write_result(folder)
+    for file, old in (("episodes.json", "nowhere"), ("episodes.json", "hazard"), ("result.json", "hazard")):
+        text = (folder / file).read_text(encoding="utf-8").replace(json.dumps(old), json.dumps(name))
+        (folder / file).write_text(text, encoding="utf-8")
+    result = read_result(folder)
+    write_suite_page(result, folder, failures_of(result, folder), {}, "", folder)
+    outside = [path for path in tmp_path.rglob("*") if path.is_file() and folder not in path.parents]
+    assert outside == [] and any(path.name.startswith("table-") for path in (folder / "report").iterdir())

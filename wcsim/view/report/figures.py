@@ -23,7 +23,6 @@ from wcsim.view.report.charts import (
 from wcsim.view.report.ground import ground_around
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
 
-_MOST_STEM: Final = 80  # letters of a town in the name of a file
 _OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
@@ -162,14 +161,13 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     plain = [row for name, e in here for row in _way_rows(name, e)]
     missing = "" if any(way.points_m for way in ways) else " The ways were not recorded: crashes alone are shown."
     missing += "" if ground is not None or not points else " The town itself is not on this machine."
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "-", town)[:_MOST_STEM]
     return figure(
-        f"town-{stem}",
+        f"town-{town}",
         f"Ways in {town}",
         f"Ways of the episodes in this town, a colour a policy; crosses are own crashes. Tight places have streets of "
         f"their own and are not on it.{missing}",
         csv_of(("policy", "block", "seat", "what", "s", "x_m", "y_m"), plain),
-        town_chart(stem, ground, ways, places),
+        town_chart(town, ground, ways, places),
     )
 
 

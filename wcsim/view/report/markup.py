@@ -6,11 +6,13 @@ import base64
 import csv
 import html
 import io
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 _VOID: Final = frozenset({"meta", "img", "br", "link", "input"})
+_MOST_STEM: Final = 80
 Cell = str | int | float | None
 
 
@@ -24,12 +26,17 @@ class Markup(str):
 class Exhibit:
     """Something that is shown, and the numbers that it is made of."""
 
-    name: str  # of its files
+    name: str
     title: str
     says: str  # how to read it
     body: Markup
     csv: str
     svg: bytes = b""  # of a figure
+
+    @property
+    def stem(self) -> str:
+        """The name of its files, which lead out of no folder, whatever others call a town or a part."""
+        return re.sub(r"[^A-Za-z0-9_-]+", "-", self.name)[:_MOST_STEM]
 
 
 def el(tag: str, *inside: object, **attributes: object) -> Markup:

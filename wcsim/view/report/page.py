@@ -49,8 +49,8 @@ def page(title: str, intro: Markup, sections: Sequence[Section]) -> str:
 
 def shown(exhibit: Exhibit, more: object = "") -> Markup:
     """An exhibit with its title, how to read it, and its numbers."""
-    csv = el("a", "CSV", href=data_uri("text/csv", exhibit.csv.encode()), download=f"{exhibit.name}.csv", class_="csv")
-    beside = el("span", f" {FIGURES}/{exhibit.name}.svg", class_="csv") if exhibit.svg else ""
+    csv = el("a", "CSV", href=data_uri("text/csv", exhibit.csv.encode()), download=f"{exhibit.stem}.csv", class_="csv")
+    beside = el("span", f" {FIGURES}/{exhibit.stem}.svg", class_="csv") if exhibit.svg else ""
     return el(
         "div",
         el("h3", exhibit.title),
@@ -70,8 +70,8 @@ def facts(pairs: Iterable[tuple[str, object]]) -> Markup:
 def write_page(folder: Path, text: str, exhibits: Iterable[Exhibit]) -> Path:
     """Write the page, and its figures and numbers beside it. Raises DiskFullError."""
     for exhibit in exhibits:
-        write_bytes(folder / FIGURES / f"{exhibit.name}.csv", exhibit.csv.encode())
+        write_bytes(folder / FIGURES / f"{exhibit.stem}.csv", exhibit.csv.encode())
         if exhibit.svg:
-            write_bytes(folder / FIGURES / f"{exhibit.name}.svg", exhibit.svg)
+            write_bytes(folder / FIGURES / f"{exhibit.stem}.svg", exhibit.svg)
     write_bytes(folder / PAGE, text.encode())
     return folder / PAGE

@@ -24,7 +24,7 @@ def test_a_result_is_read_with_and_without_what_later_versions_record(tmp_path):
     [
         {"steps": "many"}, {"steps": True}, {"status": "won"}, {"part": 3}, {"nothing": 1}, {"path_m": [[0.0]]},
         {"path_m": 3}, {"end_m": ["a", "b"]}, {"accel_sq_sum": "x"}, {"interventions": [{"first": 1}]},
-        {"m": None},
+        {"m": None}, {"reference_s": 1e308}, {"end_m": ["1", 2.0]}, {"steps": 10**15}, {"accel_sq_sum": -1e300},
     ],
 )  # fmt: skip
 def test_a_damaged_episode_is_refused(tmp_path, change):

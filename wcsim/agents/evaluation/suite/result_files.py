@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -18,6 +17,7 @@ ASKED: Final = "asked.json"  # with what words the test was asked for, as far as
 TOWNS: Final = "towns"  # made ones lie there
 _KIND = FileKind(what="a file of `wcsim test --suite`: run it again", limit_bytes=1 << 30, error=ConfigError)
 _MOST_TEXT: Final = 4096
+_LARGEST: Final = 1e12  # of a number, so that sums and squares of any are finite
 _PLAIN: Final[Mapping[str, tuple[type, ...]]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}
 _COUNTS: Final = ("crashes_own",)  # of a row, which a page adds up
 _NUMBERS: Final = (*_COUNTS, "km", "score")
@@ -109,8 +109,7 @@ def _rows(items: object, path: Path) -> tuple[Row, ...]:
 def _is_number(value: object, name: str) -> bool:
     if value is None:
         return name not in _COUNTS
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return number and (name not in _COUNTS or isinstance(value, int))
+    return _is(value, (int, float)) and (name not in _COUNTS or isinstance(value, int))
 
 
 def _text(value: object, path: Path) -> str:
@@ -144,19 +143,21 @@ def _episode(data: object, path: Path) -> KeptEpisode:
 
 
 def _measured(value: object, path: Path) -> float | None:
-    if value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-        return None if value is None else float(value)
+    if value is None:
+        return None
+    if isinstance(value, int | float) and _is(value, (int, float)):
+        return float(value)
     raise ConfigError(f"{shown(path)}: is damaged; got {str(value)[:40]!r}, expected a number")
 
 
 def _is(value: object, expected: tuple[type, ...]) -> bool:
     if isinstance(value, bool) and bool not in expected:
         return False
-    return isinstance(value, expected)
+    return isinstance(value, expected) and (not isinstance(value, int | float) or abs(value) <= _LARGEST)
 
 
 def _points(items: Any) -> tuple[tuple[float, float], ...]:
-    points = tuple((float(x), float(y)) for x, y in items)
-    if not all(math.isfinite(value) for point in points for value in point):
-        raise ValueError("a place that is not finite")
+    points = tuple((x, y) for x, y in items)
+    if not all(_is(value, (int, float)) for point in points for value in point):
+        raise ValueError("a place that is none")
     return points
