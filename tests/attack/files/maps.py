@@ -21,7 +21,7 @@ import rasterio
 from numpy.random import Generator
 from rasterio.transform import from_bounds
 
-from tests.attack.outcomes import Case
+from tests.attack.outcomes import LIMIT_BYTES, Case
 from tests.attack.scenarios.parts import ENCODINGS, PACKINGS
 from tests.cli.towns import tiny_osm
 from tests.towns.fuzz.flipped_bytes import DISK, RAW, pick
@@ -33,7 +33,7 @@ from wcsim.towns.osm.read import read_extract
 from wcsim.towns.scenario.town import open_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene, scene_of
 from wcsim.towns.sumo.net import Net, read_net
-from wcsim.towns.sumo.xml_io import read_bytes, read_root
+from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, read_bytes, read_root
 
 BOX = (24.999, 59.9995, 25.0046, 60.0023)
 LIMIT_S = 10.0  # of a machine that does other things as well; the rule of five holds for one alone
@@ -106,7 +106,8 @@ def cases(count: int, seed: int, work: Path) -> Iterator[Case]:
         if number % _SLOW_EVERY == _SLOW_EVERY - 1:
             kind = "pbf" if number % (2 * _SLOW_EVERY) < _SLOW_EVERY else "built"
         feed = partial(_feed, kind, number, seed, work)
-        yield Case(area=f"maps, {kind}", name=f"{kind} {number} of {seed}", feed=feed, limit_s=LIMIT_S)
+        name, most = f"{kind} {number} of {seed}", LIMIT_BYTES + MAX_XML_BYTES  # a net may be as large as that
+        yield Case(area=f"maps, {kind}", name=name, feed=feed, limit_s=LIMIT_S, limit_bytes=most)
 
 
 def _feed(kind: str, number: int, seed: int, work: Path) -> bool:
