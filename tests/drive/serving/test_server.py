@@ -171,8 +171,7 @@ def test_a_page_that_was_left_lets_time_stand_still_till_it_is_back(running: Ser
     with FakePage(running[0]) as page:
         page.state(lambda state: not state["waiting"])
         page.away = True
-        left = page.state(lambda state: state["waiting"])
-        assert "was left" in left["waiting"]
+        left = page.state(lambda state: "was left" in state["waiting"])  # a slow machine may hear nothing before
         page.say("help")  # is answered with a state
         assert page.state()["tick"] == left["tick"]
         page.away = False
