@@ -6,7 +6,7 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from threading import Event, Thread
@@ -74,7 +74,8 @@ def _telling(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str
             done_s = max(0.01, work_s - left_s + time.process_time() - cpu_s)
             takes_s = (work_s - done_s) / done_s * (time.monotonic() - began_s)
             about = f", about {takes_s:.0f} s left" if takes_s >= 1.0 else ""
-            say(f"building the street of {town.name}: {part}{about}{more}")
+            with suppress(OSError):  # who listened is gone
+                say(f"building the street of {town.name}: {part}{about}{more}")
             more = ""
 
     teller = Thread(target=tell, daemon=True)

@@ -37,6 +37,12 @@ def write(path, records, header=HEADER):
             writer.append(item)
 
 
+def test_a_tick_of_a_great_city_is_read_and_names_with_any_blank(tmp_path):
+    names = tuple(f"v:Gare\u00a0Sud.{number:060d}" for number in range(20_000))
+    write(tmp_path / "a", [record(0, actors=names)])
+    assert read_trace(tmp_path / "a")[1][0].actor_ids == names
+
+
 def test_what_was_written_is_read(tmp_path):
     records = [record(0), record(1, actors=())]
     write(tmp_path / "a", records)
@@ -63,7 +69,7 @@ def test_a_tick_that_holds_what_no_writer_writes_is_refused(tmp_path):
     write(tmp_path / "a", [record(0)])
     first = next(whole_records(io.BytesIO((tmp_path / "a").read_bytes())))
     line = json.dumps({"epoch": 0, "tick": 0, "seats": 0, "actors": [], "hash": ""})
-    many = f', "at": {list(range(200_000))}'
+    many = f', "at": {list(range(1_500_000))}'
     for more, says in (("", ""), (', "more": [1]', "of this version"), (many, "letters of JSON")):
         data = (tmp_path / "a").read_bytes()[: first.end] + framed((line[:-1] + more + "}\n").encode())
         (tmp_path / "b").write_bytes(data)

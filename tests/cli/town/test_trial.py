@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ from wcsim.cli.town import trial
 from wcsim.cli.town.run import RunOptions
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.scenario.town import find_town, open_town
-from wcsim.towns.sumo.tools import ToolRun
+from wcsim.towns.sumo.tools import Limits, ToolRun
 
 LOOP = '<inductionLoop id="loop" lane="nowhere_0" pos="5" period="5" file="loop.xml"/>'
 
@@ -51,15 +50,18 @@ def test_what_only_sumo_refuses_is_a_fault_in_its_words(wcsim: Run, folder: Path
 
 def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path, monkeypatch) -> None:
     town = find_town(str(corner))
-    hit = "Warning: Vehicle 'a'; junction collision with vehicle 'b', lane=':j_0_0', gap=-1.00, time=12.00.\n"
-    people = "Warning: Collision of person 'p' and person 'q', lane='e_0', time=13.00.\n"
-    output = hit + hit.replace("12.00", "12.10") + "Warning: Vehicle 'c' performs emergency braking.\n" + people
-    ran = ToolRun(name="sumo", returncode=0, output=output)
-    monkeypatch.setattr(trial, "run_tool", lambda *words: ran)
+    hits = [("a", "b", ":j_0_0"), ("b", "a", ":j_0_0"), ("p", "q", "e_0")]
+
+    def sumo(name: str, words: list[str], folder: Path, limits: Limits) -> ToolRun:
+        rows = "".join(f'<collision collider="{one}" victim="{other}" lane="{on}"/>' for one, other, on in hits)
+        Path(words[words.index("--collision-output") + 1]).write_text(f"<collisions>{rows}</collisions>")
+        return ToolRun(name=name, returncode=0, output="")
+
+    monkeypatch.setattr(trial, "run_tool", sumo)
     (note,) = trial.collisions_note(town)
-    assert "reports 2 collisions in the first 300 s of this traffic: a with b on :j_0_0, p with q on e_0;" in note
+    assert "reports 2 collisions in the first 300 s of this traffic: b with a on :j_0_0, p with q on e_0;" in note
     parse(RunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
-    monkeypatch.setattr(trial, "run_tool", lambda *words: replace(ran, output=""))
+    hits.clear()
     assert trial.collisions_note(town) == ()
 
 

@@ -65,4 +65,5 @@ def test_a_page_that_is_gone_leaves_nothing_to_do_behind_it_and_the_end_is_heard
     assert words.take() == [m.Again()]
     words.put(m.Open(town="there"))
     words.put(m.End())
-    assert words.take() == [m.End()]
+    words.put(m.Gone())  # as every page goes when the server ends
+    assert words.take() == [m.End(), m.Gone()]

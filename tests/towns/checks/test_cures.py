@@ -18,7 +18,7 @@ from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import unroutable_trips
-from wcsim.towns.checks.cures import FASTEST_MPS, pave_cure, routes_cure, walkers_cure
+from wcsim.towns.checks.cures import FASTEST_MPS, larger_cure, pave_cure, routes_cure, walkers_cure
 from wcsim.towns.checks.faults import STEEPEST, faults_of
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.town import Town, open_town
@@ -158,6 +158,17 @@ def test_a_larger_area_is_taken_of_the_towns_own_extract_while_that_has_more(tmp
             and (options.seed, options.replace) == (7, True)
         )
         assert ("from the internet" in fault) is not more and "is lost then" in fault
+
+
+@pytest.mark.parametrize(
+    "odd",
+    ["--osm o --bbox=7.1,50.2,7.3", "--osm o --bbox=W,S,E,N", "--osm ../../o --bbox=7.1,50.2,7.3,50.4", "--osm o"],
+)
+def test_a_town_whose_command_says_anything_is_checked_all_the_same(theirs: Town, odd: str) -> None:
+    (theirs.folder / "o").write_text("no map")
+    town = replace(theirs, file=theirs.file.model_copy(update={"rebuild": f"wcsim town import {odd}"}))
+    told = larger_cure(town)
+    assert told.startswith("join the parts: ") or ("from the internet" in told and "../o" not in told)
 
 
 def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:

@@ -73,6 +73,8 @@ def test_the_headline_names_a_winner_only_where_there_is_one(result):
     alike = of("follow", "net@0.25", "net@0.75")
     assert "net@0.25 and net@0.75" in alike and "both prevent 2 of the user's 4 crashes" in alike
     assert of("follow", "dwa").startswith("Best of those that see what a chair can see: dwa; dwa prevents 4 of the us")
+    strangers = replace(result, episodes={**result.episodes, "follow": result.episodes["follow"][:0]})
+    assert "follow" in conclusion(strangers).partition(" cannot be told apart here")[0], "they share no episode"
     assert of("dwa").startswith("Best of those that see what a chair can see: dwa. Simulation only")
 
 

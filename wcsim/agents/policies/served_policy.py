@@ -106,8 +106,9 @@ class ServedPolicy:
             self.close()
             if not isinstance(error, OSError | UnicodeError):
                 raise
-            told = f"no answer to {kind!r} within {ANSWER_S:g} s: {error}"
-            raise PolicyError(f"{self.name}: {told}; is the process alive and fast enough?") from None
+            late = f" within {ANSWER_S:g} s" if isinstance(error, TimeoutError) else ""
+            told = f"no answer to {kind!r}{late}: {error}; is the process alive{' and fast enough' * bool(late)}?"
+            raise PolicyError(f"{self.name}: {told}") from None
 
     def _read(self, length: int, ends_s: float) -> bytes:
         found = b""

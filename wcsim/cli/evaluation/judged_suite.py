@@ -20,6 +20,7 @@ from wcsim.cli.shared.common import (
     Repeated,
     check_folder,
     in_bounds,
+    json_text,
     parse,
     write_json,
     write_whole,
@@ -229,7 +230,7 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
 
     def fill(part: Path) -> None:  # all of it first: a full disk leaves what an earlier test wrote as it was
         for file, said in ((RESULT, result), (EPISODES, episodes), (ASKED, asked)):
-            write_json(part.with_name(file), said)
+            part.with_name(file).write_text(json_text(order.out / file, said), encoding="utf-8")
         for file in (EPISODES, ASKED):
             part.with_name(file).replace(order.out / file)
 

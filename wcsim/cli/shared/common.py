@@ -191,11 +191,16 @@ def check_folder(option: str, folder: Path) -> None:
 
 def write_json(path: Path, data: Any) -> None:
     """Write a result file at once or not at all; NaN and infinity never appear in it."""
+    text = json_text(path, data)
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def json_text(path: Path, data: Any) -> str:
+    """What goes into a result file. Raises ConfigError for NaN and infinity."""
     try:
-        text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+        return json.dumps(data, indent=2, allow_nan=False) + "\n"
     except ValueError as error:
         raise ConfigError(f"{path}: a result is not a finite number ({error})") from None
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def write_whole(path: Path, fill: Callable[[Path], object]) -> None:

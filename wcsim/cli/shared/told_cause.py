@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shutil
 import sys
@@ -47,7 +48,8 @@ def require_streams() -> None:
         sys.stdout = _NOTHING.open("w", encoding="utf-8")
         raise ConfigError("standard output is closed; expected one: add > /dev/null, if nobody reads it")
     for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # a terminal may know few letters
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
 
 
 def require_letters(words: Iterable[str]) -> None:
@@ -71,7 +73,8 @@ def told_cause(error: Exception) -> tuple[str, Exit]:
             f"numba refuses its settings ({shown(error)}); try again after: unset {' '.join(variables)}",
             Exit.REFUSED,
         )
-    if not isinstance(error, OSError) or error.errno not in _PATHS:
+    ours = bool(frames) and frames[-1].name == "_execute_child"  # of subprocess: a program that we want
+    if not isinstance(error, OSError) or error.errno not in _PATHS or ours:
         return "", Exit.FAILED
     try:
         Path.cwd()

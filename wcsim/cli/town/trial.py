@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -18,13 +17,13 @@ from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import read_root
 
 if TYPE_CHECKING:
     from wcsim.towns.checks.check import TownReport
 
 COLLIDING_S = 300.0
 _LIMITS = Limits(wall_s=60.0, cpu_s=60, memory_bytes=16 << 30)
-_QUOTED = re.compile(r"'([^']*)'")  # of a collision: who, with whom, on which lane
 _TOLD = 3
 
 
@@ -47,18 +46,19 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
 
 
 def collisions_note(town: Town) -> tuple[str, ...]:
-    """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself; nothing where that takes long."""
+    """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself, or that this takes too long."""
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
         staged = stage_scenario(town, settings_of(load_run_config("quick"), 1), Path(work))
         seed = read_configuration(town.sumocfg).value("seed")
-        words = ["-c", str(staged.sumocfg), "--end", f"{staged.begin_s + COLLIDING_S:.12g}", "--no-warnings", "false"]
-        words += ["--seed", seed] if seed else []
+        found = Path(work) / "collisions.xml"
+        words = ["-c", str(staged.sumocfg), "--end", f"{staged.begin_s + COLLIDING_S:.12g}"]
+        words += ["--collision-output", str(found), *(("--seed", seed) if seed else ())]
         try:
-            output = run_tool("sumo", words, Path(work), _LIMITS).output
-        except SumoError:
-            return ()
-    lines = [_QUOTED.findall(line) for line in output.splitlines() if "ollision" in line]
-    hits = {frozenset(words[:2]): f"{words[0]} with {words[1]} on {words[2]}" for words in lines if len(words) > 2}
+            run_tool("sumo", words, Path(work), _LIMITS)
+            told = [(hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", "")) for hit in read_root(found)]
+        except (SumoError, TownError):
+            return (f"SUMO did not come through the first {COLLIDING_S:g} s of this traffic in {_LIMITS.wall_s:g} s",)
+    hits = {frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in told}
     if not hits:
         return ()
     who = ", ".join(list(hits.values())[:_TOLD]) + " and more" * (len(hits) > _TOLD)

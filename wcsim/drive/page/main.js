@@ -54,7 +54,7 @@ const link = new Link({
   },
   pictures(number, parts) { scene.show(number, parts).catch(() => link.say("shown", { number })); },
   about(about) { setBusy(""); panel.tellAbout(about); grid.setPoints(about.points); hint.begin(); big(""); },
-  busy(message) { setBusy(message.told, message.waits !== false); say(busy); rest(); },
+  busy(message) { if (!busy || message.waits === false) say(message.told); setBusy(message.told, message.waits !== false); rest(); },
   study(message) { study.tell(message.view); },
   notice(message) { note(message.kind, message.told); study.notice(message.told); if (message.kind === "bad" && busy) { setBusy(message.told, false); } },
   role: setRole,

@@ -23,15 +23,16 @@ export function big(text) {
   put(by("big"), text);
 }
 
-let busyTimer = 0;
+let busyTimer = 0, busySince = 0;
 
 // What is waited for, over the street, "" for nothing, and for how long already: nobody tells while a street is built.
 export function waitFor(told, counts = true) {
   clearInterval(busyTimer);
+  if (!told || !counts) busySince = 0;
   big(told);
   if (!told || !counts) return;
-  const began = performance.now();
-  busyTimer = setInterval(() => big(`${told} ${Math.round((performance.now() - began) / 1000)} s`), 1000);
+  busySince = busySince || performance.now(); // what is told of it later goes on from there
+  busyTimer = setInterval(() => big(`${told} (${Math.round((performance.now() - busySince) / 1000)} s)`), 1000);
 }
 
 // How many, in words.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -97,8 +98,9 @@ class PlayRunner:
             self._source.close()
             self._source = None
         if self._process is not None:
-            self._process.join(_END_S)
-            if self._process.is_alive():
+            try:
+                self._process.join(_END_S)
+            finally:  # a signal ends the wait
                 self._process.kill()
                 self._process.join()
             self._process = None
@@ -293,5 +295,11 @@ def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
     if start.gives_way:
         give_way()
+    signal.signal(signal.SIGTERM, _leave)
     with pipe:
         PlayRunner(pipe, start).run()
+
+
+def _leave(*_: object) -> None:
+    """Of SIGTERM: the film's process is ended too."""
+    raise SystemExit

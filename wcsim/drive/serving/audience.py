@@ -110,6 +110,7 @@ class Audience:
         """Let the oldest page that never said anything yield its place; whether there was one."""
         silent = next((page for page in self._pages if page.silent), None)
         if silent is not None:
+            silent.silent = False  # it yields once
             silent.hang_up()
         return silent is not None
 

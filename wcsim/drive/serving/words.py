@@ -50,7 +50,7 @@ class Words:
 def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
     """Whether the one before need not be heard any more: a page that is gone leaves nothing to do behind it."""
     if isinstance(message, m.End | m.Gone):
-        return isinstance(message, m.End) or not isinstance(before, m.Ready)
+        return isinstance(message, m.End) or not isinstance(before, m.Ready | m.End)
     if isinstance(message, m.Stick) and isinstance(before, m.Stick):
         still_pressed = message.overrule or not before.overrule
         return still_pressed and (rests(message.x, message.y) or not rests(before.x, before.y))

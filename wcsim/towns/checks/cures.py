@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from wcsim.errors import TownError
 from wcsim.towns.osm.area import bbox_option, grown, size_m
 from wcsim.towns.osm.read import MARGIN_M, holds_more
 from wcsim.towns.scenario.includes import with_included
@@ -141,9 +142,14 @@ def larger_cure(town: Town) -> str:
     at = next((number for number, word in enumerate(words) if word.startswith("--bbox=")), None)
     if at is None or "--osm" not in words[:-1]:  # written by hand
         return f"join the parts: {netedit_cure(town)}"
-    west, south, east, north = (float(part) for part in words[at].removeprefix("--bbox=").split(","))
-    box, osm = (west, south, east, north), words.index("--osm")
-    more = holds_more(town.folder / words[osm + 1], box)
+    osm = words.index("--osm")
+    extract = (town.folder / words[osm + 1]).resolve()
+    try:
+        west, south, east, north = (float(part) for part in words[at].removeprefix("--bbox=").split(","))
+        box = (west, south, east, north)
+        more = extract.is_relative_to(town.folder.resolve()) and holds_more(extract, box)
+    except (ValueError, TownError):  # a town.toml may say anything
+        return f"join the parts: {netedit_cure(town)}"
     words[at] = bbox_option(grown(box, MARGIN_M if more else _WIDER * max(size_m(box))))
     if not more:
         del words[osm : osm + 2]

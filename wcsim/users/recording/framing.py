@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import BinaryIO
 
-MAX_RECORD_BYTES = 256 << 20  # of a payload; one tick of a town with a million actors takes less
+MAX_RECORD_BYTES = 256 << 20  # of a payload; one tick of any town takes less
 MOST_TORN_BYTES = 1 << 16  # of a last record; more than this is no torn record
 _MOST_RATIO, _FREE_BYTES = 100, 1 << 12  # unpacked against packed; sound records come to less than 10
 _MOST_PIECES = 1 << 8  # of 64 KiB, unpacked in all looks at a torn end; a sound one has some 10

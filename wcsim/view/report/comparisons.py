@@ -125,8 +125,8 @@ def conclusion(result: KeptResult) -> str:
     real = sorted((name for name in scores if name not in UPPER_BOUNDS), key=lambda name: -scores[name])
     if not real:
         return "Only bounds were tested."
-    pairs = [paired(result, real[0], name, "") for name in real[1:]]
-    alike = [real[0], *(pair.rival for pair in pairs if pair is not None and not pair.separated)]
+    pairs = {name: paired(result, real[0], name, "") for name in real[1:]}
+    alike = [real[0], *(name for name, pair in pairs.items() if pair is None or not pair.separated)]
     best = f"Best of those that see what a chair can see: {real[0]}"
     told = best if len(alike) == 1 else f"{_and(alike)} cannot be told apart here"
     bounds = [name for name in scores if name in UPPER_BOUNDS]
