@@ -66,22 +66,26 @@ def told_cause(error: Exception) -> tuple[str, Exit]:
     limit = told_limit(error)
     if limit:
         return limit, Exit.FAILED
-    frames = [Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)]
+    last = traceback.extract_tb(error.__traceback__)[-1:]
     variables = [name for name in os.environ if name.startswith("NUMBA_")]
-    if isinstance(error, ValueError) and variables and frames and "numba" in frames[-1].parts:
+    if isinstance(error, ValueError) and variables and any("numba" in Path(frame.filename).parts for frame in last):
         return (
             f"numba refuses its settings ({shown(error)}); try again after: unset {' '.join(variables)}",
             Exit.REFUSED,
         )
-    ours = bool(frames) and frames[-1].name == "_execute_child"  # of subprocess: a program that we want
-    if not isinstance(error, OSError) or error.errno not in _PATHS or ours:
-        return "", Exit.FAILED
+    told = _told_path(error) if isinstance(error, OSError) and error.errno in _PATHS else ""
+    ours = any(frame.name == "_execute_child" for frame in last)  # of subprocess: a program that we want
+    return (told, Exit.REFUSED) if told and not ours else ("", Exit.FAILED)
+
+
+def _told_path(error: OSError) -> str:
+    """What to do about a path that cannot be used; "" for one of the package."""
     try:
         Path.cwd()
     except OSError:
-        return "the working folder is gone; expected one that is there: cd", Exit.REFUSED
+        return "the working folder is gone; expected one that is there: cd"
     path = error.filename2 or error.filename
     if not isinstance(path, str | bytes) or _PACKAGE in Path(os.fsdecode(path)).parents:
-        return "", Exit.FAILED
+        return ""
     told = f"{shown(os.fsdecode(path))}: {error.strerror}"
-    return f"{told}; expected a path that can be used here: name another, or make that one usable", Exit.REFUSED
+    return f"{told}; expected a path that can be used here: name another, or make that one usable"
