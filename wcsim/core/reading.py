@@ -230,8 +230,13 @@ def shown_value(value: object, most: int = 60) -> str:
         return f"a very large {type(value).__name__}"
 
 
+def holds_half_letters(text: str) -> bool:
+    """Whether a text holds surrogates, which UTF-8 cannot: bytes of an argument that are no letters become such."""
+    return not text.isascii() and any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
 def _require_plain(value: Any, where: str, kind: FileKind) -> None:
-    if isinstance(value, str) and not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
+    if isinstance(value, str) and holds_half_letters(value):
         raise kind.error(f"{where} holds half a letter, {shown(value, 40)!r}; expected text that UTF-8 can hold")
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
         raise kind.error(f"{where} holds a number of {value.bit_length()} bits; expected at most 64")

@@ -13,10 +13,9 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.bridge.drives.beside import let_wait
-from wcsim.bridge.ego.start_place import heading_rad
+from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.core.closing import Closing
-from wcsim.core.frames import wrap
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind, EventKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
@@ -129,8 +128,7 @@ class DriveSession(Closing):
     @property
     def bearing_rad(self) -> float:
         """Where the way goes on, from the chair's heading to the left; 0 straight ahead."""
-        plant = self._client.plant
-        return wrap(heading_rad(self._route, self._done_m, plant.p_WB_m) - plant.yaw_rad)
+        return bearing_rad(self._route, self._done_m, self._client.plant)
 
     @property
     def crash(self) -> str:

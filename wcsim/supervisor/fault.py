@@ -28,6 +28,11 @@ def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fau
     return "own" if hit is None else hit.cause
 
 
+def blamed(reason: str, whose: str, words: str) -> str:
+    """A crash in a line: its reason, whose fault it is, and `words` as those of `crash_words`."""
+    return f"{reason}, {whose} fault: it {words}"
+
+
 def crash_words(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> str:
     """What a chair did that crashed, with whom by SUMO's id, and who came into whom.
 

@@ -15,6 +15,7 @@ from wcsim.agents.evaluation.suite.rows import Row, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth, calling, tell_delay
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
+from wcsim.supervisor.fault import blamed
 from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
 
 Watch = Callable[[float], object]
@@ -110,7 +111,7 @@ def evaluate(
         records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen))
         logs.append(meter.log())
     crashed = tuple(
-        f"episode {number}: {record.reason}, {record.fault} fault: it {record.crash}"
+        f"episode {number}: {blamed(record.reason, record.fault, record.crash)}"
         for number, record in enumerate(records, 1)
         if record.status == CRASHED
     )

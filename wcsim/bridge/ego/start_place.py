@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from wcsim.core.frames import wrap
 from wcsim.errors import ConfigError
 from wcsim.towns.walking.routes import Router
-from wcsim.types import F64, ActorState, Ground, Outline, Route, StartSpec
+from wcsim.types import F64, ActorState, Ground, Outline, PlantState, Route, StartSpec
 
 START_REACH_M = 200.0  # a fixed start or goal lies within this of a pavement
 
@@ -35,6 +36,11 @@ def heading_rad(route: Route, done_m: float, p_W_m: F64) -> float:
     arc_m = min(done_m + _LOOK_AHEAD_M, float(route.arc_m[-1]))
     x_m, y_m = (float(np.interp(arc_m, route.arc_m, route.points_W_m[:, axis])) for axis in (0, 1))
     return math.atan2(y_m - float(p_W_m[1]), x_m - float(p_W_m[0]))
+
+
+def bearing_rad(route: Route, done_m: float, plant: PlantState) -> float:
+    """Where the way goes on from a chair's own heading, to the left; 0 straight ahead."""
+    return wrap(heading_rad(route, done_m, plant.p_WB_m) - plant.yaw_rad)
 
 
 def is_clear(

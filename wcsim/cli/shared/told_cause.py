@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.core.reading import shown
+from wcsim.core.reading import holds_half_letters, shown
 from wcsim.errors import ConfigError
 
 _PATHS: Final = frozenset(
@@ -55,7 +55,7 @@ def require_streams() -> None:
 def require_letters(words: Iterable[str]) -> None:
     """Raise ConfigError for an argument that holds bytes which are no letters: no record of ours could name it."""
     for word in words:
-        if not word.isascii() and any("\ud800" <= letter <= "\udfff" for letter in word):
+        if holds_half_letters(word):
             raise ConfigError(f"argument '{shown(word)}' is not in UTF-8; rename what it names, or set LANG=C.UTF-8")
 
 

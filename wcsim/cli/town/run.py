@@ -27,6 +27,7 @@ from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
+from wcsim.supervisor.fault import blamed
 from wcsim.towns.checks.cures import pave_cure, slowest_street_mps, walkers_cure
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -185,7 +186,7 @@ def _counted(number: int, warming: int) -> str:
 
 def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
     """Up to five crashes of wheelchairs, each with its second, reason, fault, with whom, and where."""
-    lines = [f"wheelchair {c.seat}, {c.time_s:.1f} s: {c.reason}, {c.fault} fault: it {c.told}" for c in crashed]
+    lines = [f"wheelchair {c.seat}, {c.time_s:.1f} s: {blamed(c.reason, c.fault, c.told)}" for c in crashed]
     return first_few(lines, "crashes; all of them are in the manifest")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import traffic_alone
 from wcsim.towns.scenario.options import read_configuration
@@ -63,7 +64,7 @@ def collisions_note(town: Town) -> tuple[str, ...]:
         return ()
     who = ", ".join(list(hits.values())[:_TOLD]) + " and more" * (len(hits) > _TOLD)
     return (
-        f"SUMO itself reports {len(hits)} collision{'s' * (len(hits) > 1)} in the first {COLLIDING_S:g} s of this "
+        f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this "
         f"traffic: {who}; its rules at junctions let that happen, mostly to bicycles, and they drive on through each "
         f"other; half of the traffic collides about half as often: {traffic_alone(town)} --set world.demand_scale=0.5",
     )

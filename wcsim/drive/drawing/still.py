@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from wcsim.bridge.ego.start_place import heading_rad
+from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
-from wcsim.core.frames import wrap
 from wcsim.drive.drawing.moment import Moment
 from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
 from wcsim.physics.renderer.instances import chair_pose
@@ -27,8 +26,7 @@ class StillPictures:
     def on_way(self) -> bool:
         """Whether the chair faces its way now: while it turns first, its picture shows a way that leads elsewhere."""
         user, plant = self._world.seats[0], self._world.snapshot.clients[0].plant
-        ahead_rad = heading_rad(user.route, user.user.route_progress_m, plant.p_WB_m)
-        return abs(wrap(ahead_rad - plant.yaw_rad)) < _ON_WAY_RAD
+        return abs(bearing_rad(user.route, user.user.route_progress_m, plant)) < _ON_WAY_RAD
 
     def draw(self) -> U8:
         """The picture of now, (540, 960, 3) RGB."""

@@ -63,13 +63,13 @@ const link = new Link({
     panel.tellState(state);
     grid.show(state.unsafe);
     grid.move(state.stick, state.commanded);
-    if (state.crash && state.crash !== crash) say(`The chair ${state.crash}. You begin again before that place.`);
+    if (state.crash && state.crash !== crash) say(crashed(state));
     if (crash && !state.crash) hint.begin();
     crash = state.crash;
     if (state.crash || (state.let_go && scan.driving)) rest();
     tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
-    big(busy || (state.crash ? `The chair ${state.crash}. You begin again before that place.` : standing || (state.alone ? "The simulated user drives till the handover" : "")));
+    big(busy || (state.crash ? crashed(state) : standing || (state.alone ? "The simulated user drives till the handover" : "")));
   },
 });
 
@@ -104,6 +104,8 @@ function tellStanding(state) {
   if (standing) say(standing);
   else if (before === "Paused") say("Time goes on.");
 }
+
+const crashed = (state) => `The chair ${state.crash}. You begin again before that place.`;
 
 function setBusy(told, counts) {
   busy = told;

@@ -25,7 +25,7 @@ export function big(text) {
 
 let busyTimer = 0, busySince = 0;
 
-// What is waited for, over the street, "" for nothing, and for how long already: nobody tells while a street is built.
+// What is waited for, over the street, "" for nothing, and for how long already.
 export function waitFor(told, counts = true) {
   clearInterval(busyTimer);
   if (!told || !counts) busySince = 0;
