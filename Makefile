@@ -2,10 +2,10 @@
 #
 # `make proof` runs the long proofs; one group of them alone with GROUP=attack, bridge, server, ...
 #
-# On a machine without an NVIDIA card, take PyTorch's CPU build (200 MB instead of several GB):
-#   make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
+# Without an NVIDIA card PyTorch comes from its CPU index (200 MB instead of several GB). Elsewhere: make TORCH_INDEX=ADDRESS,
+# or TORCH_INDEX= for the index that pip is set to.
 
-TORCH_INDEX ?=
+TORCH_INDEX ?= $(if $(wildcard /dev/nvidia0),,https://download.pytorch.org/whl/cpu)
 PYTHON ?= python3.11
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -42,6 +42,7 @@ lint: $(STAMP)
 	$(BIN)/ruff check wcsim tests examples tools
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python -m tests.api.ceilings
 
 # The many processes that tests start need not compile each module anew, whatever the environment says.
 test: $(STAMP) lint

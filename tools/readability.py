@@ -38,7 +38,7 @@ def words(text: str) -> int:
 def sentences(text: str) -> list[str]:
     """Sentences of a page, each on one line."""
     text = _NO_PROSE.sub("\n", _CODE.sub("\n", text))
-    text = _ABBREVIATION.sub(r"\1", _LINK.sub(r"\1", re.sub(r"`[^`]*`", "code", text)))
+    text = _ABBREVIATION.sub(r"\1", _LINK.sub(r"\1", re.sub(r"`[^`]*`", "CODE", text)))
     blocks = re.split(r"\n\s*\n", _ITEM.sub("\n\n", text))
     found: list[str] = []
     for block in blocks:

@@ -1,0 +1,86 @@
+"""The size of the project and its ceilings: `python -m tests.api.ceilings` prints a row a number, 1 when one is broken.
+
+Numbers only fall. A ceiling that stands more than `SLACK` above today's number is lowered in the same change; one rises
+only by what was agreed before, with the reason in the commit.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from tests.api import measures
+
+SLACK: Final = 0.03  # of the number, so that no fall is given back unseen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One number that has a ceiling."""
+
+    name: str
+    first: float  # when the table was begun
+    ceiling: float
+    count: Callable[[], float]
+
+
+ROWS: Final = (
+    Row(
+        name="wcsim: code lines (tokens / 10.5)",
+        first=65_766,
+        ceiling=65_766,
+        count=lambda: measures.code_lines("wcsim"),
+    ),
+    Row(name="wcsim: files", first=790, ceiling=790, count=lambda: measures.files("wcsim")),
+    Row(name="wcsim: public functions and classes", first=2_654, ceiling=2_654, count=measures.public_names),
+    Row(name="wcsim: settings", first=213, ceiling=213, count=measures.settings),
+    Row(name="wcsim: imports, % of the code", first=12.8, ceiling=12.8, count=measures.import_share),
+    Row(name="wcsim: code lines a comment, wanted 40", first=311, ceiling=311, count=measures.lines_per_comment),
+    Row(name="JavaScript: lines", first=1_632, ceiling=1_632, count=lambda: measures.text_lines(".js")),
+    Row(name="HTML and CSS: lines", first=754, ceiling=754, count=lambda: measures.text_lines(".html", ".css")),
+    Row(name="templates: lines", first=0, ceiling=0, count=lambda: measures.text_lines(".jinja", ".j2")),
+    Row(name="tools: code lines", first=1_270, ceiling=1_270, count=lambda: measures.code_lines("tools")),
+    Row(name="examples: code lines", first=270, ceiling=270, count=lambda: measures.code_lines("examples")),
+    Row(name="benchmarks: code lines", first=0, ceiling=0, count=lambda: measures.code_lines("benchmarks")),
+    Row(name="tests: code lines", first=58_571, ceiling=58_571, count=lambda: measures.code_lines("tests")),
+    Row(name="docs: words written by hand", first=74_035, ceiling=30_000, count=measures.words_of_docs),
+    Row(name="ideas: recording formats", first=5, ceiling=5, count=lambda: measures.forms("formats")),
+    Row(name="ideas: tick loops", first=14, ceiling=14, count=measures.tick_loops),
+    Row(name="ideas: meters", first=4, ceiling=4, count=lambda: measures.forms("meters")),
+    Row(name="ideas: learners", first=4, ceiling=4, count=lambda: measures.forms("learners")),
+    Row(name="ideas: functions returning a RunConfig", first=40, ceiling=40, count=measures.rewriters),
+    Row(name="ideas: files that start a process", first=16, ceiling=16, count=measures.process_starters),
+    Row(name="ideas: borders broken, of 14", first=12, ceiling=12, count=measures.broken_borders),
+)
+
+
+def counted() -> dict[str, float]:
+    """Today's number of each row."""
+    return {row.name: row.count() for row in ROWS}
+
+
+def faults(now: dict[str, float], rows: tuple[Row, ...] = ROWS) -> list[str]:
+    """What is over its ceiling, and which ceilings have room that is not needed."""
+    found = []
+    for row in rows:
+        number = now[row.name]
+        if number > row.ceiling:
+            found.append(f"{row.name}: {number:g}, expected at most {row.ceiling:g}; remove something or agree on more")
+        elif row.ceiling > number * (1 + SLACK) + 1:
+            found.append(f"{row.name}: {number:g}, the ceiling is {row.ceiling:g}; lower it in tests/api/ceilings.py")
+    return found
+
+
+def main() -> int:
+    """Print the table and what is wrong with it."""
+    now = counted()
+    lines = [f"{'':<42}{'first':>9}{'ceiling':>9}{'now':>9}"]
+    lines += [f"{row.name:<42}{row.first:>9,g}{row.ceiling:>9,g}{now[row.name]:>9,g}" for row in ROWS]
+    sys.stdout.write("\n".join([*lines, *faults(now)]) + "\n")
+    return int(bool(faults(now)))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,69 @@
+"""Every number of the tree is within its ceiling, and each counter sees what it is to count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.api import ceilings, measures
+
+
+@pytest.fixture(scope="module")
+def now() -> dict[str, float]:
+    return ceilings.counted()
+
+
+def test_no_ceiling_is_broken_and_none_has_room(now: dict[str, float]) -> None:
+    assert ceilings.faults(now) == []
+
+
+@pytest.mark.parametrize("row", ceilings.ROWS, ids=lambda row: row.name)
+def test_a_number_that_grows_or_falls_is_noticed(row: ceilings.Row, now: dict[str, float]) -> None:
+    low = replace(row, ceiling=now[row.name] - 1)
+    high = replace(row, ceiling=1.5 * now[row.name] + 2)
+    assert [fault.partition(": ")[0] for fault in ceilings.faults(now, (low, high))] == [row.name, row.name]
+    assert row.ceiling <= row.first
+
+
+def test_tokens_are_counted_and_neither_docstrings_nor_joined_lines_matter() -> None:
+    plain = '"""Doc\nstring."""\n\n# Why.\n# And why.\nx = 1  # unit\ny = 2\n\n\ndef f() -> None:\n    """Doc."""\n'
+    assert measures._tokens(f"{plain}    # Here.\n") == (13, 2)
+    assert measures._tokens("x = 1; y = 2\n")[0] == 7
+    assert measures._tokens("text = '''a\nb'''\n")[0] == 3  # a string that has a name is code
+
+
+@pytest.mark.parametrize(
+    ("code", "ticks", "starts"),
+    [
+        ("world.tick(1)", True, False),
+        ("self._world.tick(1)", True, False),
+        ("session.tick()", False, False),
+        ("subprocess.Popen(words)", False, True),
+        ("ProcessPoolExecutor(2)", False, True),
+        ("psutil.Process()", False, False),
+        ("os.fork()", False, True),
+        ("shutil.run()", False, False),
+    ],
+)
+def test_loops_and_processes_are_seen(code: str, ticks: bool, starts: bool) -> None:
+    assert measures._calls(code, measures._ticks_a_world) is ticks
+    assert measures._calls(code, measures._starts_a_process) is starts
+
+
+def test_imports_within_a_function_and_of_a_package_are_seen() -> None:
+    code = "import numpy\nfrom wcsim.agents import policies\n\n\ndef f():\n    import wcsim.bridge.world\n"
+    assert measures._imported(code) == {"agents", "agents.policies", "bridge.world"}
+    assert measures._is_below("agents.policies.dwa", ("agents.policies",))
+    assert not measures._is_below("agents.policy_api", ("agents.policies",))
+
+
+@pytest.mark.parametrize("border", measures.BORDERS)
+def test_both_sides_of_a_border_are_there(border: str) -> None:
+    names = [name for name, _ in measures._sources("wcsim")]
+    sources, targets, excepted = measures.BORDERS[border]
+    assert all(any(measures._is_below(name, (room,)) for name in names) for room in (*sources, *targets, *excepted))
+
+
+def test_every_form_of_an_idea_that_is_named_is_there() -> None:
+    assert [name for forms in measures.IDEAS.values() for name in forms if not (measures.ROOT / name).is_file()] == []
