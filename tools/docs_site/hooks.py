@@ -122,7 +122,7 @@ def with_signatures(api_page: str) -> str:
 
 def _whole(name: str, title: str) -> str:
     """A name of `docs/api.md` with its module, by the title that it stands below; "" for a method of a class."""
-    if title == "What an environment is made with":
+    if title == "Options of an environment":
         return ENV_OPTIONS  # its rows are fields of one class
     if name.startswith("."):
         return ""
