@@ -1,4 +1,4 @@
-"""Print `docs/settings.md`, all settings of a run, from their models: `python tools/settings_page.py`."""
+"""Print `docs/settings.md`, all settings of a run, made from their models: `python tools/settings_page.py`."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from wcsim.config.scene import SceneExpect, SceneFile, SceneSeat, TownFile
 
 HEAD = """# All settings of a run
 
-These are all keys of `--set section.key=value`, of a `--config` file and of a preset (`wcsim/config/presets/`), with
-bounds and defaults. An unknown key or a value out of bounds is an error. Names end in their unit. Angles are in degrees
-if the name ends in `_deg`, in radians otherwise. Items of a list have numbers: `cameras.0.width_px=80`.
-Wheelchairs and episode lists have their own files: `docs/chair.md`, `docs/suites.md`. Files of towns and scenes are
+Every key of `--set section.key=value`, of a `--config` file and of a preset (`wcsim/config/presets/`), with its
+bounds and its default. An unknown key and a value out of bounds are refused. Names end in their unit; angles are in
+degrees where they end in `_deg`, and nowhere else. A list takes its items by number (`cameras.0.width_px=80`).
+Plants and lists of episodes have files of their own: `docs/chair.md`, `docs/suites.md`; those of towns and scenes stand
 [at the end](#files-of-towns-and-scenes).
 
-`python tools/settings_page.py > docs/settings.md` generates this page from the code.
+This page is made from the code: `python tools/settings_page.py > docs/settings.md`.
 """
 FILES = """# Files of towns and scenes
 
-A town is a SUMO scenario with a `town.toml`. A scene is a folder of SUMO's plain XML with a `scene.toml`. See
-`docs/authoring.md`. A key whose default is "none" is required.
+A town is a SUMO scenario with a `town.toml` beside it, a scene a folder of SUMO's plain XML with a `scene.toml`: how
+they are made says `docs/authoring.md`. A key whose default is "none" has to be there.
 """
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "max_length": "length ≤"}
 _LARGEST = 1e9  # stands for no bound, see wcsim/config/base.py
@@ -66,13 +66,13 @@ def file_sections() -> list[tuple[str, type[BaseModel]]]:
 
 
 def keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo, str]]:
-    """The keys of a table without its sub-tables, each with its one line of meaning; "" if it has none."""
+    """The keys of a table that are no tables themselves, each with its one line of meaning; "" where it has none."""
     said = meanings(model)
     return [(name, field, said.get(name, "")) for name, field in model.model_fields.items() if _model_of(field) is None]
 
 
 def meanings(model: type[BaseModel]) -> dict[str, str]:
-    """Meaning of each field: its description, or the comment on its line."""
+    """By field: its description, or the comment on its line."""
     found = {name: field.description for name, field in model.model_fields.items() if field.description}
     source = textwrap.dedent(inspect.getsource(model))
     comments = {
@@ -125,7 +125,7 @@ def _inside(kind: Any) -> Iterator[Any]:
 
 
 def _kind(kind: Any) -> str:
-    """The name of a type, as a reader of a settings file knows it."""
+    """A type in the words of a file."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _kind(parts[0])
@@ -144,7 +144,7 @@ def _kind(kind: Any) -> str:
 
 
 def _bounds(field: FieldInfo) -> str:
-    """The bounds of a field, and of the items of a list or a table."""
+    """Its bounds; of a list or a table those of its items too."""
     told = list(dict.fromkeys([*_limits(field.metadata), *_inner_limits(field.annotation)]))
     return ", ".join(told)
 
