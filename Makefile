@@ -1,9 +1,9 @@
-# wcsim: two commands matter, `make demo` and `make test`. Every target sets .venv up first when it is missing or stale.
+# The main targets are `make demo` and `make test`. Every target first installs into .venv if that is missing or out of date.
 #
-# `make proof` runs the long proofs; one group of them alone with GROUP=attack, bridge, server, ...
+# `make proof` runs the long proofs; GROUP=attack, bridge, server, ... runs one group.
 #
-# Without an NVIDIA card PyTorch comes from its CPU index (200 MB instead of several GB). Elsewhere: make TORCH_INDEX=ADDRESS,
-# or TORCH_INDEX= for the index that pip is set to.
+# Without an NVIDIA card, PyTorch comes from its CPU index: 200 MB instead of several GB. To choose yourself, add
+# TORCH_INDEX=ADDRESS, or TORCH_INDEX= for pip's own index.
 
 TORCH_INDEX ?= $(if $(wildcard /dev/nvidia0),,https://download.pytorch.org/whl/cpu)
 PYTHON ?= python3.11
@@ -17,9 +17,9 @@ setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null || \
-	  { echo "wcsim needs Python 3.11 with venv; on Debian or Ubuntu: sudo apt install python3.11 python3.11-venv (or make PYTHON=/path/to/python3.11)" >&2; exit 2; }
+	  { echo "wcsim needs Python 3.11 with venv, and $(PYTHON) is not that. On Debian or Ubuntu: sudo apt install python3.11 python3.11-venv. Elsewhere: make PYTHON=/path/to/python3.11" >&2; exit 2; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@echo "installing into .venv (some minutes the first time) ..."
+	@echo "installing into .venv (the first time takes some minutes) ..."
 	@echo "1/3 PyTorch ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
 	@echo "2/3 SUMO, PyBullet and the other packages ..."
@@ -27,7 +27,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "3/3 wcsim ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
 	@touch $(STAMP)
-	@echo "installed; next: source .venv/bin/activate, wcsim doctor"
+	@echo "installed. Next: source .venv/bin/activate && wcsim doctor"
 
 setup-cpu:
 	$(MAKE) setup TORCH_INDEX=https://download.pytorch.org/whl/cpu
@@ -44,28 +44,28 @@ lint: $(STAMP)
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m tests.api.ceilings
 
-# The many processes that tests start need not compile each module anew, whatever the environment says.
+# Tests start many processes; with compiled modules on disk each of them starts faster.
 test: $(STAMP) lint
 	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not proof'
 
 proof: $(STAMP)
 	$(BIN)/pytest -n 2 --dist worksteal -m proof $(if $(GROUP),tests/$(GROUP))
 
-# The tables about learning, in parts of at most 90 minutes; one of them with PART=laptop-1, what there is with PART=--list.
+# The tables about learning, in parts of at most 90 minutes. PART=laptop-1 runs one part, PART=--list names them.
 results: $(STAMP)
 	$(BIN)/python -m tools.results $(PART)
 
-# The pages of docs/ with search and signatures, from the disk: build/site/index.html. NO_MKDOCS_2_WARNING: mkdocs-material's
-# word about its own successor, no fault of a page.
+# The pages of docs/ as a website with search and signatures: build/site/index.html. NO_MKDOCS_2_WARNING hides a notice of
+# mkdocs-material about its own future.
 docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --config-file tools/docs_site/mkdocs.yml
-	@echo "built: build/site/index.html (python -m http.server --directory build/site: with search)"
+	@echo "built build/site/index.html. For the search: python -m http.server --directory build/site"
 
 bench: $(STAMP)
 	$(BIN)/wcsim bench tick
 	$(BIN)/wcsim bench camera
 
-# VERSION=Unreleased tries the recipe before a version is named.
+# Builds wheel and source archive, and tries the wheel in a fresh venv. The version is that of pyproject.toml.
 VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
 release: $(STAMP)
 	rm -rf dist build/release
@@ -73,7 +73,7 @@ release: $(STAMP)
 	$(BIN)/python tools/release_notes.py $(VERSION) > dist/NOTES.md
 	$(BIN)/python -m build --no-isolation
 	$(PYTHON) -m venv build/release
-	@echo "the wheel in a fresh venv ..."
+	@echo "installing the wheel into a fresh venv ..."
 	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
 	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
 	cd build/release && bin/wcsim doctor && bin/wcsim scene run car-at-zebra

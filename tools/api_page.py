@@ -1,4 +1,4 @@
-"""Print `docs/api.md`, the page of names that users may rely on, made from the code: `python tools/api_page.py`."""
+"""Print `docs/api.md`, the public API, from the code: `python tools/api_page.py`."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.towns.making.maker import Wishes, make_town
 
 LONGEST_VALUE = 60
-HEAD = """# Names that you may rely on
+HEAD = """# Public API
 
-The changelog says when one of them changes. Whatever else can be imported is wcsim's own, and may move at any time.
-This page is made from the code: `python tools/api_page.py > docs/api.md`.
+These names are stable: the changelog lists every change. All other names are internal and may change at any time.
+`python tools/api_page.py > docs/api.md` generates this page from the code.
 """
 
 
@@ -42,16 +42,16 @@ def page() -> str:
     """The page, in Markdown."""
     parts = (
         ("`wcsim`: the environments", "See `docs/faces.md`.", _door(wcsim, wcsim.__all__)),
-        ("What an environment is made with", "`EnvOptions`, beside the town: all three take the same.", _options()),
-        ("`wcsim.types`: what is observed, judged and commanded", "", _door(wcsim.types, _shown(wcsim.types))),
-        ("`wcsim.config`: settings", "Keys are fields of these.", _door(wcsim.config, _shown(wcsim.config))),
-        ("`wcsim.agents.policy_api`: what can drive", "`examples/own_policy.py`, `docs/suites.md`.", _policies()),
-        ("A network", "`examples/own_network.py`; the contract is the text of its module.", _named(registry.register)),
-        ("A reward term", "`examples/own_reward.py`.", _with_methods(RewardTerm)),
-        ("A step hook", "`examples/own_signals.py`; either method may be missing.", _hook()),
-        ("Towns without a map", "`docs/authoring.md`.", _named(make_town, Wishes)),
-        ("A seat in a running world", "`docs/clients.md`.", _named(SeatRequest, Patience)),
-        ("`wcsim.errors`: what is raised", "Their tree is at the top of `wcsim/errors.py`.", _errors()),
+        ("Options of an environment", "The town, and the fields of `EnvOptions`.", _options()),
+        ("`wcsim.types`: observations, events and commands", "", _door(wcsim.types, _shown(wcsim.types))),
+        ("`wcsim.config`: settings", "See `docs/settings.md`.", _door(wcsim.config, _shown(wcsim.config))),
+        ("`wcsim.agents.policy_api`: policies", "See `examples/own_policy.py`, `docs/suites.md`.", _policies()),
+        ("A network", "See `examples/own_network.py` and the module's docstring.", _named(registry.register)),
+        ("A reward term", "See `examples/own_reward.py`.", _with_methods(RewardTerm)),
+        ("A step hook", "See `examples/own_signals.py`. Either method may be missing.", _hook()),
+        ("Generated towns", "See `docs/authoring.md`.", _named(make_town, Wishes)),
+        ("A seat in a running world", "See `docs/clients.md`.", _named(SeatRequest, Patience)),
+        ("`wcsim.errors`: exceptions", "The top of `wcsim/errors.py` shows their hierarchy.", _errors()),
     )
     return "\n".join([HEAD, *(_section(title, said, rows) for title, said, rows in parts)])
 
@@ -75,14 +75,14 @@ def _shown(module: ModuleType) -> list[str]:
 
 
 def _own(module: ModuleType) -> Iterator[tuple[str, str]]:
-    """Classes of a module with their methods, in its own order."""
+    """Classes of a module with their methods, in the order of the file."""
     for kind in vars(module).values():
         if inspect.isclass(kind) and kind.__module__ == module.__name__:
             yield from _with_methods(kind)
 
 
 def _policies() -> Iterator[tuple[str, str]]:
-    """What a policy is, and what one of one's own needs to read an observation and name an action."""
+    """Interfaces of policies, and what your own policy needs to read an observation and choose an action."""
     yield from _own(policy_api)
     yield from _with_methods(ActionSet)
     yield from _named(action_set, decode_depth)
@@ -106,16 +106,13 @@ def _named(*things: type | object) -> Iterator[tuple[str, str]]:
 
 
 def _options() -> Iterator[tuple[str, str]]:
-    """Name and text of the fields of `EnvOptions`, each followed by what is said of it.
-
-    And of `WheelchairEnv` alone.
-    """
+    """Name and text of the fields of `EnvOptions`, then those of `WheelchairEnv` alone."""
     (told,) = ast.parse(inspect.getsource(EnvOptions)).body
     for field, said in pairwise(getattr(told, "body", [])):
         if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
             yield ast.unparse(field.target), " ".join(str(ast.literal_eval(said.value)).split())
     block = (inspect.getdoc(wcsim.WheelchairEnv.__init__) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    for item in re.split(r"\n {4}(?=\w)", "\n" + block)[1:]:
+    for item in re.split(r"\n {4}(?=[\w*])", "\n" + block)[1:]:
         name, _, text = item.partition(": ")
         if name.isidentifier():
             yield name, " ".join(text.split())
@@ -128,7 +125,7 @@ def _errors() -> Iterator[tuple[str, str]]:
 
 
 def _first_line(thing: object) -> str:
-    """Of its docstring; a short plain value is told as it is, a long one not at all."""
+    """First line of a docstring; a short plain value as it is, "" for a long one."""
     if inspect.isclass(thing) or inspect.isfunction(thing) or isinstance(thing, property):
         return (inspect.getdoc(thing) or "").partition("\n")[0]
     if get_origin(thing) is np.ndarray:

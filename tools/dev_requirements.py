@@ -1,4 +1,4 @@
-"""Print the development tools of pyproject.toml's group `dev`, for pip releases that do not know groups yet."""
+"""Print the packages of the group `dev` in pyproject.toml, for pip releases without dependency groups."""
 
 import tomllib
 from pathlib import Path

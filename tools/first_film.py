@@ -1,6 +1,6 @@
-"""Make the moving picture of the first screen: `python tools/first_film.py [FOLDER]`, docs/pictures if none is given.
+"""Make the animation of the README: `python tools/first_film.py [FOLDER]`, by default docs/pictures.
 
-The shipped policy beside a simulated user who looks away now and then: chair's camera, map, and the two sticks.
+The shipped policy assists a simulated user who looks away now and then: camera view, map, and both sticks.
 """
 
 import sys
@@ -19,7 +19,7 @@ FIRST_TICK, TICKS = 578, 72  # somebody stops in front of the chair, and the use
 WIDTH_PX, MAP_PX, STRIP_PX, EDGE_PX = 640, 168, 20, 6
 MAP_SHARE = 0.55  # of the film's map, from edge to edge
 QUALITY, MOST_BYTES = 75, 2_500_000
-NOTICE = "wcsim: the shipped policy beside an inattentive user, Helsinki. Map: (c) OpenStreetMap contributors, ODbL 1.0"
+NOTICE = "wcsim: shipped policy, inattentive user, Helsinki. Map: (c) OpenStreetMap contributors, ODbL 1.0"
 _INK, _STRIP, _RIM = (230, 232, 235), (28, 32, 38), (250, 250, 250)
 
 
@@ -64,7 +64,7 @@ def write_webp(path: Path, frames: list[U8], frame_ms: int) -> None:
     film.durations = [frame_ms] * len(frames)
     cv2.imwriteanimation(str(path), film, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     if path.stat().st_size > MOST_BYTES:
-        raise SystemExit(f"{path}: {path.stat().st_size} bytes; expected at most {MOST_BYTES}: make QUALITY smaller")
+        raise SystemExit(f"{path}: {path.stat().st_size} bytes; expected at most {MOST_BYTES}: reduce QUALITY")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Words and sentences of the pages: `python tools/readability.py [PAGE...]`; of named pages the long sentences, too.
+"""Count words and sentences of pages: `python tools/readability.py [PAGE...]` also prints long sentences.
 
 Words are counted as `wc -w` does. A sentence is text outside of code, tables, headings and pictures; a link is its
 text, and code within a sentence is one word.

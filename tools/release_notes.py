@@ -11,7 +11,8 @@ def notes(changelog: str, version: str) -> str:
     Raises:
         ValueError: There is no such section, or nothing in it.
     """
-    found = re.search(rf"^## \[?{re.escape(version)}\]?(?: .*)?\n(.*?)(?=^## |\Z)", changelog, re.MULTILINE | re.DOTALL)
+    heading = rf"^## \[?{re.escape(version)}\]?(?: [^\n]*)?\n"
+    found = re.search(rf"{heading}(.*?)(?=^## |\Z)", changelog, re.MULTILINE | re.DOTALL)
     if found is None or not found.group(1).strip():
         raise ValueError(f"CHANGELOG.md has no notes for {version!r}; expected lines below '## {version}'")
     return found.group(1).strip()

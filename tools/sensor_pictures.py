@@ -1,4 +1,4 @@
-"""Make the pictures of docs/senses.md: `python tools/sensor_pictures.py [FOLDER]`, docs/pictures if none is given."""
+"""Make the pictures of docs/senses.md: `python tools/sensor_pictures.py [FOLDER]`, by default docs/pictures."""
 
 import math
 import sys

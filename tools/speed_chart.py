@@ -1,4 +1,4 @@
-"""Draw docs/pictures/speed.svg of the numbers in docs/pictures/speed.json: `python tools/speed_chart.py`."""
+"""Draw docs/pictures/speed.svg from the numbers in docs/pictures/speed.json: `python tools/speed_chart.py`."""
 
 import html
 import json

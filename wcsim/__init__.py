@@ -1,8 +1,8 @@
-"""wcsim: trains networks that assist the driver of a power wheelchair, in real cities.
+"""wcsim trains networks that assist the driver of a power wheelchair, in simulated cities.
 
-Read `types/`, then `bridge/world.py`. Importing this package names its environment for Gymnasium, which is
-Gymnasium's own convention and the only thing that an import does. Gymnasium itself is not loaded by it (the name is
-there as soon as somebody loads it), and nothing heavy before one of the environments is asked for.
+Read `types/`, then `bridge/world.py`. Importing this package registers its environment with Gymnasium, as other
+environments do, and does nothing else. Gymnasium itself is not loaded: the environment is registered as soon as
+Gymnasium is imported. Heavy libraries are loaded when an environment is first used.
 """
 
 from types import ModuleType as _ModuleType
@@ -15,8 +15,9 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time `__getattr__` lo
     from wcsim.agents.envs.vec_env import StreetVecEnv
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 
+    __version__: str
+
 ENV_ID = "wcsim/Street-v1"
-__version__ = "0.1.0"
 
 __all__ = ["ENV_ID", "StreetVecEnv", "WheelchairEnv", "__version__", "parallel_env"]
 
@@ -30,14 +31,18 @@ _on_load("gymnasium.envs.registration", _name_environment)
 
 
 def __dir__() -> list[str]:
-    """What `dir(wcsim)` and an editor's completion show: the faces among it, and only what is meant to be used."""
+    """What `dir(wcsim)` and an editor's completion show: the public names, also those that are loaded later."""
     needed = ("TYPE_CHECKING", "core")  # by this file
     shown = (name for name in globals() if name not in needed and (name[0] != "_" or name[:2] == "__"))
     return sorted({*__all__, *shown})
 
 
 def __getattr__(name: str) -> object:
-    """The environments, loaded when they are asked for: not by an import statement, which a world would inherit."""
+    """Load the environments and the version on first use, so that `import wcsim` stays fast and loads no libraries."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("wcsim")  # of pyproject.toml, as it was installed
     homes = {"StreetVecEnv": "vec_env", "WheelchairEnv": "wheelchair_env", "parallel_env": "parallel_env"}
     if name not in homes:
         raise AttributeError(f"module 'wcsim' has no attribute {name!r}")

@@ -172,6 +172,11 @@ def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, heade
         find_user(f"recorded:{path}")
 
 
+def test_a_drive_of_an_earlier_version_with_the_same_motion_is_replayed(tmp_path):
+    path = write_drive(tmp_path / "a.drive", [tick(1), tick(2)], wcsim="0.1.0")
+    require_driven_here(find_user(f"recorded:{path}"), "nowhere", lambda: "ab" * 32)
+
+
 def test_a_drive_of_another_town_is_refused_with_both_named(tmp_path):
     found = find_user(f"recorded:{write_drive(tmp_path / 'a.drive', [tick(1), tick(2)])}")
     with pytest.raises(ConfigError, match=r"was driven in nowhere \(abababababab\), this is monaco \(cdcdcdcdcdcd\)"):

@@ -1,8 +1,8 @@
-"""What the docs site has beyond the files of `docs/`, and its links; called by mkdocs, see `mkdocs.yml`.
+"""Pages and links of the docs site beyond the files of `docs/`; called by mkdocs, see `mkdocs.yml`.
 
-The pages are written for GitHub: a link is relative to its file, and may lead out of `docs/`. Here the pages beside the
-README become pages of the site, the examples one page, each section of `docs/api.md` a page with signatures and texts
-of its names, and every file of the docs that a text names in backticks is a link.
+The pages are written for GitHub: a link is relative to its file, and may lead out of `docs/`. For the site, the pages
+beside the README become pages, the examples become one page, and each section of `docs/api.md` gets a page with
+signatures. Every page of the docs that a text names in backticks becomes a link.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[2]
 TOP_PAGES = {
     "README.md": "overview.md",
     "CONTRIBUTING.md": "contributing.md",
+    "AGENTS.md": "agents.md",
     "SECURITY.md": "security.md",
     "CHANGELOG.md": "changelog.md",
 }
@@ -121,7 +122,7 @@ def with_signatures(api_page: str) -> str:
 
 def _whole(name: str, title: str) -> str:
     """A name of `docs/api.md` with its module, by the title that it stands below; "" for a method of a class."""
-    if title == "What an environment is made with":
+    if title == "Options of an environment":
         return ENV_OPTIONS  # its rows are fields of one class
     if name.startswith("."):
         return ""
@@ -129,7 +130,7 @@ def _whole(name: str, title: str) -> str:
 
 
 def _examples() -> str:
-    said = "# Examples\n\nThe files of `examples/`, as they are; tests use each of them.\n"
+    said = "# Examples\n\nThe files of `examples/`. Each of them is tested.\n"
     return said + "".join(_shown(path) for path in _example_files())
 
 

@@ -1,6 +1,6 @@
-"""`python -m tools.results [PART ...] [--out FOLDER]`: run parts, or all, and print their tables.
+"""`python -m tools.results [PART ...] [--out FOLDER]`: run the named parts, or all, and print their tables.
 
-What a part has made is not made again; a part that was stopped goes on. `--list` says which parts there are.
+Finished steps are skipped, and an interrupted part continues. `--list` names the parts.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ STOPPED = 130  # by Ctrl-C, as shells say it
 
 
 def main(words: Sequence[str]) -> int:
-    """Run parts; the exit code of the first command that failed, 0 when all are done."""
+    """Run parts; returns the exit code of the first command that failed, 0 if all are done."""
     parser = argparse.ArgumentParser(prog="python -m tools.results", description=__doc__)
-    parser.add_argument("part", nargs="*", help="names of parts, or beginnings of them; none for all")
-    parser.add_argument("--out", type=Path, default=Path("results"), help="folder of all that is made")
-    parser.add_argument("--list", action="store_true", help="say which parts there are, and which are done")
+    parser.add_argument("part", nargs="*", help="names of parts, or how they begin; without one all parts run")
+    parser.add_argument("--out", type=Path, default=Path("results"), help="folder for runs, results and tables")
+    parser.add_argument("--list", action="store_true", help="list the parts, and which of them are done")
     asked = parser.parse_args(words)
     known = parts(asked.out)
     chosen = [part for part in known if not asked.part or any(part.name.startswith(name) for name in asked.part)]
@@ -47,18 +47,18 @@ def main(words: Sequence[str]) -> int:
 
 
 def is_done(part: Part) -> bool:
-    """Whether all that a part makes is there."""
+    """Whether every output of a part exists."""
     return all(step.is_made for step in part.steps)
 
 
 def command_of(step: Step) -> list[str]:
-    """What is typed for a step now: in a folder that is there it goes on."""
+    """The command for a step; if its folder exists, the one that continues it."""
     words = step.again if step.folder.exists() else step.words
     return [str(Path(sys.executable).parent / "wcsim"), *words]
 
 
 def code_of(command: Sequence[str]) -> int:
-    """The exit code of a command; one that Ctrl-C stops, too, is waited for until it has saved its work."""
+    """The exit code of a command. After Ctrl-C this waits until the command has saved its work."""
     stopped = False
     with subprocess.Popen(command) as process:
         while True:
@@ -69,7 +69,7 @@ def code_of(command: Sequence[str]) -> int:
 
 
 def run(part: Part) -> int:
-    """Run what is not done of a part; the exit code of the first command that failed."""
+    """Run the unfinished steps of a part; returns the exit code of the first command that failed."""
     began_s = time.monotonic()
     for step in part.steps:
         if step.is_made:

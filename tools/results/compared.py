@@ -28,7 +28,7 @@ Rows = Mapping[tuple[str, str], Row]  # by policy and part, "" for all
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """A figure of all networks together, and whether it is one that is wanted."""
+    """A pooled measure of all networks, and whether it reaches its target."""
 
     what: str
     bar: str
@@ -48,9 +48,9 @@ def compared_text(result: KeptResult, runs: Sequence[str]) -> str:
     lines += [
         f"| {part or 'all'} | {' | '.join(difference_text(result, run, part) for run in runs)} |" for part in parts
     ]
-    lines += ["", f"| policy | own crashes, score with {', '.join(HELD_OUT)} | with all others |", "|---|---|---|"]
+    lines += ["", f"| policy | own crashes, score: user {', '.join(HELD_OUT)} | all other users |", "|---|---|---|"]
     lines += [by_user_text(result, name) for name in (USER, RIVAL, *runs)]
-    lines += ["", "| what | wanted | the networks | reached |", "|---|---|---|---|"]
+    lines += ["", "| measure | target | networks | reached |", "|---|---|---|---|"]
     return "\n".join([*lines, *(item.line for item in wanted(result, runs)), ""])
 
 
@@ -136,8 +136,8 @@ def _left(result: KeptResult, runs: Sequence[str]) -> Wanted:
     own, km = sum(float(net[:, 0].sum()) for net in nets), sum(float(net[:, 1].sum()) for net in nets)
     few, many = (bound / km for bound in garwood(round(own)))
     said = f"{value:.3f} ({low:.3f} to {high:.3f}); {own / km:.2f} a km ({few:.2f} to {many:.2f})"
-    what = f"own crashes a km, from `{BLINDED}` (0) to `{USER}` (1)"
-    return Wanted(what=what, bar="0.15, below 0.35", got=said, reached=value <= 0.15 and high <= 0.35)
+    what = f"own crashes per km, scaled from `{BLINDED}` (0) to `{USER}` (1)"
+    return Wanted(what=what, bar="0.15, interval below 0.35", got=said, reached=value <= 0.15 and high <= 0.35)
 
 
 def _half(result: KeptResult, runs: Sequence[str]) -> Wanted:
@@ -149,7 +149,7 @@ def _half(result: KeptResult, runs: Sequence[str]) -> Wanted:
     ratio = mean.sum() / max(rival.sum(), 1.0)
     each = ", ".join(f"{own:.0f}" for own in nets.sum(1))
     said = f"{ratio:.2f} ({low:.2f} to {high:.2f}); {each} against {rival.sum():.0f}"
-    return Wanted(what=f"own crashes, of `{RIVAL}`'s", bar="0.5", got=said, reached=bool(ratio <= 0.5))
+    return Wanted(what=f"own crashes, relative to `{RIVAL}`", bar="0.5", got=said, reached=bool(ratio <= 0.5))
 
 
 def _survived(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
@@ -163,7 +163,7 @@ def _survived(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
     reached = max(gains.values()) >= 20.0 and min(gains.values()) >= 0.0
     return [
         Wanted(
-            what=f"survived in {part}, less `{RIVAL}`'s {survived(RIVAL, part):.0f} %",
+            what=f"episodes without own crash in {part}, minus `{RIVAL}`'s {survived(RIVAL, part):.0f} %",
             bar="20 points in one, none lost in the other",
             got=f"{gain:+.1f} points",
             reached=reached,
@@ -177,11 +177,12 @@ def _obedience(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
     paces = [(rows[run, ""]["speed_mps"] or 0.0) / (rows[USER, ""]["speed_mps"] or 1.0) for run in runs]
     return [
         Wanted(
-            what="within 0.1768 on moving free steps", bar="95 %", got=_each(within, 100.0, 1, " %"),
+            what="close to user, within 0.1768 on moving free steps", bar="95 %", got=_each(within, 100.0, 1, " %"),
             reached=float(np.mean(within)) >= 0.95,
         ),
         Wanted(
-            what=f"speed, of `{USER}`'s", bar="0.95", got=_each(paces, 1.0, 2), reached=float(np.mean(paces)) >= 0.95
+            what=f"speed, relative to `{USER}`", bar="0.95", got=_each(paces, 1.0, 2),
+            reached=float(np.mean(paces)) >= 0.95,
         ),
     ]  # fmt: skip
 
@@ -190,8 +191,8 @@ def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
     crossing = [rows[name, "crossing"] for name in (RIVAL, *runs)]
     rival, *shares = (row["arrivals"] / max(row["attempts"], 1) for row in crossing)
     return Wanted(
-        what="arrivals of crossings",
-        bar=f"`{RIVAL}`'s {100 * rival:.1f} %, less 3 points",
+        what="arrivals in part crossing",
+        bar=f"`{RIVAL}`'s {100 * rival:.1f} %, minus 3 points",
         got=_each(shares, 100.0, 1, " %"),
         reached=float(np.mean(shares)) >= rival - 0.03,
     )
@@ -200,7 +201,7 @@ def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
 def _needless(rows: Rows, runs: Sequence[str]) -> Wanted:
     most, *counts = (rows[name, ""]["needless"] for name in (RIVAL, *runs))
     reached = float(np.mean(counts)) <= most
-    return Wanted(what="needless interventions", bar=f"`{RIVAL}`'s {most}", got=_each(counts, 1.0, 0), reached=reached)
+    return Wanted(what="unneeded interventions", bar=f"`{RIVAL}`'s {most}", got=_each(counts, 1.0, 0), reached=reached)
 
 
 def _warned(rows: Rows, runs: Sequence[str]) -> Wanted:

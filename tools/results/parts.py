@@ -1,4 +1,4 @@
-"""What is driven for the tables about learning: parts of at most 90 minutes on two cores, each a few commands."""
+"""Runs behind the tables about learning: parts of at most 90 minutes on two cores, each a few commands."""
 
 from __future__ import annotations
 
@@ -89,14 +89,14 @@ def parts(out: Path) -> list[Part]:
     ]
     runs = tuple(f"laptop-{seed}" for seed in SEEDS)
     paper = trained(out, "paper-1", 1, "paper", (f"learn.total_steps={PAPER_STEPS}",))
-    told = f"preset paper for as long as laptop takes, {PAPER_STEPS:,} steps"
+    told = f"preset paper, {PAPER_STEPS:,} steps (as long as preset laptop takes)"
     found.append(Part(name="paper", says=told, steps=(paper,)))
     found.append(
         Part(name="paper-v1", says="that network on Street Assist v1", steps=(paper, judged(out, "v1", ("paper-1",))))
     )
-    found.append(Part(name="v1", says="the three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
+    found.append(Part(name="v1", says="these three networks on Street Assist v1", steps=(judged(out, "v1", runs),)))
     both = judged(out, "dev", runs), judged(out, "dev", runs, alone=True, settings=(AT_0_MS,))
-    found.append(Part(name="dev", says="the three networks on the suite dev, and on it without delay", steps=both))
+    found.append(Part(name="dev", says="these three networks on suite dev, with and without delay", steps=both))
     found += [_small(out, preset) for preset in ("quick", "dqn")]
     return found + list(_ablations(out))
 
@@ -104,7 +104,7 @@ def parts(out: Path) -> list[Part]:
 def _small(out: Path, preset: str) -> Part:
     runs = tuple(f"{preset}-{seed}" for seed in SEEDS)
     steps = (*(trained(out, name, int(name[-1]), preset) for name in runs), judged(out, "dev", runs, alone=True))
-    return Part(name=preset, says=f"preset {preset}, three seeds, on the suite dev", steps=steps)
+    return Part(name=preset, says=f"preset {preset}, three seeds, on suite dev", steps=steps)
 
 
 def _ablations(out: Path) -> Iterator[Part]:
@@ -113,10 +113,10 @@ def _ablations(out: Path) -> Iterator[Part]:
         run = f"ablation-{name}"
         learned = trained(out, run, 1, settings=(*ALL_AT_ONCE, *settings), data=out / "laptop-1" / "data")
         steps = first, learned, judged(out, "dev", (run,), alone=True)
-        yield Part(name=run, says=f"of laptop-1's driving, {_told(settings)}", steps=steps)
+        yield Part(name=run, says=f"learn from the dataset of laptop-1, {_told(settings)}", steps=steps)
     on_top = trained(out, "values-on-top", 1, "dqn", (f"learn.danger={out / 'laptop-1'}", *ON_TOP))
     steps = first, on_top, judged(out, "dev", ("laptop-1", "values-on-top"), alone=True)
-    yield Part(name="values-on-top", says="Q-learning among what laptop-1 allows", steps=steps)
+    yield Part(name="values-on-top", says="Q-learning on the actions that laptop-1 allows", steps=steps)
     for name, settings in OF_THE_DRIVING.items():
         run = f"ablation-{name}"
         steps = trained(out, run, 1, settings=(*FEWER_ROUNDS, *settings)), judged(out, "dev", (run,), alone=True)
@@ -124,7 +124,7 @@ def _ablations(out: Path) -> Iterator[Part]:
 
 
 def _told(settings: tuple[str, ...]) -> str:
-    return f"with {', '.join(settings)}" if settings else "all at once"
+    return f"with {', '.join(settings)}" if settings else "in one round"
 
 
 def trained(

@@ -1,4 +1,4 @@
-"""Tables in Markdown of what the parts have made: rows of the suites, and three networks taken together."""
+"""Results of the parts as Markdown tables: rows of the suites, and three networks pooled."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from tools.results.parts import AT_0_MS, SEEDS, judged
 from wcsim.agents.evaluation.suite.result_files import read_result
 
 COLUMNS: Final = (
-    "part", "policy", "episodes, km", "own crashes", "own per km (95 %)", "others", "within", "froze", "arrivals",
-    "at red", "m/s", "needed, needless", "missed", "warned 1 s ahead", "false warnings/km", "score (95 %)",
+    "part", "policy", "episodes, km", "own crashes", "own crashes per km (95 %)", "crashes caused by others",
+    "close to user", "freezes", "arrivals", "entries at red", "m/s", "needed, unneeded interventions",
+    "missed crashes", "warned 1 s ahead", "false warnings per km", "score (95 %)",
 )  # fmt: skip
 
 
@@ -61,7 +62,7 @@ def suite_table(result: Mapping[str, Any], out: Path) -> str:
 
 
 def rate(row: Mapping[str, Any]) -> str:
-    """Own crashes a kilometre with their interval, - on hardly any way."""
+    """Own crashes per kilometre with their interval, - for a very short distance."""
     if row["crashes_per_km"] is None:
         return "-"
     low, high = row["crashes_per_km_ci"]
@@ -74,21 +75,21 @@ def share(value: float | None) -> str:
 
 
 def pooled_text(folder: Path, runs: Sequence[str]) -> str:
-    """Networks of several seeds together against the baselines, or what has to be driven before."""
+    """Networks of several seeds, pooled, against the baselines; or a line on missing results."""
     result = read_result(folder)
     missing = [name for name in (USER, BLINDED, RIVAL, *runs) if name not in result.episodes]
     if missing:
-        return f"{folder}: no rows of {', '.join(missing)}; run the parts before\n"
+        return f"{folder}: has no rows of {', '.join(missing)}; run the parts that make them (--list)\n"
     return compared_text(result, runs)
 
 
 def delay_text(out: Path, runs: Sequence[str]) -> str:
-    """Scores on `dev` with the delay and without, a network a row; nothing before both are driven."""
+    """Scores on `dev` with and without delay, one row a network; "" until both are driven."""
     both = [judged(out, "dev", tuple(runs), settings=settings).makes for settings in ((), (AT_0_MS,))]
     if not all(path.is_file() for path in both):
         return ""
     late, prompt = (_scores(path) for path in both)
-    lines = ["| network | score with the delay | without | of it |", "|---|---|---|---|"]
+    lines = ["| network | score with delay | without delay | ratio |", "|---|---|---|---|"]
     for name in runs:
         with_it, without = (scores[str(out / name)] for scores in (late, prompt))
         lines.append(f"| {name} | {with_it:.3f} | {without:.3f} | {100.0 * with_it / without:.0f} % |")

@@ -1,4 +1,4 @@
-"""The vocabulary: every type that crosses a package border. Import from here; the files behind are how it is cut.
+"""The shared types: every type that crosses a package border. Import them from here, not from the files behind.
 
 SI units and radians. World frame W: x east, y north, z up, yaw counter-clockwise from east. Body frame B of a
 wheelchair: x forward, y left, z up, origin on the ground below the middle of the drive axle. Dataclasses are frozen;

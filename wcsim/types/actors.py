@@ -1,4 +1,4 @@
-"""What moves in the street besides wheelchairs, and signals."""
+"""Vehicles, people and signals: what moves or changes in the street besides wheelchairs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from wcsim.types.arrays import F64, ComparesArrays
 
 
 class ActorKind(Enum):
-    """What moves in the street; a SUMO class that is not known here becomes OTHER."""
+    """Kinds of actors in the street; an unknown SUMO class becomes OTHER."""
 
     CAR = "car"
     TRUCK = "truck"
@@ -25,7 +25,7 @@ class ActorKind(Enum):
 
 
 class ActorLook(Enum):
-    """How an actor differs from the usual one of its kind; only the cameras care."""
+    """Variant of an actor's appearance; only the cameras use it."""
 
     USUAL = "usual"
     VAN = "van"
@@ -34,7 +34,7 @@ class ActorLook(Enum):
     AMBULANCE = "ambulance"
     COACH = "coach"
     MOPED = "moped"
-    FRONT = "front"  # the three rigid pieces of something articulated
+    FRONT = "front"  # the three rigid pieces of an articulated vehicle
     MIDDLE = "middle"
     REAR = "rear"
 
@@ -53,11 +53,11 @@ class ActorState(ComparesArrays):
     signals: int = 0  # SUMO's signal bits, 0 for persons
     deflect_m: float = 0.0  # sideways offset that the bridge added to SUMO's pose, left positive
     look: ActorLook = ActorLook.USUAL
-    piece: int = 0  # of something articulated: 0 its first rigid piece, under SUMO's id, 1... those behind it
+    piece: int = 0  # of an articulated vehicle: 0 is the first rigid piece, under SUMO's id; 1... are those behind it
 
     @property
     def whole_id(self) -> str:
-        """SUMO's id of the whole, whichever piece this is."""
+        """SUMO's id of the whole vehicle, for any of its pieces."""
         return self.id.rpartition("~")[0] if self.piece else self.id
 
 
@@ -69,10 +69,10 @@ class SignalState:
     colours: str
 
     def frees(self, links: Iterable[int]) -> bool:
-        """Whether people may start over a crossing with these links; where the light is off, they may."""
+        """Whether people may start over a crossing with these links; if the light is off, they may."""
         return not any(self.colours[link] in "rRyYu" for link in links if link < len(self.colours))
 
 
 def chair_actor_id(seat: int) -> str:
-    """The name under which others meet the wheelchair of a seat."""
+    """The actor id of the wheelchair of a seat, as other seats see it."""
     return f"w:{seat}"

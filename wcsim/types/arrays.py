@@ -1,4 +1,4 @@
-"""Names for NumPy arrays, and dataclasses that hold some."""
+"""Names for NumPy arrays, and equality for dataclasses that hold arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Bool = npt.NDArray[np.bool_]
 
 
 class ComparesArrays:
-    """Equality that holds for arrays too: same type, equal fields, arrays equal element by element."""
+    """Base with an equality that works for arrays: same type, equal fields, arrays equal element by element."""
 
     __slots__ = ()
     __hash__ = None  # type: ignore[assignment]

@@ -18,7 +18,7 @@ class Joystick:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """What a seat wants its wheelchair to do during a tick."""
+    """The joystick command of a seat for one tick."""
 
     seat: int
     tick: int
@@ -66,7 +66,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    """A touch during one tick between a part of the wheelchair and something else, impulses summed over the tick."""
+    """A contact in one tick between a part of the wheelchair and something else; impulses are summed over the tick."""
 
     kind: str  # an ActorKind value, or "ground", "kerb", "building", "static"
     part: str  # "wheel", "caster", "antitip", "footplate", "body"

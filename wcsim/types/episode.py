@@ -1,4 +1,4 @@
-"""An episode of one client: the user, what is true, what happened, and the snapshot that says it all."""
+"""An episode of one client: user, ground truth, events, and the snapshot that holds them."""
 
 from __future__ import annotations
 
@@ -15,50 +15,50 @@ from wcsim.types.street import (
 )
 
 CLIENT_NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"
-"""What a client may be called: a plain word, so that it can name a folder and be printed anywhere."""
+"""Pattern of a client's name: a plain word, so that it can name a folder and be printed anywhere."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UserView(ComparesArrays):
-    """What the simulated user may know: made by World, read by `users/user.py` once a tick."""
+    """Everything that the simulated user may perceive in one tick: made by World, read by `users/user.py`."""
 
     time_s: float
     p_W_m: F64  # (3,)
     yaw_rad: float
     speed_mps: float
     route: Route
-    actors: tuple[ActorState, ...]  # those within the user's sight, other wheelchairs among them
+    actors: tuple[ActorState, ...]  # those that the user can see, other wheelchairs included
     signals: tuple[SignalState, ...]
-    obstacles_W_m: F64  # (n, 4) x, y, radius of static things near the way, number of the thing
+    obstacles_W_m: F64  # (n, 4) x, y, radius of static obstacles near the route, number of the obstacle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict(ComparesArrays):
-    """What ends badly, as the oracle says it."""
+    """Which commands end in a crash, as judged by the oracle."""
 
-    danger: bool  # holding the user's command for 0.5 s and then braking would end badly
-    first_s: F64  # (A,) for each action of the set: seconds until that would go wrong, infinity when it ends well
+    danger: bool  # holding the user's command for 0.5 s and then braking would end in a crash
+    first_s: F64  # (A,) for each action: seconds until it fails, infinity if it is safe
 
     @property
     def safe_actions(self) -> Bool:
-        """(A,) which actions end well."""
+        """(A,) which actions are safe."""
         safe: Bool = np.isinf(self.first_s)
         return safe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Truth(Verdict):
-    """What only a simulator knows; for metrics and the oracle, never part of an observation."""
+    """Ground truth of a tick: for metrics and the oracle, never part of an observation."""
 
-    intent: Joystick  # the user's clean intent
+    intent: Joystick  # the user's intent, before the hand's noise
     clearance_m: float  # free distance around the chair now
     progress_m: float  # along the route during this tick
-    visible: Verdict | None = None  # of an oracle that knows only those of the others whom the cameras showed lately
+    visible: Verdict | None = None  # as judged with only the actors that the cameras showed lately
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Events:
-    """What happened to a seat during a tick, decided once, in the world."""
+    """Events of a seat during a tick; the world decides them once."""
 
     episode: int
     step: int  # steps of this episode so far, this one included
@@ -70,36 +70,36 @@ class Events:
     progress_m: float = 0.0  # along the route during this tick
     jam_teleports: int = 0
     on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
-    crossed: bool = False  # it got over a crossing: in from one pavement, out on the opposite one
-    entered_red: bool = False  # it sets out over a crossing that had red at the kerb line
-    crash: str = ""  # in words: with whom, who came into whom, on which edge, where in SUMO's net
+    crossed: bool = False  # it finished a crossing, from one pavement to the opposite one
+    entered_red: bool = False  # it started over a crossing at red
+    crash: str = ""  # in words: the other party, who hit whom, edge and place in SUMO's net
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawn:
-    """What was drawn for a seat's episode from the ranges of `[vary]`; None and empty where there is no range."""
+    """Values drawn for a seat's episode from the ranges of `[vary]`; None or empty where there is no range."""
 
-    light: float | None = None  # times the usual brightness of colours
-    friction: float | None = None  # times that of wheels and casters
+    light: float | None = None  # factor on the usual brightness of colours
+    friction: float | None = None  # factor on the friction of wheels and casters
     user_mass_kg: float | None = None
     camera_shift_m: tuple[tuple[float, float, float], ...] = ()  # along x, y, z of B, by camera
     camera_turn_rad: tuple[tuple[float, float], ...] = ()  # to the left and up, by camera
     action_delay_ticks: int | None = None
     plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
-    attention: tuple[tuple[str, float], ...] = ()  # share of those who look for this chair, by class or "all", sorted
-    reaction_s: tuple[tuple[str, float], ...] = ()  # until who looks brakes for this chair, as above
+    attention: tuple[tuple[str, float], ...] = ()  # share of drivers that look for this chair, by class or "all"
+    reaction_s: tuple[tuple[str, float], ...] = ()  # until an attentive driver brakes for this chair, as above
     sensors: tuple[tuple[str, float], ...] = ()  # the same of [sensors]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientSnapshot:
-    """One seat's share of a snapshot."""
+    """The part of a snapshot that belongs to one seat."""
 
     seat: int
     tick: int
     plant: PlantState
     sensors: SensorFrame
-    user: Joystick  # as the agent sees it (raw)
+    user: Joystick  # the user's stick as the agent sees it (raw)
     contacts: tuple[Contact, ...]
     events: Events
     truth: Truth | None = None
@@ -109,7 +109,7 @@ class ClientSnapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """The world after tick `tick` was reached; the viewer, the recorder and the clients get the same object."""
+    """The world after tick `tick`; viewer, recorder and clients get the same object."""
 
     epoch: int
     tick: int
@@ -148,10 +148,10 @@ class StartSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeatSpec:
-    """What a client asks for when it takes a seat; everything else is in the world's configuration."""
+    """What a client requests when it takes a seat; everything else is in the world's configuration."""
 
     profile: str = "inattentive"  # or FILE.toml, or recorded:FILE
     max_steps: int = 10_000
     truth: bool = False
-    truth_visible: bool = False  # the truth with its part `visible`
+    truth_visible: bool = False  # the truth includes `visible`
     start: StartSpec | None = None

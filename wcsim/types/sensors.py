@@ -1,4 +1,4 @@
-"""What the sensors of a wheelchair show in a tick."""
+"""Measurements of a wheelchair's sensors in one tick."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from wcsim.types.arrays import F32, F64, U8, ComparesArrays
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFrame(ComparesArrays):
-    """One image; a slower camera repeats its last one with its old `taken_tick`."""
+    """One image. A slower camera repeats its last image with the old `taken_tick`."""
 
     name: str
     taken_tick: int
     depth_m: F32  # (H, W) along the optical axis; range where nothing is hit, 0 where nothing was measured (noise)
     class_id: U8  # (H, W) ClassId, VOID where the noise leaves no class
-    rgb: U8 | None = None  # (H, W, 3), only when the camera asks for it
+    rgb: U8 | None = None  # (H, W, 3), only if the camera draws colours
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuFrame(ComparesArrays):
-    """What the IMU and the tilt sensor say of one tick."""
+    """Measurements of the IMU and the tilt sensor in one tick."""
 
     accel_mean_mps2: F64  # (3,) specific force in the sensor frame, tick mean, gravity included
     accel_peak_mps2: F64  # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed; exact
     gyro_radps: F64  # (3,) tick mean
-    roll_rad: float  # as the tilt sensor says; the true tilt is in PlantState
+    roll_rad: float  # as the tilt sensor measures it; the true tilt is in PlantState
     pitch_rad: float
     yaw_rad: float  # exact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """What a sensor of `[sensors]` says after a tick: one float64 for each of its parts, in this order."""
+    """Description of a sensor of `[sensors]`: its reading has one float64 for each part, in this order."""
 
     parts: tuple[str, ...]  # name and unit of each number, as speed_mps
     full_scale: tuple[float, ...]  # of each; the observation holds number / full_scale as float32, cut to [-1, 1]
-    mirror: tuple[float, ...]  # 1 or -1: the sign of each when left and right are exchanged
+    mirror: tuple[float, ...]  # 1 or -1: the sign of each if left and right are exchanged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Reading(ComparesArrays):
-    """What one sensor of `[sensors]` says of a tick; its `Measure` tells what the numbers are."""
+    """Reading of one sensor of `[sensors]` in one tick; its `Measure` describes the numbers."""
 
     name: str
     values: F64  # (len(parts),)
@@ -49,7 +49,7 @@ class Reading(ComparesArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorFrame:
-    """Everything that the sensors of one seat say after a tick."""
+    """All sensor readings of one seat after a tick."""
 
     tick: int
     cameras: tuple[CameraFrame, ...]

@@ -1,6 +1,6 @@
-"""The street as it stands: mesh, raster, walking network, and the parts in which a large town comes into memory.
+"""The static street: mesh, raster, walking network, and the tiles in which a large town is loaded.
 
-Part of the vocabulary of `wcsim.types`, which names all of it again. World frame W: x east, y north, z up.
+Import these types from `wcsim.types`. World frame W: x east, y north, z up.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from wcsim.types.arrays import F32, F64, I32, U8, Bool, ComparesArrays
 
 
 class ClassId(IntEnum):
-    """Pixel classes: Cityscapes labelIds, and three of our own from 34 on (folded by `class_fold_table`)."""
+    """Pixel classes: Cityscapes labelIds, and three classes of wcsim from 34 on (folded by `class_fold_table`)."""
 
     VOID = 0
     STATIC = 4
@@ -51,7 +51,7 @@ class ClassId(IntEnum):
 
 
 class Mark(IntEnum):
-    """What is painted on a road."""
+    """Kinds of road markings."""
 
     LINE = 0
     CYCLE_LANE = 1
@@ -59,22 +59,22 @@ class Mark(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundPaint(ComparesArrays):
-    """Lines on the road as flat pieces a little above it: seen in coloured pictures, and nowhere else."""
+    """Road markings as flat pieces a little above the road; only colour images show them."""
 
     quads_W_m: F32 = field(default_factory=lambda: np.zeros((0, 4, 3), np.float32))  # counter-clockwise from above
     mark: U8 = field(default_factory=lambda: np.zeros(0, np.uint8))  # (M,) Mark
 
     def part(self, which: Bool) -> GroundPaint:
-        """The pieces (M,) for which this is true."""
+        """The pieces for which the mask (M,) is true."""
         return GroundPaint(quads_W_m=self.quads_W_m[which], mark=self.mark[which])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetMesh(ComparesArrays):
-    """Everything that stands still, as one triangle soup for wheels and cameras alike.
+    """All static geometry as one triangle mesh, for wheels and cameras.
 
     Triangles are sorted by chunk; chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]` and uses only vertices
-    `chunk_vertices[c]:chunk_vertices[c + 1]`, so that it can be culled (camera) and merged (collision) alone.
+    `chunk_vertices[c]:chunk_vertices[c + 1]`, so that it can be culled (camera) and merged (collision) on its own.
     """
 
     vertices_W_m: F32  # (V, 3)
@@ -87,10 +87,10 @@ class StreetMesh(ComparesArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief(ComparesArrays):
-    """How the land rises and falls, without kerbs: heights of a square lattice, linear on two triangles a square.
+    """Terrain heights without kerbs, on a square grid, interpolated linearly on two triangles per square.
 
     Square (row, col) has its lower left corner at origin_W_m + cell_m * (col, row) and is cut from there to its upper
-    right corner. Beyond the lattice the height of its border goes on.
+    right corner. Beyond the grid the height of its border continues.
     """
 
     origin_W_m: tuple[float, float]
@@ -99,7 +99,7 @@ class Relief(ComparesArrays):
 
     @property
     def flat(self) -> bool:
-        """True when all of it lies at height 0."""
+        """True if all heights are 0."""
         return not self.z_m.any()
 
     def at(self, p_W_m: F64) -> F64:
@@ -119,22 +119,22 @@ FLAT = Relief(origin_W_m=(0.0, 0.0), cell_m=1.0, z_m=np.zeros((2, 2), np.float32
 
 
 class Ground(Protocol):
-    """The street seen straight from above, for quick questions (oracle, spawn, walking people)."""
+    """The street seen from above, for fast lookups (oracle, spawn, pedestrians)."""
 
     def height_at(self, p_W_m: F64) -> F64:
         """Ground height in metres under the points (..., 2 or 3)."""
 
     def raised_at(self, p_W_m: F64) -> F64:
-        """Height in metres of the ground above the lie of the land: 0 on a road, a kerb's height on a pavement."""
+        """Height in metres of the ground above the terrain: 0 on a road, a kerb's height on a pavement."""
 
     def clearance_at(self, p_W_m: F64) -> F64:
-        """Distance in metres from the points (..., 2 or 3) to the nearest solid thing, at most 25.5."""
+        """Distance in metres from the points (..., 2 or 3) to the nearest obstacle, at most 25.5."""
 
     def class_at(self, p_W_m: F64) -> U8:
         """ClassId of the ground under the points (..., 2 or 3)."""
 
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
-        """Ground height in metres at one place, without arrays: for the few places that are asked for in every tick."""
+        """Ground height in metres at one place, without arrays: for the few places that every tick looks up."""
 
     def class_here(self, x_W_m: float, y_W_m: float) -> int:
         """ClassId of the ground at one place."""
@@ -148,7 +148,7 @@ AROUND_M = 16.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreetGrid(ComparesArrays):
-    """A `Ground` as rasters.
+    """A `Ground` made of rasters.
 
     Cell (row, col) covers x from origin_W_m[0] + col * cell_m and y from origin_W_m[1] + row * cell_m.
     """
@@ -157,7 +157,7 @@ class StreetGrid(ComparesArrays):
     cell_m: float
     height_cm: U8  # (rows, cols) ground height above the relief, centimetres
     ground_class: U8  # (rows, cols) ClassId of the ground surface
-    clearance_dm: U8  # (rows, cols) distance to the nearest solid thing (wall, trunk, pole), decimetres, 255 = far
+    clearance_dm: U8  # (rows, cols) distance to the nearest obstacle (wall, trunk, pole), decimetres, 255 = far
     relief: Relief = field(default_factory=lambda: FLAT)
 
     def cells(self, p_W_m: F64) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -205,7 +205,7 @@ class StreetGrid(ComparesArrays):
 
 
 class WayKind(Enum):
-    """What kind of ground a piece of a walking route runs over."""
+    """Kind of ground under a piece of a walking route."""
 
     SIDEWALK = "sidewalk"
     WALKINGAREA = "walkingarea"
@@ -214,7 +214,7 @@ class WayKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WalkEdge(ComparesArrays):
-    """One piece of the walking network, passable both ways."""
+    """One edge of the walking network, passable in both directions."""
 
     sumo_id: str
     kind: WayKind
@@ -222,7 +222,7 @@ class WalkEdge(ComparesArrays):
     end: int
     points_W_m: F64  # (K, 2), from start to end
     width_m: float
-    tls_id: str = ""  # the traffic light that governs it, "" for none
+    tls_id: str = ""  # its traffic light, "" for none
     tls_links: tuple[int, ...] = ()  # indices of its signals in that light's state string
     never_green: bool = False  # no phase of that light's programs lets people over
 
@@ -237,7 +237,7 @@ class WalkGraph(ComparesArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Route(ComparesArrays):
-    """A way for the simulated user: a polyline over the walk graph."""
+    """A route for the simulated user: a polyline over the walk graph."""
 
     points_W_m: F64  # (K, 2)
     arc_m: F64  # (K,) distance from the start
@@ -248,7 +248,7 @@ TileKey = tuple[int, int]
 
 
 class StreetTiles(Protocol):
-    """The mesh of a street in square parts, of which only those near a wheelchair need be in memory."""
+    """The mesh of a street in square tiles; only those near a wheelchair need to be in memory."""
 
     @property
     def keys(self) -> tuple[TileKey, ...]:
@@ -263,7 +263,7 @@ class StreetTiles(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OneTile:
-    """A street that is small enough to be in memory as a whole."""
+    """A street that is small enough to be loaded as one tile."""
 
     whole: StreetMesh
 
@@ -283,7 +283,7 @@ class OneTile:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SignalHead(ComparesArrays):
-    """One head of a traffic light: where its lamps are, where they shine, which letter of the state lights them."""
+    """One head of a traffic light: position and direction of its lamps, and its index in the light's state."""
 
     tls_id: str
     link: int  # index into the light's state string
@@ -294,7 +294,7 @@ class SignalHead(ComparesArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Street:
-    """What `towns` makes of a town for the others."""
+    """A town as the other packages use it: mesh, raster, walking network, signals."""
 
     tiles: StreetTiles
     grid: Ground
@@ -304,12 +304,12 @@ class Street:
 
     @property
     def mesh(self) -> StreetMesh:
-        """Everything that stands still, all tiles of it: for tools and tests; a world takes it tile by tile."""
+        """All tiles as one mesh, for tools and tests; a world loads single tiles."""
         return joined_mesh([self.tiles.mesh(key) for key in self.tiles.keys])
 
 
 def joined_mesh(parts: Sequence[StreetMesh]) -> StreetMesh:
-    """Several meshes as one, in their order."""
+    """Join several meshes into one, in their order."""
     if len(parts) == 1:
         return parts[0]
     starts = np.cumsum([0, *(len(part.vertices_W_m) for part in parts)]).astype(np.int32)

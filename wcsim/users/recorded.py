@@ -26,7 +26,7 @@ from wcsim.users.hand import on_disc
 from wcsim.users.profile_file import read_profile
 from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile
 from wcsim.users.recording.drive_reader import is_drive, read_drive
-from wcsim.users.recording.drive_types import RecordedTick, wcsim_version
+from wcsim.users.recording.drive_types import RecordedTick, moves_as_here, wcsim_version
 from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 
@@ -184,14 +184,15 @@ def joystick_of_drive(path: FilePath) -> JoystickRecording:
     """The joystick of a recorded drive, episode by episode.
 
     Raises:
-        ConfigError: It cannot be read, has no tick, or was made by another version of wcsim.
+        ConfigError: It cannot be read, has no tick, or was made by a version of wcsim whose chairs
+            moved differently.
     """
     try:
         drive = read_drive(path)
     except JournalError as error:
         raise ConfigError(str(error)) from None
     header = drive.header
-    if header.wcsim != wcsim_version():
+    if not moves_as_here(header.wcsim):
         raise ConfigError(
             f"{shown(path)}: was driven with wcsim {shown(header.wcsim, 40)}, this is {wcsim_version()}; expected the "
             "same, as chairs and streets may differ: record it again"

@@ -17,7 +17,7 @@ from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *tracked("docs", ".md")])
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "AGENTS.md", *tracked("docs", ".md")])
 SHELL = ("", "bash", "sh", "console")
 
 

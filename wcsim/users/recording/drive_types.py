@@ -23,11 +23,18 @@ USER = "user"
 MOST_SAMPLES = 480  # of the stick in a tick: as many as the steps that a tick's physics may have
 
 NO_ACTION = -1
+_SAME_MOTION = ("0.1.0",)
+"""Earlier versions in which a stick moves a chair as it does in this one."""
 
 
 def wcsim_version() -> str:
     """The version that a header names."""
     return version("wcsim")
+
+
+def moves_as_here(made_by: str) -> bool:
+    """Whether a stick moved a chair in that version of wcsim as it does in this one."""
+    return made_by in (wcsim_version(), *_SAME_MOTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
