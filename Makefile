@@ -11,7 +11,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup setup-cpu demo test lint look docs bench proof results release clean
+.PHONY: setup demo test lint look docs bench proof results release clean
 
 setup: $(STAMP)
 
@@ -28,9 +28,6 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --no-build-isolation --editable .
 	@touch $(STAMP)
 	@echo "installed. Next: source .venv/bin/activate && wcsim doctor"
-
-setup-cpu:
-	$(MAKE) setup TORCH_INDEX=https://download.pytorch.org/whl/cpu
 
 demo: $(STAMP)
 	$(BIN)/wcsim demo
