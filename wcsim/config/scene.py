@@ -64,7 +64,7 @@ class SceneSeat(Model):
                 "a seat is driven by exactly one of goal_m (with a profile or a recording), joystick and script"
             )
         if self.recording is not None and (self.goal_m is None or "profile" in self.model_fields_set):
-            raise ValueError("a recording goes with a goal_m, and without a profile")
+            raise ValueError("a recording needs a goal_m and no profile")
         times_s = [step[0] for step in self.script]
         if any(later <= sooner for sooner, later in pairwise(times_s)):
             raise ValueError(f"the times of script must rise, got {times_s}")

@@ -174,7 +174,7 @@ class ImuConfig(Model):
 
 
 class SensorConfig(Model):
-    """Base of the section of a sensor whose reading is a row of numbers."""
+    """Base of a sensor's section. Its reading is a row of numbers."""
 
     stand_ins = ("typical", "none")
 

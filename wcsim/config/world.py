@@ -99,8 +99,8 @@ class WorldConfig(Model):
         if not _is_whole(self.tick_s / SUMO_STEP_S):
             rounded_s = round(self.tick_s / SUMO_STEP_S) * SUMO_STEP_S
             raise ValueError(
-                f"tick_s is {self.tick_s} s, and SUMO knows whole milliseconds alone: its clock would run apart from "
-                f"that of the chairs; expected such a time: {rounded_s:g}"
+                f"tick_s is {self.tick_s} s, but SUMO's clock counts whole milliseconds; expected a whole number of "
+                f"milliseconds, for example {rounded_s:g}"
             )
         return self
 
@@ -109,8 +109,8 @@ class WorldConfig(Model):
         ticks = 1.0 if self.action_step_s is None else self.action_step_s / self.tick_s
         if ticks < 1.0 - 1e-6 or not _is_whole(ticks):
             raise ValueError(
-                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, and SUMO's drivers decide "
-                f"in whole steps alone; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
+                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, but SUMO's drivers decide "
+                f"only at whole steps; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
             )
         return self
 

@@ -231,7 +231,7 @@ def test_a_street_that_cannot_be_opened_may_be_tried_again(
         (("level = 1.5", "level = 2.5"), ConfigError, "block more has level 2.5, but policy dwa has levels of 0 to 2"),
         (('title = "A tiny study"', 'title = "A"\npolicy = "follow"'), ConfigError, "policy follow has no levels"),
         (('title = "A tiny study"', 'title = "A"\npolicy = "nobody-there"'), PolicyError, "nobody-there"),
-        (("seed = 4", "seed = 4\nblock = 1"), ConfigError, "block does not go with this kind of place"),
+        (("seed = 4", "seed = 4\nblock = 1"), ConfigError, "block does not belong to this kind of place"),
         (("seed = 4", 'suite = "dev"'), ConfigError, "either a town"),
         (('town = "{town}"\nseed = 4', 'suite = "dev"\nblock = 700'), ConfigError, "expected 0 to 69"),
         (('town = "{town}"', 'town = "atlantis"'), TownError, "atlantis"),

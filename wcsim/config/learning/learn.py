@@ -96,7 +96,7 @@ class LearnConfig(Model):
     def _can_wait(self) -> LearnConfig:
         if self.updates == "while_waiting" and self.head == "danger":
             raise ValueError(
-                "learn.updates=while_waiting with learn.head=danger; expected before_acting: only learners by "
-                "Q-learning do their updates while they wait"
+                "learn.updates=while_waiting with learn.head=danger; expected before_acting: only "
+                "Q-learning can update while it waits"
             )
         return self

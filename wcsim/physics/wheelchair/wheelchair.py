@@ -389,4 +389,3 @@ class Wheelchair:
             yaw_rate_radps=self._w_W_radps[2],
         )
         self._engine.tag(self.body_id, tag)
-
