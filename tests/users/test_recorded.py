@@ -163,7 +163,7 @@ def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
     ("header", "ticks", "says"),
     [
         ({"wcsim": "0.0.1"}, [1, 2], r"was driven with wcsim 0\.0\.1, this is \d"),
-        ({}, [], "has no tick"),
+        ({}, [], "is empty"),
     ],
 )
 def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, header, ticks, says):

@@ -240,7 +240,7 @@ def test_a_street_that_cannot_be_opened_may_be_tried_again(
         (('name = "more"', 'name = "alone"'), ConfigError, "two blocks are called alone"),
         (("minutes = 0.05", "minutes = 0"), ConfigError, "minutes.*at least 0.05"),
         (('low = "easy"\n', ""), ConfigError, "a question of kind scale has low and high"),
-        (('choices = ["alone", "with more"]', 'choices = ["alone"]'), ConfigError, "2 to 8 answers"),
+        (('choices = ["alone", "with more"]', 'choices = ["alone"]'), ConfigError, "2 to 8 different answers"),
         (("assistance = false", "assistance = false\nlevel = 1"), ConfigError, "without assistance has no level"),
         (("pause_s = 5", "pause_s = -5"), ConfigError, "pause_s"),
         (("[practice]", "[[places]]\ntown = 'a'\n[[places]]\ntown = 'b'\n[practice]"), ConfigError, "3 places for 2"),
