@@ -86,18 +86,8 @@ class Target(NamedTuple):
 
 @kernel
 def fill(
-    x0: float,
-    y0: float,
-    w0: float,
-    x1: float,
-    y1: float,
-    w1: float,
-    x2: float,
-    y2: float,
-    w2: float,
-    class_id: int,
-    word: Word,
-    out: Target,
+    x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
+    class_id: int, word: Word, out: Target,
 ) -> None:
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
@@ -241,17 +231,8 @@ def lit_paint(paint: int, lamps: int) -> int:
 
 @kernel
 def draw_model(
-    models: ModelArrays,
-    t: int,
-    seed: int,
-    lamps: int,
-    T_CM: F64,
-    solid: bool,
-    number: int,
-    view: View,
-    p: F32,
-    screen: F64,
-    out: Target,
+    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, p: F32,
+    screen: F64, out: Target,
 ) -> None:
     """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped.
 
@@ -335,13 +316,7 @@ def near_first(depth: F32, range_m: float, order: I32) -> int:
 
 @kernel
 def visible(
-    street: StreetArrays,
-    actors: InstanceArrays,
-    shown: Bool,
-    view: View,
-    width: int,
-    height: int,
-    culling: bool,
+    street: StreetArrays, actors: InstanceArrays, shown: Bool, view: View, width: int, height: int, culling: bool,
     order: I32,
 ) -> int:
     """Write what may be seen into `order`, near ones first: chunks as c, actors as chunks + i; returns how many."""
@@ -358,14 +333,8 @@ def visible(
 
 @kernel
 def draw(
-    street: StreetArrays,
-    models: ModelArrays,
-    actors: InstanceArrays,
-    shown: Bool,
-    view: View,
-    culling: bool,
-    numbered: bool,
-    out: Target,
+    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, shown: Bool, view: View, culling: bool,
+    numbered: bool, out: Target,
 ) -> None:
     """Draw a whole picture with the actors that are `shown` (n,): depth and class, and words, if there is a buffer."""
     height, width = out.inverse_z.shape

@@ -181,3 +181,4 @@ def _checked(file: PlantFile, name: str) -> PlantSpec:
     spec = PlantSpec(**{item.name: getattr(file, item.name) for item in fields(PlantSpec)})
     check_plant(file, spec.frame_mass_kg, spec.frame_com_m[2], name)
     return spec
+

@@ -389,3 +389,4 @@ class Wheelchair:
             yaw_rate_radps=self._w_W_radps[2],
         )
         self._engine.tag(self.body_id, tag)
+
