@@ -24,18 +24,18 @@ from wcsim.config.scene import SceneExpect, SceneFile, SceneSeat, TownFile
 
 HEAD = """# All settings of a run
 
-Every key of `--set section.key=value`, of a `--config` file and of a preset (`wcsim/config/presets/`), with its
-bounds and its default. An unknown key and a value out of bounds are refused. Names end in their unit; angles are in
-degrees where they end in `_deg`, and nowhere else. A list takes its items by number (`cameras.0.width_px=80`).
-Plants and lists of episodes have files of their own: `docs/chair.md`, `docs/suites.md`; those of towns and scenes stand
-[at the end](#files-of-towns-and-scenes).
+These keys work in `--set section.key=value`, in a `--config` file and in a preset (`wcsim/config/presets/`). Unknown
+keys and values out of bounds are rejected. The end of a name is its unit; only names in `_deg` are angles in degrees.
+An item of a list has a number: `cameras.0.width_px=80`.
 
-This page is made from the code: `python tools/settings_page.py > docs/settings.md`.
+Other files: [plants](chair.md#every-field), [suites](suites.md), [towns and scenes](#files-of-towns-and-scenes).
+
+This page is generated: `python tools/settings_page.py > docs/settings.md`.
 """
 FILES = """# Files of towns and scenes
 
-A town is a SUMO scenario with a `town.toml` beside it, a scene a folder of SUMO's plain XML with a `scene.toml`: how
-they are made says `docs/authoring.md`. A key whose default is "none" has to be there.
+A town is a SUMO scenario with a `town.toml`. A scene is a folder of SUMO's plain XML with a `scene.toml`
+([how to make them](authoring.md)). A key with the default "none" is required.
 """
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤", "min_length": "length ≥", "max_length": "length ≤"}
 _LARGEST = 1e9  # stands for no bound, see wcsim/config/base.py

@@ -84,10 +84,10 @@ def test_it_arrives_when_the_chair_does_and_gives_up_once_at_the_end(tmp_path):
         (HEAD + "0,0,0\n0.2,0,0\n0.1,0,0\n", r"stick.csv:4: time_s is 0.1 s after 0.2 s; expected later"),
         (HEAD + "0,0,0\n0.1,0,0\n0.7,0,0\n", r"stick.csv:4: time_s is 0.7 s after 0.1 s; .* by at most 0.5 s"),
         (HEAD + "3,0,0\n3.1,0,0\n", r"stick.csv:2: time_s is 3.0 s; expected the first sample at 0 to 0.5 s"),
-        (HEAD + "0,0,0\n\n0.1,up,0\n", r"stick.csv:4: x is no number; expected -1 to 1"),
+        (HEAD + "0,0,0\n\n0.1,up,0\n", r"stick.csv:4: x is not a number; expected -1 to 1"),
         (HEAD + "0,0,0\n0.1,0\n", r"stick.csv:3: 2 values; expected time_s,x,y"),
         (HEAD + "0,0,0\n0.1,0,0\udcff\n", "is not in UTF-8"),
-        (HEAD + "0,0,0\n" + "1" * 200_000 + ",0,0\n", r"stick.csv:3: is no line of comma-separated values"),
+        (HEAD + "0,0,0\n" + "1" * 200_000 + ",0,0\n", r"stick.csv:3: is not a line of comma-separated values"),
     ],
 )
 def test_what_cannot_be_used_is_refused(tmp_path, text, says):
@@ -163,7 +163,7 @@ def test_a_drive_without_intents_or_samples_has_its_stick_for_both(tmp_path):
     ("header", "ticks", "says"),
     [
         ({"wcsim": "0.0.1"}, [1, 2], r"was driven with wcsim 0\.0\.1, this is \d"),
-        ({}, [], "has no tick"),
+        ({}, [], "is empty"),
     ],
 )
 def test_a_drive_of_another_version_or_without_a_tick_is_refused(tmp_path, header, ticks, says):

@@ -32,7 +32,7 @@ _MOST_KEYS = 16  # of a table that are all named where one is unknown
 
 
 class Model(BaseModel):
-    """Base of all models: frozen, and unknown keys are refused."""
+    """Base of all models. They are frozen and reject unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     stand_ins: ClassVar[tuple[str, ...]] = ()  # words that are taken in the place of its table
@@ -48,7 +48,7 @@ def fault(model: type[BaseModel], item: Any) -> str:
         return f"{key}: is missing" + f"; expected it beside {beside}" * bool(beside)
     got = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):
-        return f"{key}: expected a list, got {got}; give it whole, as {key}=[...]"
+        return f"{key}: expected a list, got {got}; write the whole list, as {key}=[...]"
     if item["type"] == "model_type":
         return f"{key}: got {got}; {_table(model, item)}"
     if item["type"] not in _OUT_OF_BOUNDS:

@@ -12,23 +12,33 @@ PROFILE_SPEED_MPS: dict[str, float] = {"indoor": 0.6, "pavement": 1.67, "road": 
 
 
 class ChairConfig(Model):
-    """The wheelchair as it is driven: its plant, and what its controller is programmed to."""
+    """The wheelchair: its plant, and the settings of its controller."""
 
-    plant: Text = "rwd"  # or "mwd", or the path of a .toml file
-    profile: Literal["custom", "indoor", "pavement", "road"] = "custom"  # a named v_max_mps
-    v_max_mps: Annotated[float, Field(gt=0.1, le=5.0)] = 1.67  # speed at full stick, profile custom
-    reverse_share: Share = 0.4  # of it, backwards
-    accel_mps2: Positive = 1.0  # that the controller asks for
-    decel_mps2: Positive = 1.5  # when the stick is let go
-    yaw_accel_radps2: Positive = 2.5  # of the turn rate
-    jerk_mps3: Positive = 4.0  # at which the acceleration changes
-    yaw_rate_max_radps: Positive = 1.5  # turn rate at full stick
-    deadband: Annotated[float, Field(ge=0.0, le=0.5)] = 0.08  # of the stick, share of its way
-    shape_exponent: Annotated[float, Field(ge=1.0, le=3.0)] = 1.0  # of the stick; more is finer in the middle
-    tremor_damping_s: Annotated[float, Field(ge=0.0, le=0.4)] = 0.0  # time constant of a low-pass on the joystick
-    brake_after_s: NotNegative = 0.5  # standing still, until the parking brake falls in
-    user_mass_kg: Annotated[float, Field(ge=25.0, le=150.0)] | None = None  # None keeps the plant's own
-    com_height_m: Annotated[float, Field(ge=0.3, le=0.9)] | None = None  # centre of mass; None keeps the plant's own
+    plant: Text = "rwd"  # Physical model: rwd, mwd, or the path of a .toml file.
+    profile: Literal["custom", "indoor", "pavement", "road"] = (
+        "custom"  # Sets v_max_mps: indoor 0.6, pavement 1.67, road 2.78 m/s.
+    )
+    v_max_mps: Annotated[float, Field(gt=0.1, le=5.0)] = 1.67  # Speed at full stick. Set it with profile custom.
+    reverse_share: Share = 0.4  # Top speed backwards, as a share of v_max_mps.
+    accel_mps2: Positive = 1.0  # Acceleration that the controller requests.
+    decel_mps2: Positive = 1.5  # Deceleration when the stick is released.
+    yaw_accel_radps2: Positive = 2.5  # Angular acceleration of turns.
+    jerk_mps3: Positive = 4.0  # Rate of change of the acceleration.
+    yaw_rate_max_radps: Positive = 1.5  # Turn rate at full stick.
+    deadband: Annotated[float, Field(ge=0.0, le=0.5)] = 0.08  # Stick travel without effect, as a share.
+    shape_exponent: Annotated[float, Field(ge=1.0, le=3.0)] = (
+        1.0  # Exponent of the stick's curve. Above 1 the stick is finer near its centre.
+    )
+    tremor_damping_s: Annotated[float, Field(ge=0.0, le=0.4)] = (
+        0.0  # Time constant of a low-pass on the joystick. 0: no filter.
+    )
+    brake_after_s: NotNegative = 0.5  # Time at rest before the parking brake locks.
+    user_mass_kg: Annotated[float, Field(ge=25.0, le=150.0)] | None = (
+        None  # Mass of the user. Without a value: that of the plant.
+    )
+    com_height_m: Annotated[float, Field(ge=0.3, le=0.9)] | None = (
+        None  # Height of the centre of mass. Without a value: that of the plant.
+    )
 
     @model_validator(mode="before")
     @classmethod

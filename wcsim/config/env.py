@@ -14,18 +14,20 @@ LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 
 
 class RewardConfig(Model):
-    """Windows of Tables 1 and 2 of the paper, and the share of contacts that counts as a crash."""
+    """Reward and crash limits (Tables 1 and 2 of the paper)."""
 
-    base: Finite = 1.0  # paid for a step within max_follow_distance
-    max_follow_distance: JoystickDistance = 0.1768  # sqrt(0.125^2 + 0.125^2)
-    max_distance: JoystickDistance = 2.0  # joystick distance of the full penalty
-    penalty: NotNegative = 2.0  # at the upper end of each window
-    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)  # from no penalty to a crash, per axis
-    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)  # from no penalty to a crash
-    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)  # from no penalty to a crash
-    crash: NotNegative = 100.0  # taken for a crash
-    body_on_ground_Ns: NotNegative = 20.0  # impulse of footplate or body on the ground that is a crash
-    drop: bool = True  # beyond the paper: a wheel that falls off a kerb is a crash
+    base: Finite = 1.0  # Reward of a step within max_follow_distance.
+    max_follow_distance: JoystickDistance = (
+        0.1768  # Joystick distance to the user with full reward, sqrt(0.125^2 + 0.125^2).
+    )
+    max_distance: JoystickDistance = 2.0  # Joystick distance with the full penalty.
+    penalty: NotNegative = 2.0  # Penalty at the upper end of each window.
+    accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)  # Acceleration per axis, from no penalty to a crash.
+    roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)  # Roll angle, from no penalty to a crash.
+    pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)  # Pitch angle, from no penalty to a crash.
+    crash: NotNegative = 100.0  # Penalty for a crash.
+    body_on_ground_Ns: NotNegative = 20.0  # Impulse of footplate or body on the ground that counts as a crash.
+    drop: bool = True  # Whether a wheel that falls off a kerb is a crash. Not in the paper.
 
     @model_validator(mode="after")
     def _windows_are_open(self) -> RewardConfig:
@@ -34,22 +36,27 @@ class RewardConfig(Model):
             raise ValueError("a window or the pair max_follow_distance, max_distance is empty; expected low < high")
         return self
 
+
 Window = Annotated[int, Field(ge=1, le=16)]
 
 
 class EnvConfig(Model):
-    """What the agent sees and does."""
+    """Observations, actions and episodes."""
 
-    observation: Literal["compact", "table3"] = "compact"  # class ids and log-depth as uint8, or the floats of Table 3
-    classes: Literal["cityscapes", "wcsim"] = "cityscapes"  # Cityscapes', or with kerbs and crosswalks
-    observe_gyro: bool = False  # beyond the paper: the turn rates among what the agent sees
-    observe_yaw: bool = False  # and the heading
-    window: Window | None = None  # images of the last ticks in an observation; None: as the network prefers
-    actions: Literal["square81", "disc69"] = "square81"  # joystick positions: 9 by 9, or those that meet the unit disc
-    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000  # of an episode; a training takes learn.episode_steps
-    profile: Text = "inattentive"  # of the simulated user, FILE.toml, or recorded:FILE (docs/user.md)
-    truth: bool = False  # what the oracle says in info, for baselines and measurements
-    truth_visible: bool = False  # the truth, and what the oracle says that knows only whom the cameras showed lately
+    observation: Literal["compact", "table3"] = "compact"  # Class ids and log-depth as uint8, or the floats of Table 3.
+    classes: Literal["cityscapes", "wcsim"] = (
+        "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
+    )
+    observe_gyro: bool = False  # Whether the observation contains turn rates. Not in the paper.
+    observe_yaw: bool = False  # Whether the observation contains the heading. Not in the paper.
+    window: Window | None = None  # Images in an observation, one per tick. Without a value: the network decides.
+    actions: Literal["square81", "disc69"] = "square81"  # Joystick positions: a 9 by 9 grid, or those on the unit disc.
+    max_steps: Annotated[int, Field(ge=1, le=1_000_000)] = (
+        10_000  # Longest episode in steps. Training uses learn.episode_steps.
+    )
+    profile: Text = "inattentive"  # Simulated user: a name, FILE.toml, or recorded:FILE (docs/user.md).
+    truth: bool = False  # Whether info holds the oracle's labels, for baselines and measurements.
+    truth_visible: bool = False  # The same, limited to road users that the cameras showed recently.
 
     @model_validator(mode="after")
     def _window_is_compact(self) -> EnvConfig:

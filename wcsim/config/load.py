@@ -1,4 +1,4 @@
-"""Configuration from presets, files and `section.key=value`; every fault says what was got and what was expected."""
+"""Configuration from presets, files and `section.key=value`. Every error has the value and what was expected."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ M = TypeVar("M", bound=Model)
 
 
 def read_toml(path: Path, model: type[M]) -> M:
-    """Read a TOML file as `model`. Raises ConfigError with its faults and their places."""
+    """Read a TOML file as `model`. Raises ConfigError that lists its errors and their keys."""
     return parse(model, reading.read_toml(path, CONFIG_FILE), shown(path))
 
 
 def parse(model: type[M], data: dict[str, Any], where: str) -> M:
-    """Check `data` against `model`. Raises ConfigError that names `where`, the key, what was got and expected."""
+    """Validate `data` as `model`. Raises ConfigError with `where`, the key, the value and what was expected."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -52,12 +52,12 @@ def _causes(found: Sequence[Any]) -> list[Any]:
 
 
 def parse_json(model: type[M], text: str, where: str) -> M:
-    """Check JSON text as `parse` does its data."""
+    """Validate JSON text as `parse` validates data."""
     return parse(model, reading.parse_json(text, where, _JSON), where)
 
 
 def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
-    """A preset by name, a TOML file over it, then `section.key=value` overrides (value in TOML syntax or a word)."""
+    """Load a preset, then a TOML file, then `section.key=value` overrides (values in TOML syntax, or words)."""
     folder = Path(__file__).parent / "presets"
     path = folder / f"{preset}.toml"
     if not path.is_file():
@@ -72,13 +72,13 @@ def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | N
 
 
 def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
-    """A resolved configuration with `section.key=value` laid over it. Raises ConfigError as `load_run_config` does."""
+    """A resolved configuration with `section.key=value` overrides. Raises ConfigError as `load_run_config` does."""
     data = _laid_under(config, [_override(text) for text in overrides])
     return _overridden(data, overrides, "configuration")
 
 
 def with_file(config: RunConfig, file: Path) -> RunConfig:
-    """A resolved configuration with a TOML file laid over it. Raises ConfigError as `load_run_config` does."""
+    """A resolved configuration with a TOML file over it. Raises ConfigError as `load_run_config` does."""
     own = _asked(reading.read_toml(file, CONFIG_FILE))
     return parse(RunConfig, _merged(_laid_under(config, [own]), own), shown(file))
 
@@ -190,5 +190,5 @@ def _laid(old: Any, value: Any, key: str) -> Any:
 def _no_such_item(key: str, item: str, count: int) -> str:
     """What is wrong with `key.item` of a list."""
     known = f"{key}.0" if count == 1 else f"{key}.0 to {key}.{count - 1}"
-    more = f"; a FILE for --config that holds [[{key}]] once for each makes more" if key == "cameras" else ""
+    more = f"; to add more, repeat [[{key}]] in a FILE for --config" if key == "cameras" else ""
     return f"{key}.{item}: there is no such item, the list {key} has {count}; expected {known}{more}"

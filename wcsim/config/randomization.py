@@ -39,18 +39,28 @@ Spans = Annotated[dict[Word, Span], Field(max_length=64)]  # by dotted names
 
 
 class VaryConfig(Model):
-    """Ranges (low, high), each drawn from evenly for every episode and seat; the word "none" stands for no range."""
+    """Ranges [low, high] for domain randomisation, drawn for every episode and seat. "none" removes a range."""
 
-    light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = None  # times; colours only
-    friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = None  # times; of wheels and casters
-    user_mass_kg: Annotated[tuple[UserMass, UserMass], AfterValidator(_ordered)] | None = None  # of the user
-    camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = None  # along x, y and z of each
-    camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = None  # in yaw and in pitch
-    action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None  # drawn
-    plant: Spans = Field(default_factory=dict)  # of the plant's file
-    sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(default_factory=dict)  # section.key
-    attention: Shares = Field(default_factory=dict)  # share of those who look for this chair, by class
-    reaction: Reactions = Field(default_factory=dict)  # seconds, by class
+    light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = (
+        None  # Factor on the brightness of colour images.
+    )
+    friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = (
+        None  # Factor on the friction of wheels and casters.
+    )
+    user_mass_kg: Annotated[tuple[UserMass, UserMass], AfterValidator(_ordered)] | None = None  # Mass of the user.
+    camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = (
+        None  # Shift of each camera along x, y and z.
+    )
+    camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = (
+        None  # Rotation of each camera in yaw and pitch.
+    )
+    action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None  # Delay of actions.
+    plant: Spans = Field(default_factory=dict)  # Any number of the plant's file, by dotted name.
+    sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(
+        default_factory=dict
+    )  # Any number of a sensor, by section.key.
+    attention: Shares = Field(default_factory=dict)  # Share of road users who look for this chair, by class.
+    reaction: Reactions = Field(default_factory=dict)  # Reaction time in seconds, by class.
 
     @model_validator(mode="before")
     @classmethod

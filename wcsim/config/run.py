@@ -58,7 +58,7 @@ class RunConfig(Model):
     def _cameras_have_names_of_their_own(self) -> RunConfig:
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
-            raise ValueError(f"cameras are named {names}; expected each to have a name of its own")
+            raise ValueError(f"cameras are named {names}; expected a different name for each")
         return self
 
     @model_validator(mode="after")

@@ -179,7 +179,7 @@ class ManifestFile(Model):
     @model_validator(mode="after")
     def _clients_have_names_of_their_own(self) -> ManifestFile:
         if len(set(self.clients)) != len(self.clients):
-            raise ValueError(f"clients are named {list(self.clients)}; expected each to have a name of its own")
+            raise ValueError(f"clients are named {list(self.clients)}; expected a different name for each")
         return self
 
 

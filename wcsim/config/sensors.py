@@ -32,44 +32,46 @@ def by_word(key: str, given: Any) -> Any:
 
 
 class DepthNoiseConfig(Model):
-    """A stereo camera's errors. The defaults are those of a small active stereo camera indoors or in the shade."""
+    """Errors of a stereo depth camera. The defaults fit a small active stereo camera indoors or in the shade."""
 
     stand_ins = ("none",)
 
-    baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05  # between the two imagers
-    sigma_px: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08  # of the disparity
-    step_px: Annotated[float, Field(ge=0.0, le=1.0)] = 0.03125  # to which the disparity is rounded, 0 for not at all
-    matcher_width_px: Annotated[int, Field(ge=8, le=8192)] = 848  # of the images that are compared
-    z_min_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.28  # nearer is not measured
-    shadow: bool = True  # what only one of the two imagers sees is not measured
-    dropout: Share = 0.01  # share of the picture lost in patches
-    grazing_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 3.0  # surfaces seen flatter than this ...
-    grazing_dropout: Share = 0.3  # ... lose so much
-    patch_px: Annotated[int, Field(ge=1, le=64)] = 3  # size of what is lost
+    baseline_m: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05  # Distance between the two imagers.
+    sigma_px: Annotated[float, Field(ge=0.0, le=2.0)] = 0.08  # Standard deviation of the disparity.
+    step_px: Annotated[float, Field(ge=0.0, le=1.0)] = (
+        0.03125  # Step to which the disparity is rounded. 0: not rounded.
+    )
+    matcher_width_px: Annotated[int, Field(ge=8, le=8192)] = 848  # Image width at which the two images are matched.
+    z_min_m: Annotated[float, Field(ge=0.0, le=5.0)] = 0.28  # Nearer surfaces are not measured.
+    shadow: bool = True  # Whether surfaces that only one imager sees are lost.
+    dropout: Share = 0.01  # Share of the image lost in random patches.
+    grazing_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 3.0  # Surfaces seen at a smaller angle lose more pixels.
+    grazing_dropout: Share = 0.3  # Share of pixels that such surfaces lose.
+    patch_px: Annotated[int, Field(ge=1, le=64)] = 3  # Size of a lost patch.
 
 
 class ClassNoiseConfig(Model):
-    """The errors of a network that names the pixels."""
+    """Errors of a segmentation network."""
 
     stand_ins = ("none",)
 
-    border_px: Annotated[int, Field(ge=0, le=8)] = 2  # a pixel may take the class of another so near
-    border_share: Share = 0.5  # of the pixels at a border that do
-    grain_px: Annotated[int, Field(ge=1, le=16)] = 2  # squares that err together
-    dropout: Share = 0.01  # share of the picture without a class, in patches
-    patch_px: Annotated[int, Field(ge=1, le=64)] = 6  # size of what is lost
+    border_px: Annotated[int, Field(ge=0, le=8)] = 2  # Distance over which a pixel may take a neighbour's class.
+    border_share: Share = 0.5  # Share of border pixels that do.
+    grain_px: Annotated[int, Field(ge=1, le=16)] = 2  # Size of the squares that share an error.
+    dropout: Share = 0.01  # Share of the image without a class, in random patches.
+    patch_px: Annotated[int, Field(ge=1, le=64)] = 6  # Size of such a patch.
 
 
 class ColourNoiseConfig(Model):
-    """The errors of a colour picture."""
+    """Errors of a colour image."""
 
     stand_ins = ("none",)
 
-    snr_db: Annotated[float, Field(ge=6.0, le=80.0)] = 40.0  # 20 log10(255 / sigma)
+    snr_db: Annotated[float, Field(ge=6.0, le=80.0)] = 40.0  # Signal-to-noise ratio, 20 log10(255 / sigma).
 
 
 class CameraNoiseConfig(Model):
-    """Which pictures of a camera are disturbed, and how; a part that is missing, or "none", is exact."""
+    """Noise of a camera by kind of image. A part that is missing or "none" is exact."""
 
     stand_ins = ("typical", "none")
 
@@ -86,20 +88,26 @@ class CameraNoiseConfig(Model):
 class CameraConfig(Model):
     """One camera on a chair."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = "front"  # the agent sees the first camera
-    width_px: Pixels = 320  # of its pictures
-    height_px: Pixels = 240  # of its pictures
-    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0  # horizontal field of view
-    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0  # farther depth is not measured
-    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # nor is nearer
-    p_BC_m: tuple[Along, Along, Height] = (0.35, 0.0, 1.0)  # armrest, knee height
-    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0  # to the left
-    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0  # up; negative looks down
-    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1  # between two pictures
-    lost_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0  # of the pictures that never arrive
-    rgb: bool = False  # colour too, for people
-    renderer: Literal["numba", "pybullet"] = "numba"  # what draws it: numba is many times faster
-    noise: CameraNoiseConfig | None = None  # or "none", or "typical" for every part with its defaults
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = (
+        "front"  # Name of the camera. The agent uses the first camera.
+    )
+    width_px: Pixels = 320  # Image width.
+    height_px: Pixels = 240  # Image height.
+    hfov_deg: Annotated[float, Field(ge=20.0, le=140.0)] = 87.0  # Horizontal field of view.
+    range_m: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0  # Largest depth that is measured.
+    near_m: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1  # Smallest depth that is measured.
+    p_BC_m: tuple[Along, Along, Height] = (
+        0.35,
+        0.0,
+        1.0,
+    )  # Position x, y, z in the chair's frame. The default is at the armrest.
+    yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0  # Direction, to the left.
+    pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0  # Direction, upwards. Negative looks down.
+    every_ticks: Annotated[int, Field(ge=1, le=100)] = 1  # Ticks between two images.
+    lost_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0  # Share of images that never arrive.
+    rgb: bool = False  # Whether to draw a colour image too, for people.
+    renderer: Literal["numba", "pybullet"] = "numba"  # Renderer. numba is many times faster; pybullet is the reference.
+    noise: CameraNoiseConfig | None = None  # A table, none, or typical for all parts with their defaults.
 
     @field_validator("noise", mode="before")
     @classmethod
@@ -119,34 +127,54 @@ class CameraConfig(Model):
 
 
 class ImuConfig(Model):
-    """The IMU and tilt sensor (definitions: docs/senses.md)."""
+    """IMU and tilt sensor (docs/senses.md)."""
 
-    p_BI_m: tuple[Along, Along, Height] = (0.18, 0.0, 0.50)  # under the seat, near the centre of mass
-    lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = 20.0  # corner of the filter before the peak is taken
-    saturation_mps2: Positive = 156.9  # +-16 g
-    gyro_range_deg: Annotated[float, Field(ge=250.0, le=2000.0)] = 2000.0  # +-, a second
+    p_BI_m: tuple[Along, Along, Height] = (
+        0.18,
+        0.0,
+        0.50,
+    )  # Position x, y, z in the chair's frame, near its centre of mass.
+    lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = (
+        20.0  # Corner frequency of the low-pass for the peak acceleration.
+    )
+    saturation_mps2: Positive = 156.9  # Largest acceleration that it measures. The default is 16 g.
+    gyro_range_deg: Annotated[float, Field(ge=250.0, le=2000.0)] = (
+        2000.0  # Largest turn rate that it measures, in deg/s.
+    )
     # what the supervisor judges
-    accel_window: Literal["lp20_peak", "tick_mean"] = "lp20_peak"  # a tick's filtered peak, or its mean
-    gravity: Literal["included", "removed"] = "removed"  # in what is judged
+    accel_window: Literal["lp20_peak", "tick_mean"] = (
+        "lp20_peak"  # Acceleration for reward and crash: a tick's filtered peak, or its mean.
+    )
+    gravity: Literal["included", "removed"] = "removed"  # Whether that acceleration contains gravity.
     # what the agent sees
-    mean_gravity: Literal["included", "removed"] = "included"  # in what is seen
-    tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"  # what roll and pitch come from
-    tilt_tau_s: Annotated[float, Field(ge=0.05, le=10.0)] = 1.0  # how fast the accelerometer corrects the gyroscope
-    tilt_noise_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.3  # each tick; the ideal sensor has none
-    tilt_bias_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5  # standard deviation over episodes
+    mean_gravity: Literal["included", "removed"] = "included"  # Whether the agent's acceleration contains gravity.
+    tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"  # Source of the agent's roll and pitch.
+    tilt_tau_s: Annotated[float, Field(ge=0.05, le=10.0)] = (
+        1.0  # Time constant with which the accelerometer corrects the gyroscope.
+    )
+    tilt_noise_deg: Annotated[float, Field(ge=0.0, le=5.0)] = (
+        0.3  # White noise of the tilt in each tick. The ideal sensor has none.
+    )
+    tilt_bias_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.5  # Mounting error, standard deviation over episodes.
     # errors of a small, calibrated part
-    noise: bool = True  # off: no errors at all, whatever stands below
-    accel_density_ug: Annotated[float, Field(ge=0.0, le=10_000.0)] = 300.0  # per root hertz
-    gyro_density_deg: Annotated[float, Field(ge=0.0, le=1.0)] = 0.005  # a second, per root hertz
-    accel_bias_mg: Annotated[float, Field(ge=0.0, le=200.0)] = 5.0  # at switching on, standard deviation
-    gyro_bias_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.1  # a second
-    accel_instability_mg: Annotated[float, Field(ge=0.0, le=50.0)] = 0.1  # of the drift around it
-    gyro_instability_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0012  # a second
-    bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0  # of the drift
+    noise: bool = True  # Whether the IMU has errors. False: exact.
+    accel_density_ug: Annotated[float, Field(ge=0.0, le=10_000.0)] = (
+        300.0  # White noise of the accelerometer, per root hertz.
+    )
+    gyro_density_deg: Annotated[float, Field(ge=0.0, le=1.0)] = (
+        0.005  # White noise of the gyroscope, deg/s per root hertz.
+    )
+    accel_bias_mg: Annotated[float, Field(ge=0.0, le=200.0)] = (
+        5.0  # Bias at power-on, standard deviation over episodes.
+    )
+    gyro_bias_deg: Annotated[float, Field(ge=0.0, le=10.0)] = 0.1  # The same of the gyroscope, in deg/s.
+    accel_instability_mg: Annotated[float, Field(ge=0.0, le=50.0)] = 0.1  # Standard deviation of the bias drift.
+    gyro_instability_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.0012  # The same of the gyroscope, in deg/s.
+    bias_tau_s: Annotated[float, Field(ge=1.0, le=100_000.0)] = 300.0  # Time constant of the drift.
 
 
 class SensorConfig(Model):
-    """Base of the section of a sensor whose reading is a row of numbers."""
+    """Base of a sensor's section. Its reading is a row of numbers."""
 
     stand_ins = ("typical", "none")
 
@@ -157,13 +185,17 @@ class SensorConfig(Model):
 
 
 class OdometryConfig(SensorConfig):
-    """Encoders on the drive wheels (formulas: docs/senses.md)."""
+    """Encoders on the drive wheels (docs/senses.md)."""
 
-    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048  # of an encoder
-    radius_error: Annotated[float, Field(ge=0.0, le=0.2)] = 0.01  # share; of each wheel, over episodes
-    speed_density_mps: Annotated[float, Field(ge=0.0, le=1.0)] = 0.002  # per root hertz
-    turn_density_deg: Annotated[float, Field(ge=0.0, le=90.0)] = 0.2  # a second, per root hertz
-    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0  # until its reading arrives
+    ticks_per_turn: Annotated[int, Field(ge=1, le=1_000_000)] = 2048  # Encoder marks in one turn of a wheel.
+    radius_error: Annotated[float, Field(ge=0.0, le=0.2)] = (
+        0.01  # Relative error of each wheel's radius, standard deviation over episodes.
+    )
+    speed_density_mps: Annotated[float, Field(ge=0.0, le=1.0)] = 0.002  # White noise of the speed, per root hertz.
+    turn_density_deg: Annotated[float, Field(ge=0.0, le=90.0)] = (
+        0.2  # White noise of the turn rate, deg/s per root hertz.
+    )
+    delay_ticks: Annotated[int, Field(ge=0, le=100)] = 0  # Age of a reading when it arrives.
 
     @property
     def measure(self) -> Measure:
@@ -172,7 +204,7 @@ class OdometryConfig(SensorConfig):
 
 
 class SensorsConfig(Model):
-    """Section `[sensors]`: what a chair carries beside cameras and IMU; a sensor without its table is not there.
+    """Sensors beside cameras and IMU. A sensor exists if it has a table.
 
     A field is the name of a kind in `physics/sensors/registry.py`. The word "typical" stands for a table without keys,
     "none" for no sensor. What is not there is not written either, so that old files and their hashes stay.

@@ -42,7 +42,7 @@ class StudyPlace(Model):
         wrong = {"seed": self.seed} if self.suite else {"block": self.block, "seat": self.seat}
         given = ", ".join(name for name, value in wrong.items() if value)
         if given:
-            raise ValueError(f"{given} does not go with this kind of place")
+            raise ValueError(f"{given} does not belong to this kind of place")
         return self
 
 
@@ -83,7 +83,7 @@ class StudyQuestion(Model):
         if sorted(given) != sorted(wanted) or (self.steps != _STEPS and self.kind != "scale"):
             raise ValueError(f"a question of kind {self.kind} has {' and '.join(wanted) or 'no answers of its own'}")
         if self.kind == "choice" and (len(self.choices) < 2 or len(set(self.choices)) < len(self.choices)):
-            raise ValueError("a choice has 2 to 8 answers, no two alike")
+            raise ValueError("a choice has 2 to 8 different answers")
         return self
 
 
@@ -114,11 +114,11 @@ class StudyFile(Model):
             if twice := _twice(names):
                 raise ValueError(f"two {what} are called {twice}; expected names that differ")
         if self.practice_place is not None and self.practice is None:
-            raise ValueError("practice_place goes with a practice")
+            raise ValueError("practice_place needs a practice")
         if len(self.blocks) % len(self.places) and len(self.places) > 1:
             raise ValueError(
-                f"{len(self.places)} places for {len(self.blocks)} blocks; expected as many places as blocks, one, or "
-                "a number that divides that of the blocks, so that each is driven in equally often"
+                f"{len(self.places)} places for {len(self.blocks)} blocks; expected one place, as many as blocks, or "
+                "a divisor of the number of blocks, so that each place is used equally often"
             )
         return self
 

@@ -27,43 +27,61 @@ _USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
 class WorldConfig(Model):
-    """Clocks, mirror and street reaction."""
+    """Clock, traffic, and how road users react to a chair."""
 
     tick_s: Annotated[float, Field(ge=0.02, le=1.0)] = (
-        0.1  # a step of the world, in whole milliseconds; SUMO and the action take one each
+        0.1  # Length of a world step, in whole milliseconds. SUMO and each action take one step.
     )
-    substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # of the physics, in a tick; None: 120 a second
-    contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = None  # where something is met; None: 240
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0  # traffic that SUMO drives before the first step
+    substeps: Annotated[int, Field(ge=1, le=480)] | None = (
+        None  # Physics steps per tick. Without a value: 120 per second.
+    )
+    contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = (
+        None  # Physics steps in a tick with a contact ahead. Without a value: 240 per second.
+    )
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0  # Time that SUMO simulates before the first step.
     town_warmup: Annotated[bool, Field(exclude_if=lambda on: on)] = (
-        True  # a town's own `warmup_s` counts before this one; false where somebody sets `warmup_s`
+        True  # Whether the town's own `warmup_s` comes first. False if you set `warmup_s`.
     )
-    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # of the town's own traffic
-    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = 50.0  # around a chair: who is drawn and may react
-    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = None  # None keeps the scenario's own
+    demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # Factor on the town's own traffic.
+    mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = (
+        50.0  # Road users within this distance of a chair are drawn and may react.
+    )
+    jam_teleport_s: Annotated[float, Field(ge=-1.0, le=36000.0)] | None = (
+        None  # SUMO's time to teleport. Without a value: that of the scenario.
+    )
     action_step_s: Annotated[float, Field(ge=0.02, le=10.0)] | None = (
-        None  # how often SUMO's drivers decide: a multiple of tick_s
+        None  # Time between decisions of SUMO's drivers, a multiple of tick_s.
     )
-    street: Literal["usual", "careless"] = "usual"  # a careless one sets the next two
-    attention_share: Share = 0.95  # of the others who look at the chair
-    reaction_s: Reaction = 0.7  # from seeing it to braking
-    attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(default_factory=dict)  # by class
-    reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(default_factory=dict)  # seconds, by class
-    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5  # that drivers and cyclists plan to brake with
-    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = 2.0  # kept free around a chair that appears
-    crossing_share: Share = 0.5  # of destinations that are drawn beyond a crossing nearby
-    button: bool = True  # a chair that stands at a red crossing of its route asks for green
-    button_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 2.0  # of standing there
-    action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # from an action to the chair that obeys it
-    visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = 16.0  # of 320x240, from which on an actor is visible
-    visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = 1.0  # for which it stays known when it is not any more
+    street: Literal["usual", "careless"] = "usual"  # Careless sets attention_share to 0.7 and reaction_s to 1.5.
+    attention_share: Share = 0.95  # Share of road users who look for the chair.
+    reaction_s: Reaction = 0.7  # Time from seeing the chair to braking.
+    attention: Annotated[dict[Watcher, Share], Field(max_length=16)] = Field(
+        default_factory=dict
+    )  # Attention share by class of road user.
+    reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(
+        default_factory=dict
+    )  # Reaction time in seconds by class of road user.
+    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5  # Deceleration that drivers and cyclists plan with.
+    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = (
+        2.0  # Distance kept free around a chair when it appears.
+    )
+    crossing_share: Share = 0.5  # Share of destinations chosen beyond a nearby crossing.
+    button: bool = True  # Whether a chair that waits at a red crossing of its route requests green.
+    button_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 2.0  # Waiting time before it does.
+    action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # Delay from an action to the motion of the chair.
+    visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = (
+        16.0  # Pixels of 320x240 from which a road user counts as visible.
+    )
+    visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = (
+        1.0  # Time for which a road user stays known after it was visible.
+    )
     epoch_ticks: Annotated[int, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks == EPOCH_TICKS)] = (
-        EPOCH_TICKS  # after which a shared world is replaced by a fresh one; 0: never
+        EPOCH_TICKS  # Ticks after which a new world replaces a shared one. 0: never.
     )
     epoch_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == EPOCH_GROWTH_MB)] = (
-        EPOCH_GROWTH_MB  # of memory that its process may take in an epoch, before it is replaced
+        EPOCH_GROWTH_MB  # Memory in MB by which the process of a shared world may grow before it is replaced.
     )
-    draw_threads: Annotated[int, Field(ge=0, le=64)] = 0  # for the cameras' pictures; 0: as many as there are cores
+    draw_threads: Annotated[int, Field(ge=0, le=64)] = 0  # Threads that draw camera images. 0: one per core.
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
@@ -81,8 +99,8 @@ class WorldConfig(Model):
         if not _is_whole(self.tick_s / SUMO_STEP_S):
             rounded_s = round(self.tick_s / SUMO_STEP_S) * SUMO_STEP_S
             raise ValueError(
-                f"tick_s is {self.tick_s} s, and SUMO knows whole milliseconds alone: its clock would run apart from "
-                f"that of the chairs; expected such a time: {rounded_s:g}"
+                f"tick_s is {self.tick_s} s, but SUMO's clock counts whole milliseconds; expected a whole number of "
+                f"milliseconds, for example {rounded_s:g}"
             )
         return self
 
@@ -91,8 +109,8 @@ class WorldConfig(Model):
         ticks = 1.0 if self.action_step_s is None else self.action_step_s / self.tick_s
         if ticks < 1.0 - 1e-6 or not _is_whole(ticks):
             raise ValueError(
-                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, and SUMO's drivers decide "
-                f"in whole steps alone; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
+                f"action_step_s is {self.action_step_s} s with a tick_s of {self.tick_s} s, but SUMO's drivers decide "
+                f"only at whole steps; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
             )
         return self
 

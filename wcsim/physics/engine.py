@@ -98,7 +98,7 @@ class Engine:
             raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")
         client = pybullet.connect(pybullet.DIRECT)
         if client < 0:
-            raise PhysicsError("PyBullet gave no client; expected one: close other engines of this process first")
+            raise PhysicsError("PyBullet has no free client; expected one: close other engines of this process first")
         self.client: Final[int] = client
         self._step_s = step_s
         self._open = True

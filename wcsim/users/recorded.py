@@ -169,7 +169,7 @@ def read_recording(path: FilePath) -> JoystickRecording:
     for line, row in _rows(path):
         where = f"{shown(path)}:{line}"
         if len(numbers) >= 3 * MOST_SAMPLES:
-            raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected a recorded joystick, cut it")
+            raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file")
         values = _values(where, row)
         _check(where, values, numbers[-3] if numbers else 0.0, first=not numbers)
         numbers.extend(values)
@@ -198,7 +198,7 @@ def joystick_of_drive(path: FilePath) -> JoystickRecording:
             "same, as chairs and streets may differ: record it again"
         )
     if not drive.ticks:
-        raise ConfigError(f"{shown(path)}: has no tick; expected a drive that was driven")
+        raise ConfigError(f"{shown(path)}: is empty; expected a drive with at least one tick")
     episodes = tuple(replace(_joystick_of(part, header.tick_s), name=str(path)) for part in drive.episodes)
     return replace(episodes[0], town=header.town, town_sha256=header.town_sha256, episodes=episodes)
 
@@ -257,7 +257,9 @@ def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:
             if row:
                 yield reader.line_num, row
     except csv.Error:
-        message = f"{shown(path)}:{reader.line_num}: is no line of comma-separated values; expected {','.join(COLUMNS)}"
+        message = (
+            f"{shown(path)}:{reader.line_num}: is not a line of comma-separated values; expected {','.join(COLUMNS)}"
+        )
         raise ConfigError(message) from None
 
 
@@ -269,7 +271,7 @@ def _values(where: str, row: list[str]) -> tuple[float, float, float]:
         try:
             values.append(float(text))
         except ValueError:
-            raise ConfigError(f"{where}: {name} is no number; expected {_BOUNDS[name]}") from None
+            raise ConfigError(f"{where}: {name} is not a number; expected {_BOUNDS[name]}") from None
     return values[0], values[1], values[2]
 
 

@@ -105,7 +105,7 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     slow = (*words, "--profile", "slow", "--out", "a.drive")
     assert wcsim(*slow).out.startswith("wrote a.drive: 30 ticks of a slow user in ")
     refused(wcsim(*slow), "--out a.drive exists", "a new file")
-    refused(wcsim(*words, "--profile", "recorded:a.drive", "--out", "b.drive"), "is recorded already")
+    refused(wcsim(*words, "--profile", "recorded:a.drive", "--out", "b.drive"), "is a recording")
     result = wcsim("replay", "a.drive", "--verify", "--json", "told.json")
     assert (result.code, result.err) == (0, "")
     assert "30 ticks compared, all equal, at most 0 m apart" in result.out

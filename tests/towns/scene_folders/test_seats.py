@@ -48,9 +48,9 @@ def test_a_recording_is_a_plain_file_name(name: str) -> None:
 
 
 def test_a_recording_drives_alone() -> None:
-    with pytest.raises(ConfigError, match="without a profile"):
+    with pytest.raises(ConfigError, match="no profile"):
         scene_with(goal_m=(20.0, -3.0), recording="stick.csv", profile="competent")
-    with pytest.raises(ConfigError, match="goes with a goal_m"):
+    with pytest.raises(ConfigError, match="needs a goal_m"):
         scene_with(joystick=(0.0, 0.5), recording="stick.csv")
 
 

@@ -95,14 +95,14 @@ def test_the_file_of_a_fit_is_a_profile(shaking, tmp_path):
 def test_intents_of_the_model_say_nothing_of_looks_elsewhere(shaking):
     fit = fit_user([shaking[1]], replace(BASE, away_share=0.2), wanted=False)
     assert "away_share" not in fit.estimates and fit.profile.away_share == 0.2
-    assert any("looks elsewhere count as noise" in line for line in fit.warnings)
+    assert any("looking away counts as noise" in line for line in fit.warnings)
 
 
 def test_drives_that_say_too_little_are_refused(shaking):
     drive = shaking[1]
     with pytest.raises(ConfigError, match="no episode of 5 s"):
         fit_user([replace(drive, ticks=drive.ticks[:30])], BASE)
-    with pytest.raises(ConfigError, match="does not say what was wanted"):
+    with pytest.raises(ConfigError, match="ticks without an intent"):
         fit_user([replace(drive, ticks=(replace(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
 
 
@@ -131,7 +131,7 @@ SCANNED = [(0.0, 0.0), (0.0, 1.0), (0.0, 0.5), (-0.25, 0.75), (0.25, 0.75), (-0.
 
 @pytest.mark.parametrize("positions", [KEYS, SCANNED, [(0.0, 0.0), (0.0, 1.0)]])
 def test_keys_and_the_switches_of_a_page_tell_no_hand(shaking, positions):
-    with pytest.raises(ConfigError, match=r"positions? alone while it moved.*expected a drive by gamepad"):
+    with pytest.raises(ConfigError, match=r"took only \d+ positions?.*expected a drive by gamepad"):
         fit_user([shaking[1], at_positions(shaking[1], positions)], BASE)
 
 

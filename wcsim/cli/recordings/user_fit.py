@@ -29,16 +29,16 @@ _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 
 @dataclass
 class UserFitOptions:
-    """Fit the user model to recorded drives of one person, and write it as a profile."""
+    """Fit the user model to recorded drives of one person and write a profile."""
 
     drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")]
-    """The profile, a new file, for --profile of test and video, or env.profile."""
+    """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
-    """The profile whose numbers stand for what a drive cannot tell."""
+    """Profile that supplies parameters which a drive does not show."""
     without_intents: Flag = False
-    """Leave aside what a recording says of intents, as of a person's: the user model makes them from the street."""
+    """Ignore recorded intents and let the user model derive them from the street, as for a person's drive."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -49,14 +49,14 @@ def run(options: UserFitOptions) -> int:
     require_new(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
     if not options.drives:
-        raise ConfigError("users fit got no drive; expected one or more files that were recorded")
+        raise ConfigError("users fit got no file; expected one or more recorded drives")
     from wcsim.users.recording.drive_reader import read_drive
 
     drives = [read_drive(path) for path in options.drives]
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
     fit = _fitted(drives, base) if known else _reconstructed(drives, base)
     fit = replace(fit, profile=replace(fit.profile, name=base_name(options.out)))
-    head = f"fitted to {fit.seconds:.0f} s of driving; what has no interval is that of {base.name}\n"
+    head = f"fitted to {fit.seconds:.0f} s of driving; values without an interval are those of {base.name}\n"
     text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
     write_whole(options.out, lambda part: part.write_text(text, encoding="utf-8"))
     _print(fit)
@@ -96,13 +96,13 @@ def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     for drive in drives:
         require_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.header.accompanied])
         town_of_drive(drive.header)
-    print("making the drives again, to see what their person saw", file=sys.stderr)
+    print("replaying the drives, to see the street as their driver did", file=sys.stderr)
     seen = [seen_drive(drive) for drive in drives if drive.ticks]
     user = base
     for number in range(1, _ROUNDS + 1):
         fit = fit_user([with_shadow(item, user) for item in seen], base, wanted=False)
         user = fit.profile
-        print(f"fitted {number} of {_ROUNDS} times", file=sys.stderr)
+        print(f"fit {number} of {_ROUNDS}", file=sys.stderr)
     return fit
 
 
@@ -118,9 +118,9 @@ def _notes(fit: UserFit) -> dict[str, str]:
 def _print(fit: UserFit) -> None:
     from wcsim.users.fitting.fit_user import is_told
 
-    table = Table("number", "fitted", "95 % from", "to", "", box=box.SIMPLE_HEAD)
+    table = Table("parameter", "fitted", "95 % from", "to", "", box=box.SIMPLE_HEAD)
     for name, item in fit.estimates.items():
-        told = "" if is_told(name, item) else "not told to 15 %"
+        told = "" if is_told(name, item) else "uncertain by over 15 %"
         table.add_row(name, f"{item.value:.3g}", f"{item.low:.3g}", f"{item.high:.3g}", told)
     stdout_console().print(table)
     for line in fit.warnings:

@@ -27,20 +27,20 @@ _TELL_EVERY_S = 60.0
 
 @dataclass
 class UserRecordOptions:
-    """Let a simulated user drive through a town, and record the drive."""
+    """Let a simulated user drive through a town and record the drive."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg of your own."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """The file of the recording, a new one."""
+    """New file for the recording."""
     profile: str = "competent"
-    """Of the user, or FILE.toml; one user is drawn of it, and stays the same from crash to crash."""
+    """Profile of the simulated user, or FILE.toml. One user is drawn and stays the same after a crash."""
     minutes: float = 10.0
-    """How long to drive."""
+    """Length of the drive in minutes."""
     seed: int = 0
-    """Seed of town, starts and user."""
+    """Seed of the town, the starts and the user."""
     set: Repeated = ()
-    """section.key=value, laid over preset quick; may be given several times."""
+    """section.key=value, overrides preset quick; may be repeated."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -75,6 +75,6 @@ def run(options: UserRecordOptions) -> int:
 
 def _profile(name: str) -> UserProfile:
     if name.startswith(RECORDED):
-        raise ConfigError(f"--profile {shown(name, 80)} is recorded already; expected a profile, or FILE.toml")
+        raise ConfigError(f"--profile {shown(name, 80)} is a recording; expected a profile, or FILE.toml")
     require_user(name)
     return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)

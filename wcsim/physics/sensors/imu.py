@@ -99,7 +99,7 @@ class Imu(Sensor):
         felt, g = self._felt_mps2, self._gravity_mps2
         sums = filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
         if not math.isfinite(sums.sum()):
-            raise PhysicsError("the wheelchair's motion left the finite numbers; expected finite: rebuild the world")
+            raise PhysicsError("the wheelchair's motion is not finite; expected finite numbers: rebuild the world")
         means = sums / max(count, 1)
         accel, gravity, gyro = means[0:3], means[3:6], means[9:12]
         peak = sums[6:9]

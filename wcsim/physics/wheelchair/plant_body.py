@@ -183,5 +183,5 @@ def _tyre(spec: PlantSpec, link: str) -> Tyre | None:
 def _spring(spec: PlantSpec, number: int) -> Spring:
     arm = spec.casters[number].arm
     if arm is None:
-        raise PhysicsError(f"casters.{number} has no arm; expected one: its body was made of another plant")
+        raise PhysicsError(f"casters.{number} has no arm; expected one: its body is that of another plant")
     return Spring(stiffness_Npm=arm.stiffness_Npm, damping_Nspm=arm.damping_Nspm, preload_N=arm.preload_N)

@@ -63,7 +63,7 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
             are of different ticks, or of chairs that take a stick otherwise.
     """
     if not all(drive.knows_intents for drive in drives):
-        raise ConfigError("a drive does not say what was wanted in every tick; expected one that does")
+        raise ConfigError("a drive has ticks without an intent; expected an intent in every tick")
     _require_alike(drives)
     for drive in drives:
         require_stick(drive.name, drive.ticks)
@@ -91,7 +91,7 @@ def _require_alike(drives: Sequence[DriveRecording]) -> None:
             if got[name] != told[0][name]:
                 raise ConfigError(
                     f"{shown(drive.name)}: was driven with {name} {got[name]:g}, {shown(drives[0].name)} with "
-                    f"{told[0][name]:g}; expected drives of one {name}: fit each by itself"
+                    f"{told[0][name]:g}; expected the same {name}: fit them separately"
                 )
 
 
@@ -158,11 +158,11 @@ def _warnings(
         )
     if not _tells_hand(found):
         told.append(
-            f"the stick moved at its gate for more than {1.0 - _LEAST_COUNTED:.0%} of the time, where a hand cannot be "
-            "told: delay, lag, gain, bias, noise and tremor are those of --base; drive with half of the stick too"
+            f"the stick was at the end of its travel for more than {1.0 - _LEAST_COUNTED:.0%} of the time: delay, lag, "
+            "gain, bias, noise and tremor are those of --base; drive with half of the stick too"
         )
     if seconds < _FEWEST_BLOCKS * BLOCK_S:
-        told.append(f"intervals rest on {seconds / BLOCK_S:.0f} stretches of {BLOCK_S:.0f} s: too few to be trusted")
+        told.append(f"intervals come from only {seconds / BLOCK_S:.0f} stretches of {BLOCK_S:.0f} s: too few to trust")
     if series[0].apart_s > 0.06:
         fastest_hz = 0.5 / series[0].apart_s
         told.append(
@@ -172,8 +172,9 @@ def _warnings(
         if not is_told(name, item):
             more = _MORE.get(name, "drive longer")
             told.append(
-                f"{name} is not told to 15 %: {item.value:.3g}, between {item.low:.3g} and {item.high:.3g}; {more}"
+                f"{name} is uncertain by more than 15 %: {item.value:.3g}, between {item.low:.3g} and "
+                f"{item.high:.3g}; {more}"
             )
     if not wanted:
-        told.append("what was wanted is the user model's, which never looks elsewhere: looks elsewhere count as noise")
+        told.append("intents come from the user model, which never looks away: time spent looking away counts as noise")
     return tuple(told)

@@ -37,7 +37,6 @@ def require_stick(name: str, ticks: Sequence[RecordedTick]) -> None:
     count = len(np.unique(moving.round(4), axis=0))
     if count <= _MOST and len(moving) >= _REPEATED * count:
         raise ConfigError(
-            f"{shown(name)}: its stick was in {count} position{'s' * (count > 1)} alone while it moved, as keys and "
-            "switches are, which say nothing of delay, gain and tremor of a hand; expected a drive by gamepad, pointer "
-            "or finger: leave this one out"
+            f"{shown(name)}: its stick took only {count} position{'s' * (count > 1)}, as with keys or switches, which "
+            "do not show delay, gain and tremor; expected a drive by gamepad, pointer or finger: leave this one out"
         )

@@ -58,7 +58,9 @@ def start_of_json(text: str) -> StartSpec:
     try:
         return _start_of(parse_json(text, where, DRIVE_FILE))
     except (KeyError, TypeError, ValueError):
-        raise JournalError(f"{where}: is no start; expected a place, a heading and a goal: record it again") from None
+        raise JournalError(
+            f"{where}: is not a start; expected a place, a heading and a goal: record it again"
+        ) from None
 
 
 def is_drive_header(payload: bytes) -> bool:
@@ -124,7 +126,7 @@ def part_of_drive(payload: bytes, where: str) -> RecordedTick | RecordedEvent:
             return _event_of(parse_json(payload[1:].decode(), where, DRIVE_FILE))
     except (KeyError, TypeError, ValueError, struct.error):
         pass
-    raise JournalError(f"{where}: holds a record that is none of a drive; expected {DRIVE_FILE.what}")
+    raise JournalError(f"{where}: contains an unknown record; expected {DRIVE_FILE.what}")
 
 
 def tick_of(payload: bytes) -> RecordedTick:

@@ -62,7 +62,7 @@ def _follows(before: RecordedTick, tick: RecordedTick) -> bool:
 
 def _header(payload: bytes, path: Path) -> DriveHeader:
     if not is_drive_header(payload):
-        raise JournalError(f"{shown(path)}: is not a drive; expected a file that `wcsim users record` or a drive made")
+        raise JournalError(f"{shown(path)}: is not a drive; expected a file of `wcsim users record` or `wcsim drive`")
     return header_of_drive(payload, shown(path))
 
 

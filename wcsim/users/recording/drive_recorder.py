@@ -32,7 +32,7 @@ class DriveRecorder(Closing):
             self._file = FileIO(os.open(path, flags, 0o644), "w")
         except OSError as error:
             reason = error.strerror or error
-            raise ConfigError(f"{shown(path)}: cannot be begun ({reason}); choose the name of a new file") from None
+            raise ConfigError(f"{shown(path)}: cannot be created ({reason}); choose the name of a new file") from None
         self._end, self._after, self._records = 0, 0, -1  # records beside the header
         try:
             self._put(first)
@@ -68,11 +68,11 @@ class DriveRecorder(Closing):
     def _put(self, payload: bytes) -> None:
         """One unbuffered write; on a full disk the part that was written is taken back."""
         if self._file.closed:
-            raise WcsimError(f"{shown(self._path)}: this recording is closed; begin another one")
+            raise WcsimError(f"{shown(self._path)}: this recording is closed; start another one")
         data = framed(payload, self._after)
         if self._records >= MOST_RECORDS or self._end + len(data) > DRIVE_FILE.limit_bytes:
             raise WcsimError(
-                f"{shown(self._path)}: is full, with {self._records} records and {self._end} bytes; begin another one"
+                f"{shown(self._path)}: is full, with {self._records} records and {self._end} bytes; start another one"
             )
         try:
             written = self._file.write(data) or 0
