@@ -126,7 +126,7 @@ def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
 def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
     kept = (there / name).read_bytes()
     (there / name).write_bytes(kept[:-1] + b"x")
-    with pytest.raises(PolicyError, match=f"{name} damaged or exchanged"):
+    with pytest.raises(PolicyError, match=f"{name} damaged or replaced"):
         policy_path("shipped")
     (there / name).unlink()
     with pytest.raises(PolicyError, match=f"{name} missing"):
@@ -137,7 +137,7 @@ def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
 
 def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, "shipped_place", lambda: tmp_path)
-    with pytest.raises(PolicyError, match=r"no policy comes with this wcsim.*tools/ship_policy\.py RUN"):
+    with pytest.raises(PolicyError, match=r"this wcsim comes without a policy.*tools/ship_policy\.py RUN"):
         run_folder.policy_path("shipped")
 
 

@@ -47,7 +47,7 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
     if found != sha256:
         raise PolicyError(
             f"{shown(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
-            "the file was damaged or exchanged; copy the whole policy folder again"
+            "the file was damaged or replaced; copy the whole policy folder again"
         )
     _require_same(path, _told(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
     return data
@@ -86,7 +86,7 @@ def _told(path: Path, data: bytes) -> dict[str, str]:
     try:
         text = head.decode()
     except UnicodeDecodeError as error:
-        raise PolicyError(f"{shown(path)} is not a safetensors file: its header is no UTF-8 ({error.reason})") from None
+        raise PolicyError(f"{shown(path)} is not a safetensors file: its header is not UTF-8 ({error.reason})") from None
     facts = {name: _fact(entry) for name, entry in parse_json(text, shown(path), _HEADER).items()}
     return {name: fact for name, fact in facts.items() if name != "__metadata__"}
 
