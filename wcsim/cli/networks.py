@@ -13,7 +13,7 @@ from wcsim.errors import ConfigError
 
 @dataclass
 class Options:
-    """Show parameters, multiplications, memory and decision time on one core for each network."""
+    """Show size, multiplications, memory and decision time of each network."""
 
     names: str = ",".join(NETWORK_NAMES)
     """Networks, joined by commas: names or module:Class."""

@@ -171,7 +171,7 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
     assert "network=own" not in told.err
     for words in (("video", corner, "--out", "own.webm"), ("drive", corner)):
         told = wcsim(*words, "--policy", "runs/my own")
-        refused(told, "expected that you name it, if you trust it: --network own_network:OwnNet")
+        refused(told, "runs its code; if you trust it: --network own_network:OwnNet")
         told = wcsim(*words, "--policy", "follow", "--network", "own_network:OwnNet")
         refused(told, "--network own_network:OwnNet: follow does not use it; leave it out")
         assert "loading the simulator" not in told.out

@@ -165,7 +165,7 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
         return ""
     best = read_json(path / SELECTION, CHOICE).get("best")
     if not isinstance(best, str) or best not in clients:
-        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare the clients again")
+        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again")
     return best
 
 

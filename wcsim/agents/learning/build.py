@@ -132,7 +132,7 @@ def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, 
     if not learn.danger:
         return SeqDQN, SeqQPolicy, {}
     if learn.head != "residual":
-        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers are subtracted from its values")
+        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers lower its values")
     shield = Shield(weight=learn.danger_weight, threshold=config.danger.threshold)
     return ShieldedDQN, ShieldedQPolicy, {"shield": shield}
 

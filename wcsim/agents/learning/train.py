@@ -124,7 +124,7 @@ def stopped_error(path: Path, step: int, total: int, unsaved: str) -> Interrupte
     if unsaved:
         return DiskFullError(
             f"{told}; the policy so far is saved, but the last checkpoint could not be written ({unsaved}): --resume "
-            f"goes on from the one before it in {path}, or starts again if there is none; free disk space for the next one"
+            f"continues from the one before it in {path}, or starts again if there is none; free some disk space"
         )
     return InterruptedRunError(f"{told}; {path} holds the policy so far and can be continued with --resume")
 

@@ -86,7 +86,7 @@ def _told(path: Path, data: bytes) -> dict[str, str]:
     try:
         text = head.decode()
     except UnicodeDecodeError as error:
-        raise PolicyError(f"{shown(path)} is not a safetensors file: its header is not UTF-8 ({error.reason})") from None
+        raise PolicyError(f"{shown(path)} is not a safetensors file: its header is no UTF-8 ({error.reason})") from None
     facts = {name: _fact(entry) for name, entry in parse_json(text, shown(path), _HEADER).items()}
     return {name: fact for name, fact in facts.items() if name != "__metadata__"}
 

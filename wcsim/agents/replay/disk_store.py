@@ -239,7 +239,7 @@ class DiskFrames:
         torn = cut_segment(self._folder, segments[-1], records)
         if torn:
             name = blobs_path(self._folder, segments[-1])
-            self.notes.append(f"{name}: {torn} bytes of a truncated frame were removed; all frames before it are intact")
+            self.notes.append(f"{name}: {torn} bytes of a truncated frame were removed; all others are intact")
 
     def _whole(self, segment: int, records: Records) -> Records:
         """The records up to the first one whose blob is not what was written, as after a loss of power."""

@@ -50,7 +50,7 @@ def train_danger(
             sha256 = train_rounds(rounds, progress)
         except KeyboardInterrupt:
             folder.with_status("interrupted", 0)
-            kept = "the policy of the complete rounds" if keep_newest(folder) else "the recorded segments, but no policy yet"
+            kept = "the policy of the complete rounds" if keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
                 f"stopped; {folder.path} holds {kept}, and can be continued with --resume"
             ) from None

@@ -87,7 +87,8 @@ def run(words: list[str]) -> int:
         kept = len(list(out.glob(f"{SEGMENTS}/*.npz.zst")))
         if not kept:
             raise
-        raise InterruptedRunError(f"stopped; {out} holds {counted(kept, 'segment')}; the same command continues") from None
+        held = counted(kept, "segment")
+        raise InterruptedRunError(f"stopped; {out} holds {held}; the same command continues") from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
     if options.json is not None:

@@ -40,7 +40,7 @@ _USUAL = "This takes about 4 minutes on two free cores, half of them for trainin
 
 @dataclass
 class Options:
-    """Train preset quick in Helsinki, test it in Monaco next to the baselines, and film it there.
+    """Train preset quick in Helsinki, then test and film it in Monaco.
 
     This takes about 4 minutes on two free cores. Every stage shows the time left.
     """
@@ -162,8 +162,8 @@ def _page(demo: _Demo, config: RunConfig, results: Sequence[TestResult], still: 
         learned=how_it_learns(config),
         results=results,
         film=still.with_suffix(".webm").name,
-        film_says=f"The network assists a simulated user ({demo.trial.profile}) in {demo.town.name}: the chair's camera, the map, "
-        "the user's stick (blue) and the driven one (orange). Click the picture to play the film.",
+        film_says=f"The network assists a simulated user ({demo.trial.profile}) in {demo.town.name}: the chair's "
+        "camera, the map, the user's stick (blue) and the driven one (orange). Click the picture to play the film.",
         still_png=still.read_bytes(),
         commands=_commands(demo),
     )
@@ -174,7 +174,7 @@ def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:
     """What to do next, each with what it does."""
     run, town = shlex.quote(str(demo.out)), shlex.quote(str(demo.options.test_town.split(",")[0].strip()))
     return (
-        (f"wcsim drive {town} --policy {run}", "you drive on a page in your browser, with the assistance of this network"),
+        (f"wcsim drive {town} --policy {run}", "you drive on a page in your browser, assisted by this network"),
         (f"wcsim look {town}", "pictures and ten seconds of film, without a network"),
         (f"wcsim test --suite dev {run} --jobs 2", "tests it on a fixed list of episodes, in a quarter of an hour"),
         ("wcsim train --preset laptop --out runs/laptop", "trains a better network, in half an hour"),
@@ -192,8 +192,9 @@ def how_it_learns(config: RunConfig) -> str:
         return ""
     times = counted(collect.rounds, "round")
     return (
-        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users and an oracle "
-        f"drive. From this, a network learns in {danger.updates} updates per round which joystick positions end badly."
+        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users and an "
+        f"oracle drive. From this, a network learns in {danger.updates} updates per round which joystick positions end "
+        "badly."
     )
 
 

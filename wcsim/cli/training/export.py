@@ -31,7 +31,7 @@ _SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly
 
 @dataclass
 class Options:
-    """Export a danger network as an ONNX model, with a description of its inputs and a reference ride to check a port."""
+    """Export a danger network as an ONNX model, with a reference ride to check it."""
 
     policy: Annotated[str, tyro.conf.Positional]
     """Run of a danger network, its policy folder, or shipped; RUN@0.2 sets its threshold."""
@@ -118,8 +118,8 @@ def _compared(facts: ExportFacts) -> str:
     return (
         f"{facts.bytes / 1e6:.1f} MB, dangers differ by at most {facts.most_off:.1g}"
         f"{borders if facts.border_steps else ''}\n"
-        f"{facts.same_actions:.1%} of {facts.steps} actions match the network, {facts.same_as_wcsim:.1%} match wcsim's policy; "
-        f"{counted(facts.interventions, 'intervention')}, {counted(facts.warnings, 'step')} with a warning"
+        f"{facts.same_actions:.1%} of {facts.steps} actions match the network, {facts.same_as_wcsim:.1%} match wcsim's "
+        f"policy; {counted(facts.interventions, 'intervention')}, {counted(facts.warnings, 'step')} with a warning"
     )
 
 
@@ -139,12 +139,12 @@ def _costs(facts: ExportFacts) -> str:
     small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
     within = "within" if cost.p99_ms <= facts.bar_ms else "over"
     return (
-        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the target of {facts.bar_ms:g} ms; "
-        f"{cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
+        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the target of {facts.bar_ms:g} "
+        f"ms; {cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
         f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
         f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})\n"
-        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers differ by up to "
-        f"{facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} of the actions match"
+        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers "
+        f"differ by up to {facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} of the actions match"
     )
 
 

@@ -35,7 +35,10 @@ WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
 
 @dataclass
 class Options:
-    """Train one network in a running world (`wcsim serve`). The server sets world, chair and camera."""
+    """Train one network in a running world of `wcsim serve`.
+
+    The server sets world, chair and camera.
+    """
 
     endpoint: Annotated[str, tyro.conf.Positional]
     """Address of the world, as printed by `wcsim serve`: ipc://FILE or tcp://HOST:PORT."""
@@ -73,7 +76,9 @@ def run(words: list[str]) -> int:
     in_bounds("--wait", options.wait, 0.1, 3600.0)
     in_bounds("--seat", options.seat or 0, 0, 63)
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
-        raise ConfigError(f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it")
+        raise ConfigError(
+            f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it"
+        )
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with .")
     config = resolve_config(options, options.network)

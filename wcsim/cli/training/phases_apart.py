@@ -59,8 +59,8 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     if not name or len(run.clients) == 1:
         if options.worlds is not None:
             raise ConfigError(
-                f"--worlds {options.worlds}: no clients are compared; expected several clients and --select-by LIST, or "
-                "leave that out"
+                f"--worlds {options.worlds}: no clients are compared; expected several clients and --select-by LIST, "
+                "or leave that out"
             )
         return train_clients(options, run, town)
     from wcsim.agents.evaluation.suite.list_file import open_suite
@@ -69,7 +69,9 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     worlds_of(options.worlds)  # before the first phase
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < 1]
     if unled:
-        raise ConfigError(f"learn.select_by compares clients after the first phase, but {unled[0]} has none: set learn.phase1_steps")
+        raise ConfigError(
+            f"learn.select_by compares clients after the first phase, but {unled[0]} has none: set learn.phase1_steps"
+        )
     dangers = [client.name for client in run.clients if client.config.learn.head == "danger"]
     if dangers:  # their learning rate rises and falls once over all of a run
         raise ConfigError(

@@ -42,13 +42,13 @@ _OF_CLIENTS = ("config_for", "lease", "recovery")  # options that one network wo
 
 @dataclass
 class Options:
-    """Train a network to assist a user: a danger network in rounds, or Q-learning in two phases (--preset dqn)."""
+    """Train a network to assist a user: a danger network, or by Q-learning."""
 
     town: str = "helsinki"
     """Training town: a town's name, its folder, or a .sumocfg of your own. Test towns need --allow-test-town."""
     preset: str = ""
-    """Preset to start from: quick, laptop, best, dqn or paper. (default: quick, a danger network; dqn, Q-learning, with
-    --network, --clients, --steps, --reward, --hook or a setting of [learn])"""
+    """Preset to start from: quick, laptop or best (danger networks), dqn or paper (Q-learning). Empty: quick, or
+    dqn with --network, --clients, --steps, --reward, --hook or a setting of [learn]."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file with settings that override the preset."""
     set: Repeated = ()
@@ -67,10 +67,10 @@ class Options:
     """TOML file with settings for one client; overrides all others."""
     select_by: Annotated[str | None, tyro.conf.arg(metavar="LIST")] = None
     """Suite, or episode list of your own, that compares clients after the first phase. Only the best one learns the
-    second. (default: learn.select_by, which is validation in preset paper; '': all learn it)"""
+    second; with '' all do. None: learn.select_by, which is validation in preset paper."""
     worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Worker processes that drive data for a danger network, or that compare clients. Results do not depend on their
-    number. (default: one per core, at most 4)"""
+    number. None: one per core, at most 4."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
     """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`. Data and weights stay the same
     (docs/cluster.md)."""
@@ -151,7 +151,7 @@ def _require_one(words: list[str]) -> None:
     """Refuse options that are for several clients. Raises ConfigError."""
     found = [f"--{name.replace('_', '-')}" for name in _OF_CLIENTS if name in given(words)]
     if found:
-        raise ConfigError(f"{', '.join(found)}: only for several networks; expected --clients A,B,..., or leave that out")
+        raise ConfigError(f"{', '.join(found)}: only for several networks; expected --clients A,B,... with it")
 
 
 def _resume(options: Options, words: list[str]) -> int:

@@ -181,9 +181,9 @@ def _write_reference(
     same = told["values"].argmax(axis=1) == np.array(chosen)
     if np.mean(same) < LEAST_SAME:
         raise PolicyError(
-            f"the exported model chooses the action of wcsim's policy in {np.mean(same):.1%} of the steps (first difference: step "
-            f"{int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a bug of the export, please "
-            "report it; nothing was written"
+            f"the exported model chooses the action of wcsim's policy in {np.mean(same):.1%} of the steps "
+            f"(first difference: step {int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a "
+            "bug of the export, please report it; nothing was written"
         )
     return ExportFacts(
         steps=len(ride),

@@ -120,9 +120,9 @@ def _figure(training: Training, key: str, number: str, label: str, says: str, of
     return figure(
         _NAMES[key],
         f"{number}{label}",
-        f"{says}. Each dot is an episode, at the step of its end. Lines are means of the last {OVER} episodes. Dashed, in "
-        "a client's colour: the end of its first phase, in which the user's actions are executed. The curves include "
-        "exploration; wcsim test judges the policy itself.",
+        f"{says}. Each dot is an episode, at the step of its end. Lines are means of the last {OVER} episodes. Dashed, "
+        "in a client's colour: the end of its first phase, in which the user's actions are executed. The curves "
+        "include exploration; wcsim test judges the policy itself.",
         csv_of(("client", "step", "phase", key, f"mean_of_{OVER}", "crashed"), plain),
         curve_chart(_NAMES[key], label, curves, limit),
     )
@@ -144,8 +144,8 @@ def _table(training: Training) -> Exhibit:
     return Exhibit(
         name="clients",
         title="Clients",
-        says="Steps up to the last finished episode. Means are over the last episodes. KPI 1 falls below its limit where "
-        "the mean in the figure does.",
+        says="Steps up to the last finished episode. Means are over the last episodes. KPI 1 falls below its limit "
+        "where the mean in the figure does.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
         csv=csv_of(headings, rows),
     )
