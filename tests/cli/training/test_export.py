@@ -40,7 +40,7 @@ def a_drive(folder: Path, *settings: str) -> Path:
 
 def lacking(told: str) -> list[str]:
     """What a refusal says that is to be typed besides."""
-    return shlex.split(told.partition("that made it with ")[2].partition(", or by")[0])
+    return shlex.split(told.partition("the same command and ")[2].partition(", or with")[0])
 
 
 def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, folder, monkeypatch):
