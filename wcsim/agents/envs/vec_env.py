@@ -24,7 +24,7 @@ from wcsim.supervisor.observation import Observation
 
 
 class StreetVecEnv(VecEnv):
-    """Drive several wheelchairs through one town; see the module's text."""
+    """Several wheelchairs in one town, for Stable-Baselines3."""
 
     def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
         """Describe the environment; the world is made by the first reset. Arguments as in `StreetParallelEnv`.

@@ -51,7 +51,7 @@ NETWORKS: dict[str, NetworkClass] = {
 
 
 def register(name: str, network: NetworkClass) -> None:
-    """Make a network known under a name. Raises PolicyError when the name is taken by another one or holds a colon."""
+    """Register a network under a name. Raises PolicyError if the name is taken or contains a colon."""
     if ":" in name or NETWORKS.get(name, network) is not network:
         raise PolicyError(f"network name {name!r} is taken or contains a colon; expected a new plain name")
     NETWORKS[name] = network
