@@ -15,8 +15,8 @@ from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId
 
 _NOT_FOR: Final = (
-    "this says nothing about a real street or a real chair: it was trained and tested in a simulation, and no person has "
-    "driven with it"
+    "this says nothing about a real street or a real chair: it was trained and tested in a simulation, and no person "
+    "has driven with it"
 )
 _INPUTS: Final = {
     "depth": "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 m), rounded to the "
