@@ -394,5 +394,5 @@ def test_a_replay_beyond_the_memory_is_named(monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr("wcsim.agents.learning.build.SeqDQN", full)
-    with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into the memory"):
+    with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into memory"):
         build_model(config(), ToyStreet(CAMERA), 0)

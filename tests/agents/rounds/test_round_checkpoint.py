@@ -184,7 +184,7 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
     state = json.loads(path.read_text())
     del state["seal"]  # as an older version wrote it, or somebody who means it
     path.write_text(json.dumps({**state, "segments": {name: "a" * 64}}))
-    with pytest.raises(PolicyError, match="names the segment"):
+    with pytest.raises(PolicyError, match="names a segment"):
         load_round(tmp_path, 0, learner)
 
 

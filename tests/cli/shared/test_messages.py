@@ -167,11 +167,11 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
     assert wcsim(*typed, corner, "--allow-train-town", "--episodes", "1", "--max-steps", "3").code == 0
     unnamed = [word for word in typed if word not in ("--network", "own_network:OwnNet")]
     told = wcsim(*unnamed, corner, "--allow-train-town")
-    refused(told, "runs/my own uses the network 'own_network:OwnNet'", "if you trust it: --network own_network:OwnNet")
+    refused(told, "runs/my own uses the network 'own_network:OwnNet'", "if you trust it, name it: --network own_network:OwnNet")
     assert "network=own" not in told.err
     for words in (("video", corner, "--out", "own.webm"), ("drive", corner)):
         told = wcsim(*words, "--policy", "runs/my own")
-        refused(told, "runs its code; if you trust it: --network own_network:OwnNet")
+        refused(told, "runs its code; if you trust it, name it: --network own_network:OwnNet")
         told = wcsim(*words, "--policy", "follow", "--network", "own_network:OwnNet")
         refused(told, "--network own_network:OwnNet: follow does not use it; leave it out")
         assert "loading the simulator" not in told.out

@@ -62,5 +62,5 @@ def require_named(where: str, name: str, named: str | None) -> None:
     if name != named:
         raise PolicyError(
             f"{where} uses the network {shown(name, 80)!r}, which is not part of wcsim, and loading it runs its code; "
-            f"if you trust it: --network {shown(name, 80)}"
+            f"if you trust it, name it: --network {shown(name, 80)}"
         )

@@ -56,7 +56,7 @@ def write_demo_page(folder: Path, what: DemoShown) -> Path:
 
 
 def _title(result: TestResult) -> str:
-    return f"{result.town}, user {result.profile}, seed {result.seed}"
+    return f"{result.town}, {result.profile} user, seed {result.seed}"
 
 
 def _table(result: TestResult) -> Markup:
