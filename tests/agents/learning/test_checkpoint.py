@@ -164,7 +164,7 @@ def test_a_run_without_a_checkpoint_begins_again(tmp_path):
     shutil.copytree(once, out)
     shutil.rmtree(out / "checkpoints")
     train(a_run(config(), out, 5, resume=True), street, say=told.append)
-    assert "begins again" in told[0]
+    assert "starts again" in told[0]
     rows = [read_metrics(run / "metrics.csv") for run in (once, out)]
     one, other = ([{k: v for k, v in row.items() if "wall" not in k} for row in some] for some in rows)
     assert one == other

@@ -167,7 +167,8 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
     assert wcsim(*typed, corner, "--allow-train-town", "--episodes", "1", "--max-steps", "3").code == 0
     unnamed = [word for word in typed if word not in ("--network", "own_network:OwnNet")]
     told = wcsim(*unnamed, corner, "--allow-train-town")
-    refused(told, "runs/my own uses the network 'own_network:OwnNet'", "if you trust it, name it: --network own_network:OwnNet")
+    unnamed_says = "if you trust it, name it: --network own_network:OwnNet"
+    refused(told, "runs/my own uses the network 'own_network:OwnNet'", unnamed_says)
     assert "network=own" not in told.err
     for words in (("video", corner, "--out", "own.webm"), ("drive", corner)):
         told = wcsim(*words, "--policy", "runs/my own")
