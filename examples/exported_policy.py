@@ -107,8 +107,6 @@ if __name__ == "__main__":
         own = np.linalg.norm(points[None] - ride["joystick"][:, None], axis=2).argmin(axis=1)
         off = np.abs(np.array(dangers) - ride["danger"]).max(axis=1)
         close = np.mean(off < 1e-3)  # at the border of two cells, another one may be read
-        sys.stdout.write(
-            f"{same.sum()} of {len(same)} actions as recorded, {np.sum(own != ride['action'])} of them "
-        )
+        sys.stdout.write(f"{same.sum()} of {len(same)} actions as recorded, {np.sum(own != ride['action'])} of them ")
         sys.stdout.write(f"interventions; dangers as recorded in {close:.0%} of the steps\n")
         sys.exit(0 if same.mean() >= 0.98 and close >= 0.98 else 1)

@@ -138,9 +138,7 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
     told = stderr_console()
     by = f"{suite.file.suite} {suite.file.set}"
-    told.print(
-        f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each", markup=False
-    )
+    told.print(f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each", markup=False)
 
     def say(policy: str, done: int, of: int) -> None:
         told.print(f"{policy}: {done} of {of} blocks", style="dim", markup=False)
