@@ -1,13 +1,13 @@
 """Drives with an exported policy from camera frames: NumPy and ONNX Runtime, no wcsim.
 
-    wcsim export runs/mine --onnx exported          # puts this file into the folder, too
-    python exported/exported_policy.py              # drives the reference steps beside it again, and compares
-    python exported_policy.py exported              # those of another folder
-    python exported_policy.py exported ride.npz     # prints the sticks of a ride with the same inputs
+    wcsim export runs/mine --onnx exported          # copies this file into the folder
+    python exported/exported_policy.py              # drives the reference steps again and compares
+    python exported_policy.py exported              # the same for another folder
+    python exported_policy.py exported ride.npz     # prints the sticks for a ride with the same inputs
 
-The folder's meaning.json says what each input is, and what the guard trusts. The model's values follow its rule: the
-action nearest to the user's stick that is safe enough has the highest one. A port that sees nothing follows the stick
-and may still choose much as recorded: what counts is that the dangers are the recorded ones.
+The folder's meaning.json describes each input and the limits of the guard. The model's values follow its rule: the
+safe action nearest to the user's stick has the highest value. A port that sees nothing follows the stick, and many of
+its actions match the recording. So compare the dangers, too.
 """
 
 import json
@@ -22,20 +22,20 @@ import onnxruntime
 
 
 class Guard:
-    """Nothing that is not sure drives the chair; `stick` is the command to send."""
+    """Stops the chair when the output cannot be trusted; `stick` is the command to send."""
 
     def __init__(self, rule: dict[str, float]) -> None:
         self.rule, self.stick, self.good, self.tripped = rule, (0.0, 0.0), 0, False
 
     def step(self, wanted: tuple[float, float] | None, finite: bool, age_s: float, took_s: float) -> bool:
-        """Take the policy's command, None for none; whether the tick was good."""
+        """Take the policy's command, or None; returns whether the tick was good."""
         rule = self.rule
         sure = wanted is not None and finite and age_s <= rule["oldest_s"] and took_s <= rule["deadline_s"]
         self.good = self.good + 1 if sure else 0
         self.tripped = not sure or (self.tripped and self.good < rule["good_ticks"])
         if self.tripped:
             travel, length = math.sqrt(2.0) * rule["tick_s"] / rule["stop_s"], max(math.hypot(*self.stick), 1e-9)
-            share = max(0.0, 1.0 - travel / length)  # nothing is sure: come to rest within stop_s
+            share = max(0.0, 1.0 - travel / length)  # come to rest within stop_s
             wanted = self.stick[0] * share, self.stick[1] * share
         self.stick = wanted or (0.0, 0.0)
         return sure
@@ -54,29 +54,29 @@ class Driver:
     def reset(self) -> None:
         """Begin a drive."""
         self.guard, self.warning = Guard(self.meaning["guard"]), False
-        self.danger = np.zeros(len(self.meaning["actions_xy"]), np.float32)  # as last told
+        self.danger = np.zeros(len(self.meaning["actions_xy"]), np.float32)  # of the last good tick
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing of the street."""
+        """Clear the map and all other states."""
         self.states = {name: np.zeros(shape, np.float32) for name, shape in self.meaning["states"].items()}
 
     def asked(self, frames: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """What the model says of frames, {} of such as are not finite."""
+        """The model's outputs for frames; {} if an input is not finite."""
         if not all(np.isfinite(each).all() for each in frames.values()):
             return {}
-        if self.guard.tripped:  # it hears of no wish until it drives again
+        if self.guard.tripped:  # the user's stick is hidden until the policy drives again
             frames = {**frames, "joystick": np.zeros(2, np.float32)}
         given = {key: np.asarray(frame)[None] for key, frame in frames.items()}
         return dict(zip(self.names, self.session.run(None, {**given, **self.states}), strict=True))
 
     def step(self, frames: dict[str, np.ndarray] | None, age_s: float = 0.0) -> tuple[float, float]:
-        """The stick (x right, y ahead) for frames {"depth", "seg", "imu", "odometry", "joystick"}, None for none."""
+        """The stick (x right, y ahead) for frames {"depth", "seg", "imu", "odometry", "joystick"}, or None."""
         began_s, wanted, told = self.clock(), None, {}
         if frames and age_s <= self.guard.rule["oldest_s"]:
             try:
                 told = self.asked(frames)
-            except Exception:  # of whatever kind: nothing is sure
+            except Exception:  # any error makes the tick bad
                 told = {}
         finite = bool(told) and all(np.isfinite(value).all() for value in told.values())
         if finite:
@@ -84,7 +84,7 @@ class Driver:
             self.warning, self.danger = bool(told["warning"][0, 0] > 0.5), told["danger"][0]
             wanted = tuple(self.meaning["actions_xy"][int(told["values"][0].argmax())])
         sure = self.guard.step(wanted, finite, age_s, self.clock() - began_s)
-        if not sure or self.guard.stick != wanted:  # its states say that what it wanted was sent
+        if not sure or self.guard.stick != wanted:  # its states assume that its own command was sent
             self.forget()
         self.warning = self.warning and sure
         return self.guard.stick
@@ -93,7 +93,7 @@ class Driver:
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
     ride = np.load(sys.argv[2] if len(sys.argv) > 2 else folder / "reference.npz")
-    driver = Driver(folder, clock=lambda: 0.0)  # a recorded ride waits for nobody
+    driver = Driver(folder, clock=lambda: 0.0)  # a recorded ride has no deadline
     keys = ("depth", "seg", "imu", "odometry", "joystick")
     driven, dangers = [], []
     for tick in range(len(ride["joystick"])):
@@ -106,9 +106,7 @@ if __name__ == "__main__":
         same = np.all(np.array(driven) == points[ride["action"]], axis=1)
         own = np.linalg.norm(points[None] - ride["joystick"][:, None], axis=2).argmin(axis=1)
         off = np.abs(np.array(dangers) - ride["danger"]).max(axis=1)
-        close = np.mean(off < 1e-3)  # where a place lies on the border of two cells, another one may be read
-        sys.stdout.write(
-            f"{same.sum()} of {len(same)} actions as recorded, {np.sum(own != ride['action'])} of these not "
-        )
-        sys.stdout.write(f"the user's own; dangers as recorded in {close:.0%} of the steps\n")
+        close = np.mean(off < 1e-3)  # at the border of two cells, another one may be read
+        sys.stdout.write(f"{same.sum()} of {len(same)} actions as recorded, {np.sum(own != ride['action'])} of them ")
+        sys.stdout.write(f"interventions; dangers as recorded in {close:.0%} of the steps\n")
         sys.exit(0 if same.mean() >= 0.98 and close >= 0.98 else 1)

@@ -1,30 +1,30 @@
-"""A controller of your own, without learning: `wcsim test own_policy:Careful --town monaco --only`."""
+"""A hand-written controller: `wcsim test own_policy:Careful --town monaco --only`."""
 
 import numpy as np
 
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
 
-NEAR = 120  # a code of depth, about 1.7 m; codes run from 1 (0.1 m) to 255 (40 m), logarithmic, and 0 was not measured
+NEAR = 120  # depth code of about 1.7 m; codes are logarithmic from 1 (0.1 m) to 255 (40 m), 0 means not measured
 
 
 class Careful:
-    """It does what the user asks for, and creeps and warns when something is near ahead."""
+    """Follows the user's stick; slows down and warns if something is near ahead."""
 
     name = "careful"
-    warning = False  # may be left out by who never warns
+    warning = False  # optional: only for policies that warn
 
     def __init__(self, config: RunConfig) -> None:
         self.actions = action_set(config.env.actions)  # `points` are the 81 positions: x to the right, y ahead
 
     def begin(self) -> None:
-        """A test begins: forget everything."""
+        """A test starts: clear all state."""
 
     def reset(self) -> None:
-        """An episode begins."""
+        """An episode starts."""
 
     def act(self, observation: dict[str, np.ndarray]) -> int:
-        """One of the 81 actions, once a tick."""
+        """Return one of the 81 actions, once per tick."""
         depth = observation["depth"][-1]  # (rows, columns), of the newest picture
         rows, columns = depth.shape
         ahead = depth[rows // 4 : rows // 2, columns // 3 : 2 * columns // 3]

@@ -1,14 +1,14 @@
-"""A reward term of one's own: beside this file, `wcsim train --reward own_reward:Gentle`."""
+"""A reward term of your own. In this folder: `wcsim train --reward own_reward:Gentle`."""
 
 from wcsim.types import ClientSnapshot
 
 
 class Gentle:
-    """Charges for changes of speed."""
+    """Penalises changes of speed."""
 
     def reset(self) -> None:
-        """Nothing is remembered between ticks."""
+        """An episode starts; this term has no state."""
 
     def reward(self, before: ClientSnapshot, after: ClientSnapshot) -> float:
-        """What this tick adds to the reward."""
+        """The reward of this tick."""
         return -0.1 * abs(after.plant.v_B_mps[0] - before.plant.v_B_mps[0])

@@ -1,4 +1,4 @@
-"""A policy in a process of its own, without wcsim: it follows the stick, and creeps when something is near ahead.
+"""A policy in a process of its own, without wcsim: it follows the stick and slows down if something is near ahead.
 
 python examples/served_policy.py 5800
 wcsim test --suite dev tcp:5800 --only
@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-NEAR = 120  # codes of depth run from 1 (0.1 m) to 255 (the range), on a logarithmic scale; 0 was not measured
+NEAR = 120  # codes of depth run from 1 (0.1 m) to 255 (the range), on a logarithmic scale; 0 means not measured
 
 
 class Chair(socketserver.StreamRequestHandler):

@@ -10,13 +10,13 @@ from stable_baselines3.common.vec_env import VecMonitor
 import wcsim
 from wcsim.agents.networks.encoder import ObservationEncoder
 
-PICTURES = ("cameras.0.width_px=80", "cameras.0.height_px=60")  # as in the preset quick
+PICTURES = ("cameras.0.width_px=80", "cameras.0.height_px=60")  # as in preset quick
 POLICY = {"features_extractor_class": ObservationEncoder, "normalize_images": False, "net_arch": [64]}
 
 
 def learn(town: str, steps: int, out: Path, overrides: tuple[str, ...] = PICTURES, chairs: int = 2) -> list[Path]:
-    """Train both one after the other in one world; where they are saved."""
-    torch.set_num_threads(1)  # with more, they wait for each other and for the world in every small update
+    """Train both in turn in one world; returns their files."""
+    torch.set_num_threads(1)  # more threads only wait for each other in every small update
     env = VecMonitor(wcsim.StreetVecEnv(town, chairs=chairs, overrides=overrides))
     rollout = max(2, min(256, steps // chairs))
     dqn = {"buffer_size": 10_000, "learning_starts": min(500, steps // 4), "batch_size": min(32, rollout)}
@@ -28,7 +28,7 @@ def learn(town: str, steps: int, out: Path, overrides: tuple[str, ...] = PICTURE
             model.learn(steps)
             saved.append(out / f"{kind.__name__.lower()}.zip")
             model.save(saved[-1])
-            kind.load(saved[-1], env=env, device="cpu")  # a zip of your own: its code runs
+            kind.load(saved[-1], env=env, device="cpu")  # loading a zip file runs its code
     finally:
         env.close()
     return saved

@@ -36,12 +36,12 @@ _COLUMNS = (
     *("kpi1_free_mean", "kpi1_moving_within", "kpi1_free_within", "speed_mps"),
     *("arrivals", "needless", "warned_share", "false_warnings_per_km", "score"),
 )
-_LIMITS = """- Simulation only: nothing here says anything about a real street, and nobody has ridden with it.
-- It sees what one depth camera at the place named above sees, with classes for each pixel;
-  those of a real camera err more.
-- It remembers 4 s. What comes from behind or from the side, outside the picture, it does not know.
-- It was trained with the chair, the camera and the delay named above; with others it is another policy.
-- Its dangers are no probabilities: the level of assistance was chosen on towns of the list above alone."""
+_LIMITS = """- Simulation only: this says nothing about a real street, and no person has driven with it.
+- Its input is one depth camera at the position above, with a class for each pixel.
+  A real camera has more errors.
+- It remembers 4 s. It cannot detect anything that comes from behind or from the side, outside the picture.
+- It is only valid with the chair, camera and delay above.
+- Its dangers are not probabilities. The threshold was chosen on the towns above alone."""
 
 
 def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], to: Path) -> Path:
@@ -82,16 +82,16 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     parts = [name for name in ("roll_out", "context", "rival") if getattr(danger, name)]
     towns, users, kept = driving(run)
     streets = f" (streets of {manifest.town} {manifest.town_sha256[:12]})" if manifest.town in towns else ""
-    met = "".join(f"; {name} was never met" for name in HELD_OUT if name not in users)
+    met = "".join(f"; {name} is held out" for name in HELD_OUT if name not in users)
     lines = [
         "# Model card: the policy that comes with wcsim",
-        "It says of each joystick position how surely it ends badly; the nearest safe one is driven: `docs/danger.md`.",
+        "It scores the danger of each joystick position and drives the safe one nearest to the user: `docs/danger.md`.",
         "",
         "| | |",
         "|---|---|",
         f"| trained in | {', '.join(towns)}{streets} |",
         f"| users | {', '.join(users)}{met} |",
-        f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, teacher {danger.teacher} |",
+        f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, labels {danger.teacher} |",
         f"| seed | {manifest.seed} |",
         f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
         f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "
@@ -102,11 +102,11 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| code | {manifest.git_revision or 'unknown'} |",
         f"| settings | SHA-256 {manifest.config_sha256} |",
         "",
-        "Made again by:",
+        "Reproduce it with:",
         "",
         *(f"    {command}" for command in commands(run)),
         "",
-        "## What it was measured at",
+        "## Test results",
         *table(rows),
         "",
         "## Limits",
@@ -145,7 +145,7 @@ def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
     collect, others = run.config.collect, data_of(run)
     towns, users = list[str](), list[str]()
     if collect.segments:
-        made = [f"{collect.made_towns} made for it"] if collect.made_towns else []
+        made = [f"{collect.made_towns} generated"] if collect.made_towns else []
         towns, users = [run.manifest.town, *collect.towns, *made], list(collect.profiles)
     for folder in map(Path, others):
         towns += read_manifest(folder).towns

@@ -68,7 +68,7 @@ def test_its_card_says_how_it_was_made_and_measured(made):
 
 def test_its_card_says_where_the_camera_sits_and_its_noise_in_words(made):
     limits = (made / "MODEL_CARD.md").read_text().partition("## Limits")[2]
-    assert "the place named above" in limits
+    assert "the position above" in limits
     typical = CameraConfig.model_validate({"p_BC_m": [0.3, 0.1, 1.2], "noise": "typical"})
     told = TOOL["camera_told"](typical)
     assert "at x 0.3, y 0.1, z 1.2 m of the chair" in told and "-15 deg up" in told and "noise typical," in told
@@ -101,7 +101,7 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
     ]
     card = TOOL["card"](run, [])
     assert "| trained in | helsinki, corner, monaco (streets" in card and "| data | 3 segments" in card
-    assert "switch, ataxic |" in card and "never met" not in card
+    assert "switch, ataxic |" in card and "held out" not in card
     began_with = {str(collected): {f"{names[0]}.npz.zst": "d" * 64}}
     files.write_json(run.path / LEARNED, {"schema_version": 1, "folders": began_with})
     assert [line.split(told)[0] for line in TOOL["commands"](run)[:-1]] == [f"{collect} --seed 1 --segments 1"]
@@ -126,7 +126,7 @@ def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
 def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
     kept = (there / name).read_bytes()
     (there / name).write_bytes(kept[:-1] + b"x")
-    with pytest.raises(PolicyError, match=f"{name} damaged or exchanged"):
+    with pytest.raises(PolicyError, match=f"{name} damaged or replaced"):
         policy_path("shipped")
     (there / name).unlink()
     with pytest.raises(PolicyError, match=f"{name} missing"):
@@ -137,7 +137,7 @@ def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
 
 def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, "shipped_place", lambda: tmp_path)
-    with pytest.raises(PolicyError, match=r"no policy comes with this wcsim.*tools/ship_policy\.py RUN"):
+    with pytest.raises(PolicyError, match=r"this wcsim comes without a policy.*tools/ship_policy\.py RUN"):
         run_folder.policy_path("shipped")
 
 

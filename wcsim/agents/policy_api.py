@@ -28,21 +28,21 @@ def require_level(level: float, levels: tuple[float, float]) -> None:
     """Raise PolicyError for a level of assistance that is not between these two."""
     low, high = sorted(levels)
     if not low <= level <= high:
-        raise PolicyError(f"level of assistance {level:g}: expected {low:g} to {high:g}")
+        raise PolicyError(f"assistance level {level:g}: expected {low:g} to {high:g}")
 
 
 class Policy(Protocol):
-    """Chooses an action for one wheelchair; `act` is called once a tick with one observation, not a batch."""
+    """Chooses actions for one wheelchair. `act` is called once per tick with one observation, not a batch."""
 
     @property
     def name(self) -> str:
-        """How tables call it."""
+        """Its name in tables."""
 
     def begin(self) -> None:
-        """Forget everything: a test starts, and nothing that was driven before may be seen in it."""
+        """A test starts: clear all state, so that earlier drives cannot affect it."""
 
     def reset(self) -> None:
-        """Forget everything of the episode before."""
+        """An episode starts: clear the state of the last one."""
 
     def act(self, observation: Observation) -> int:
         """The action for this observation."""
@@ -60,15 +60,15 @@ def calling(policy: Policy, method: str) -> AbstractContextManager[None]:
 
 @runtime_checkable
 class SeesTruth(Protocol):
-    """A policy that is shown the truth before each `act`: an upper bound, no rival of those that see observations."""
+    """A policy that gets the ground truth before each `act`. It is an upper bound, not a competitor."""
 
     def see(self, truth: Truth | None) -> None:
-        """Take the truth of the moment that `act` is asked about next; None where the environment gives none."""
+        """Take the truth for the next `act`; None if the environment provides none."""
 
 
 @runtime_checkable
 class Warns(Protocol):
-    """A policy that can warn its user of what it sees coming."""
+    """A policy that can warn its user of danger."""
 
     @property
     def warning(self) -> bool:
@@ -77,21 +77,21 @@ class Warns(Protocol):
 
 @runtime_checkable
 class HearsSent(Protocol):
-    """A policy that reckons with what the chair was told to do, which may be another action than its own choice."""
+    """A policy that needs to know which action was executed, as that may differ from its choice."""
 
     def choose(self, observation: Observation) -> int:
-        """The action for this observation, as `act` gives it, while another one may still be sent."""
+        """The action for this observation, as from `act`, before it is decided which one is sent."""
 
     def sent(self, action: int) -> None:
-        """Take note of the action that is carried out."""
+        """Record the action that is executed."""
 
 
 @runtime_checkable
 class HearsDelay(Protocol):
-    """A policy that learned with the delay of each episode, where `[vary]` draws one; tests tell it as training did."""
+    """A policy that is given the action delay of each episode, if `[vary]` draws one."""
 
     def set_delay(self, ticks: int) -> None:
-        """From the next `reset` on a command reaches the chair so many ticks late."""
+        """From the next `reset` on, commands reach the chair this many ticks late."""
 
 
 def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
@@ -102,11 +102,11 @@ def tell_delay(policy: Policy, drawn: Drawn | None) -> None:
 
 @runtime_checkable
 class TellsUnsafe(Protocol):
-    """A policy that says of every action whether it would take it."""
+    """A policy that says for every action whether it considers it unsafe."""
 
     @property
     def unsafe(self) -> Bool:
-        """(A,) which actions it holds for unsafe, as of its last `act`."""
+        """(A,) which actions it considers unsafe, as of its last `act`."""
 
 
 @runtime_checkable
@@ -115,19 +115,19 @@ class Levelled(Protocol):
 
     @property
     def levels(self) -> tuple[float, float]:
-        """The level that assists least, and the one that assists most; the first may be the larger number."""
+        """The levels that assist least and most; the first may be the larger number."""
 
     @property
     def level(self) -> float:
-        """The level of now."""
+        """The current level."""
 
     def set_level(self, level: float) -> None:
-        """Assist so from the next `act` on. Raises PolicyError for a level that is not between those of `levels`."""
+        """Use this level from the next `act` on. Raises PolicyError for one outside of `levels`."""
 
 
 @runtime_checkable
 class NeedsSenses(Protocol):
-    """A policy that reads senses which a chair does not have unless asked for; tests turn them on for it."""
+    """A policy that needs optional sensors. Tests turn them on for it."""
 
     @property
     def senses(self) -> tuple[str, ...]:

@@ -13,16 +13,16 @@ from wcsim.errors import ConfigError
 
 @dataclass
 class Options:
-    """Parameters, multiplications, memory and the time of a decision on one core, for each network."""
+    """Show size, multiplications, memory and decision time of each network."""
 
     names: str = ",".join(NETWORK_NAMES)
-    """Networks, joined by commas: by name or as module:Class."""
+    """Networks, joined by commas: names or module:Class."""
     width: int = 320
-    """Of the pictures, in pixels."""
+    """Picture width in pixels."""
     height: int = 240
-    """Of the pictures, in pixels."""
+    """Picture height in pixels."""
     runs: int = 30
-    """Decisions to time."""
+    """Number of decisions to time."""
     json: OutFile = None
     """Write the rows to this file."""
 
@@ -52,8 +52,8 @@ def run(words: list[str]) -> int:
         )
     stdout_console().print(table)
     print(
-        f"pictures of {options.width}x{options.height}, one core; fits: {LIMIT_MS:g} ms less {RESERVE_MS:g} ms, which "
-        "a real chair needs for the classes of its pictures"
+        f"{options.width}x{options.height} pixels, one core; fits: a decision takes at most {LIMIT_MS:g} ms less "
+        f"{RESERVE_MS:g} ms, which a real chair needs to segment its pictures"
     )
     if options.json is not None:
         write_json(options.json, [{**asdict(cost), "within_100_ms": cost.within_100_ms} for cost in costs])

@@ -36,7 +36,7 @@ class ActionSet:
         return len(self.points)
 
     def nearest(self, joystick_xy: Sequence[float] | F32 | F64) -> int:
-        """The action nearest to a joystick position (2,); of two equally near ones the lower index."""
+        """The action nearest to a joystick position (2,); ties go to the lower index."""
         return int(self.nearest_many(np.asarray(joystick_xy, dtype=np.float64)[None])[0])
 
     def nearest_many(self, joysticks_xy: F32 | F64) -> I64:

@@ -8,10 +8,10 @@ from wcsim.types import ClientSnapshot
 
 
 class RewardTerm(Protocol):
-    """One more term of the reward; it sees what the supervisor sees, before and after a tick."""
+    """An additional reward term, computed from the snapshots before and after a tick."""
 
     def reset(self) -> None:
-        """Begin an episode."""
+        """An episode starts."""
 
     def reward(self, before: ClientSnapshot, after: ClientSnapshot) -> float:
         """What this tick adds to the reward."""

@@ -78,7 +78,7 @@ def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
     path = tmp_path / "a.npz.zst"
     sha256 = write_segment(path, a_segment())
     write_segment(path, a_segment(seed=1))
-    with pytest.raises(PolicyError, match="damaged or exchanged"):
+    with pytest.raises(PolicyError, match="damaged or replaced"):
         read_segment(path, sha256)
 
 

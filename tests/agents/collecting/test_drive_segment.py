@@ -91,7 +91,7 @@ def test_variants_are_drawn_by_key():
     ("variant", "told"),
     [
         ("world.attention_share=0.7 cameras.0.width=3", "unknown key"),
-        ("vary.action_delay_ticks=[0, 2]", "a value has no blank in it"),
+        ("vary.action_delay_ticks=[0, 2]", "no blanks within a value"),
         ("world.attention_share=2", "less than or equal to 1"),
     ],
 )

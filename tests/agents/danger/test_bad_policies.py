@@ -65,7 +65,7 @@ def test_an_observation_without_its_senses_is_refused(bad, told):
 def test_weights_of_another_hash_type_shape_or_form_are_refused(saved: Path):
     whole = (saved / WEIGHTS).read_bytes()
     (saved / WEIGHTS).write_bytes(whole[:-1] + b"x")
-    with pytest.raises(PolicyError, match="damaged or exchanged"):
+    with pytest.raises(PolicyError, match="damaged or replaced"):
         load_danger(saved, "own", CONFIG)
     (saved / WEIGHTS).write_bytes(whole)
     tensors = load_file(saved / WEIGHTS)

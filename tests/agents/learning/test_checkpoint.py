@@ -119,7 +119,7 @@ def test_a_checkpoint_of_the_version_before_has_no_seal(bench, folder, seal):
 def test_a_learner_is_what_it_was_when_all_are_refused(bench, folder):
     for path in step_folders(folder):
         (path / MODEL).write_bytes(b"")
-    with pytest.raises(PolicyError, match="no sound checkpoint that fits") as told:
+    with pytest.raises(PolicyError, match="no intact checkpoint that fits") as told:
         load_checkpoint(folder, bench.model)
     assert all(path.name in str(told.value) for path in step_folders(folder))
     assert content(bench.model, {}) == bench.blank
@@ -164,7 +164,7 @@ def test_a_run_without_a_checkpoint_begins_again(tmp_path):
     shutil.copytree(once, out)
     shutil.rmtree(out / "checkpoints")
     train(a_run(config(), out, 5, resume=True), street, say=told.append)
-    assert "begins again" in told[0]
+    assert "starts again" in told[0]
     rows = [read_metrics(run / "metrics.csv") for run in (once, out)]
     one, other = ([{k: v for k, v in row.items() if "wall" not in k} for row in some] for some in rows)
     assert one == other

@@ -136,7 +136,7 @@ def test_a_store_that_lost_frames_is_told_in_a_line(stopped):
         assert found.path.name == "step-00000100"
         assert ["lacks 50 of the frames 0 to 200" in item.reason for item in found.passed_over] == [True]
         index.write_bytes(b"")
-        with pytest.raises(PolicyError, match=r"no sound checkpoint that fits.*lacks 100"):
+        with pytest.raises(PolicyError, match=r"no intact checkpoint that fits.*lacks 100"):
             loaded(out, 1)
     finally:
         for path, data in kept.items():
@@ -149,6 +149,6 @@ def test_what_was_torn_is_said_and_the_run_goes_on(stopped):
     told = []
     train(a_run(config(), stopped, 5, resume=True), Fixed, say=told.append)
     assert open_run(stopped).manifest.status == "done"
-    assert sum("torn frame were cut off" in line for line in told) == 1
+    assert sum("truncated frame were removed" in line for line in told) == 1
     events = [json.loads(line)["event"] for line in (stopped / "events.jsonl").read_text().splitlines()]
     assert "replay_torn" in events

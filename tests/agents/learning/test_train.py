@@ -194,7 +194,7 @@ def test_a_damaged_checkpoint_is_passed_over(run, tmp_path):
         assert model.num_timesteps == 180
     finally:
         (files_of[-1] / "model.safetensors").write_bytes(keep)
-    with pytest.raises(PolicyError, match="no sound checkpoint"):
+    with pytest.raises(PolicyError, match="no intact checkpoint"):
         load_checkpoint(tmp_path, model)
 
 
@@ -253,7 +253,7 @@ def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch
         monkeypatch.setattr("wcsim.agents.learning.train.save_checkpoint", full)
         os.kill(os.getpid(), signal.SIGINT)
 
-    with pytest.raises(DiskFullError, match=r"stopped after 152 of 240 .*No space left.*--resume goes on from"):
+    with pytest.raises(DiskFullError, match=r"stopped after 152 of 240 .*No space left.*--resume continues from"):
         train(a_run(config(), tmp_path / "run", 5), lambda: Nervous(150, stop))
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
@@ -394,5 +394,5 @@ def test_a_replay_beyond_the_memory_is_named(monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr("wcsim.agents.learning.build.SeqDQN", full)
-    with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into the memory"):
+    with pytest.raises(ConfigError, match=r"learn\.replay_frames=200 do not fit into memory"):
         build_model(config(), ToyStreet(CAMERA), 0)

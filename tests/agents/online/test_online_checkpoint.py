@@ -97,7 +97,7 @@ def test_another_name_or_segment_and_the_one_before_is_taken(run, damage):
     told, street = [], Sensing()
     asked = a_run(config("learn.total_steps=240"), run, 5, town="toy", town_sha256="0" * 64, resume=True)
     train_online(asked, lambda: street, Listeners(say=told.append))
-    assert len(told) == 1 and "passed over for step-00000180" in told[0]
+    assert len(told) == 1 and "continuing from step-00000180" in told[0]
     assert street.steps == 60 and open_run(run).manifest.steps == 240
 
 
@@ -122,5 +122,5 @@ def test_one_of_the_version_before_has_no_seal_and_is_held_against_its_bounds(ru
 def test_none_that_is_sound_is_told_with_what_is_wrong_with_each(run):
     for folder in step_folders(run / "checkpoints"):
         (folder / STATE).write_text("{}")
-    with pytest.raises(PolicyError, match=r"no sound checkpoint that fits \(step-00000240: state.json has the keys"):
+    with pytest.raises(PolicyError, match=r"no intact checkpoint that fits \(step-00000240: state.json has the keys"):
         loaded(run)

@@ -161,7 +161,7 @@ def test_a_run_that_was_stopped_goes_on_in_a_new_world(tmp_path):
     (newest / "weights.safetensors").write_bytes(b"torn")
     told, street = [], Sensing()
     train_online(replace(asked, resume=True), lambda: street, Listeners(say=told.append))
-    assert "passed over" in told[0] and street.seeds[0] not in (None, 5)
+    assert "skipped" in told[0] and street.seeds[0] not in (None, 5)
     assert street.steps == 240 - 120 and open_run(out).manifest.steps == 240
     rows = read_metrics(out / "metrics.csv")
     assert [int(row["step"]) for row in rows] == sorted(int(row["step"]) for row in rows)
@@ -205,7 +205,7 @@ def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch
         os.kill(os.getpid(), signal.SIGTERM)
 
     asked = a_run(config(), tmp_path / "run", 5, town="toy", town_sha256="0" * 64)
-    with pytest.raises(DiskFullError, match=r"stopped after 32 of 240 .*No space left.*--resume goes on from"):
+    with pytest.raises(DiskFullError, match=r"stopped after 32 of 240 .*No space left.*--resume continues from"):
         train_online(asked, lambda: Sensing(at=31, call=stop))
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 
@@ -284,7 +284,7 @@ def test_a_run_none_of_whose_checkpoints_is_sound_is_refused_and_stays_as_it_is(
         (folder / "weights.safetensors").write_bytes(b"torn")
     before = {path: path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
     extend(out, 300)
-    with pytest.raises(PolicyError, match="no sound checkpoint that fits"):
+    with pytest.raises(PolicyError, match="no intact checkpoint that fits"):
         train_online(replace(asked, config=config("learn.total_steps=300"), resume=True), Sensing)
     assert all(path.read_bytes() == data for path, data in before.items() if path.name.endswith((".csv", ".zst")))
     assert len(step_folders(out / "checkpoints")) == 3

@@ -90,7 +90,7 @@ def test_who_sees_a_journals_seat_again_chooses_what_was_chosen(
     ride = recorded_ride(tmp_path, 100, seat=1)
     assert len(ride.seen) == 25 and list(ride.actions) == chosen and ride.delay_ticks == delay
     assert again(policy, ride, config) == chosen
-    with pytest.raises(ConfigError, match="seat 2 drove no tick"):
+    with pytest.raises(ConfigError, match="seat 2 has no tick"):
         recorded_ride(tmp_path, 100, seat=2)
 
 

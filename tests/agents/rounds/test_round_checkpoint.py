@@ -106,7 +106,7 @@ def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
     train_danger(run_in(corner, tmp_path / "run", *words), town)
     path = tmp_path / "mine" / "segments" / name
     path.unlink() if gone else write_segment(path, a_segment(seed=99))
-    told = r"No such file.*learned_data\.json names it" if gone else r"exchanged.*learned_data\.json names it"
+    told = r"No such file.*learned_data\.json names it" if gone else r"replaced.*learned_data\.json names it"
     with pytest.raises(PolicyError, match=told):
         train_danger(run_in(corner, tmp_path / "run", *words, resume=True), town)
 
@@ -115,7 +115,7 @@ def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_ar
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_of_rounds, "towns_of", None)
-    run, told = tmp_path / "run", r"nothing to learn from; expected --data FOLDER, or collect\.segments of 1"
+    run, told = tmp_path / "run", r"no data to learn from; expected --data FOLDER, or collect\.segments of 1"
     with pytest.raises(ConfigError, match=told):
         train_danger(run_in(corner, run, "collect.segments=0"), find_town(str(corner)))
     with pytest.raises(ConfigError, match="variants: 'nonsense' cannot be used"):
@@ -126,7 +126,7 @@ def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_ar
 def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, tmp_path: Path) -> None:
     others_drive(tmp_path / "mine", 0)
     run = run_in(corner, tmp_path / "run", "collect.segments=0", f'collect.data=["{tmp_path / "mine"}"]')
-    with pytest.raises(PolicyError, match="mine: holds no driving to learn from"):
+    with pytest.raises(PolicyError, match="mine: holds no data to learn from"):
         train_danger(run, find_town(str(corner)))
 
 
@@ -184,7 +184,7 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
     state = json.loads(path.read_text())
     del state["seal"]  # as an older version wrote it, or somebody who means it
     path.write_text(json.dumps({**state, "segments": {name: "a" * 64}}))
-    with pytest.raises(PolicyError, match="names the segment"):
+    with pytest.raises(PolicyError, match="names a segment"):
         load_round(tmp_path, 0, learner)
 
 
@@ -201,7 +201,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_ther
     _tell_damaged(folder, told.append)
     assert len(told) == 1 and newest_round(folder.checkpoints) == 0
     (checkpoint_path(folder.checkpoints, 0) / "weights.safetensors").write_bytes(b"torn")
-    with pytest.raises(PolicyError, match="no sound checkpoint"):
+    with pytest.raises(PolicyError, match="no intact checkpoint"):
         _tell_damaged(folder, told.append)
 
 

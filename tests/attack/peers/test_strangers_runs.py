@@ -122,7 +122,7 @@ def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> N
         info=RunInfo(seed=1, town="helsinki"),
         join=join,
     )
-    with pytest.raises(PolicyError, match="holds work"):
+    with pytest.raises(PolicyError, match="holds data"):
         learn(order, resume=True)
     assert kept.is_dir()
 

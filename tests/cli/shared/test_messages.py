@@ -60,7 +60,7 @@ EARLY = {
     "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb; did you mean",
     "replay none.drive --verify": "none.drive: is not there; expected a run folder, a trace or a journal, or a",
     "replay file --verify": "file: is no journal and no recorded drive, and nothing else can be verified",
-    "export shipped --onnx x --ride none.drive": "--ride none.drive: is not there; expected a recorded drive",
+    "export shipped --onnx x --ride none.drive": "--ride none.drive: not found; expected a recorded drive",
     "join udp://there": "expected ipc://FILE or tcp://HOST:PORT",
     "join ipc://there --network huge": "unknown network 'huge'",
 }
@@ -129,7 +129,7 @@ def test_a_drive_that_cannot_be_kept_is_refused_before_anything_is_loaded(wcsim,
 
 
 def test_a_baseline_that_is_misspelt_is_answered_with_the_nearest(wcsim, folder):
-    refused(wcsim("test", "folow"), "folow is not a run: there is no such folder", "follow, random, zero, stop, dwa")
+    refused(wcsim("test", "folow"), "folow is not a run: no such folder", "follow, random, zero, stop, dwa")
     assert wcsim("test", "folow").err.rstrip().endswith("did you mean 'follow'?")
     assert "did you mean" not in wcsim("test", "runs/a").err
 
@@ -167,11 +167,12 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
     assert wcsim(*typed, corner, "--allow-train-town", "--episodes", "1", "--max-steps", "3").code == 0
     unnamed = [word for word in typed if word not in ("--network", "own_network:OwnNet")]
     told = wcsim(*unnamed, corner, "--allow-train-town")
-    refused(told, "runs/my own uses the network 'own_network:OwnNet'", "if you trust it: --network own_network:OwnNet")
+    unnamed_says = "if you trust it, name it: --network own_network:OwnNet"
+    refused(told, "runs/my own uses the network 'own_network:OwnNet'", unnamed_says)
     assert "network=own" not in told.err
     for words in (("video", corner, "--out", "own.webm"), ("drive", corner)):
         told = wcsim(*words, "--policy", "runs/my own")
-        refused(told, "expected that you name it, if you trust it: --network own_network:OwnNet")
+        refused(told, "runs its code; if you trust it, name it: --network own_network:OwnNet")
         told = wcsim(*words, "--policy", "follow", "--network", "own_network:OwnNet")
         refused(told, "--network own_network:OwnNet: follow does not use it; leave it out")
         assert "loading the simulator" not in told.out
@@ -189,7 +190,7 @@ def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
     (last,) = re.findall("phase 2: 8/8 steps, [1-9] episodes", trained.err)
     again = wcsim("train", "--out", "run", "--resume")
     assert again.code == 0 and last in again.err
-    assert "note: run is finished: all of its 8 steps are done; more in all: --steps N" in again.err
+    assert "note: run is finished: all of its 8 steps are done; extend it with --steps N" in again.err
 
 
 def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):

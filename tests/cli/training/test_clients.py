@@ -208,10 +208,10 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
 
 def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kept(tmp_path):
     kept, lost = (ClientState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x")))
-    assert "holds what was learned so far" in _told_stop(tmp_path, (kept,))
-    assert "client b x: what was learned since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
+    assert "holds the training so far" in _told_stop(tmp_path, (kept,))
+    assert "client b x: the training since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
     full = ClientState(name="c", seat=0, standing="given up", reason="has no room to save: x")
-    assert "stopped, but client c has no room to save: x: what was learned" in _told_stop(tmp_path, (kept, full))
+    assert "stopped, but client c has no room to save: x: the training since" in _told_stop(tmp_path, (kept, full))
 
 
 def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch, halfway):
@@ -396,4 +396,4 @@ def test_a_world_by_hand_and_a_client_by_hand(tmp_path, corner):
     assert (tmp_path / "world" / "journal").is_file()
     client = start(tmp_path, "join", addresses[0], "--network", "small", "--wait", 1)
     _, err = client.communicate(timeout=120)
-    assert (client.returncode, "nobody answered" in err) == (2, True), err
+    assert (client.returncode, "no answer within" in err) == (2, True), err

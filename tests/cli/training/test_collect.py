@@ -18,6 +18,6 @@ def test_a_network_with_an_eye_of_somebodys_own_drives_when_that_is_named(wcsim,
     Path("seeing/policy.json").write_text(json.dumps({**said, "net": {**said["net"], "network": "own_eye_f:Own"}}))
     before = files_in(folder)
     words = ("collect", "--town", corner, "--policy", "seeing", "--out", "data")
-    refused(wcsim(*words), "expected that you name it, if you trust it: --network own_eye_f:Own")
+    refused(wcsim(*words), "runs its code; if you trust it, name it: --network own_eye_f:Own")
     refused(wcsim(*words, "--network", "own_eye_f:Own"), "network module 'own_eye_f' was not found")
     assert files_in(folder) == before

@@ -40,7 +40,7 @@ def a_drive(folder: Path, *settings: str) -> Path:
 
 def lacking(told: str) -> list[str]:
     """What a refusal says that is to be typed besides."""
-    return shlex.split(told.partition("that made it with ")[2].partition(", or by")[0])
+    return shlex.split(told.partition("the same command and ")[2].partition(", or with")[0])
 
 
 def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, folder, monkeypatch):
@@ -58,7 +58,7 @@ def test_what_has_no_network_is_not_exported(wcsim, folder, name):
 def test_a_network_that_looks_at_pictures_is_not_exported_whoever_made_its_eye(wcsim, folder):
     save_danger(folder / "seeing", network(eye="picture"), DangerRule(), CONFIG)
     told = wcsim("export", "seeing", "--onnx", "x")
-    refused(told, "seeing looks at pictures (danger.eye=picture), which cannot be exported", "danger.eye=map")
+    refused(told, "seeing uses camera pictures (danger.eye=picture), which cannot be exported", "danger.eye=map")
     said = json.loads(Path("seeing/policy.json").read_text())
     Path("seeing/policy.json").write_text(json.dumps({**said, "net": {**said["net"], "network": "own_file:Own"}}))
     told = wcsim("export", "seeing", "--onnx", "x")
@@ -85,11 +85,11 @@ def test_only_an_earlier_export_is_replaced(wcsim, folder, policy):
 def test_a_recording_without_what_the_network_sees_is_refused_with_all_that_it_lacks(wcsim, folder, policy):
     a_drive(folder, "cameras.0.width_px=16", "cameras.0.height_px=12", "env.classes=wcsim")
     told = wcsim("export", policy, "--onnx", "x", "--ride", "a.drive")
-    refused(told, "a.drive was recorded without what own sees", "record again", "wcsim drive --policy own --record")
+    refused(told, "a.drive lacks inputs of own", "record it again", "wcsim drive --policy own --record")
     words = lacking(told.err)
     assert words[::2] == ["--set"] * (len(words) // 2)
     a_drive(folder, *words[1::2])
-    assert "recorded without" not in wcsim("export", policy, "--onnx", "x", "--ride", "a.drive").err
+    assert "lacks inputs" not in wcsim("export", policy, "--onnx", "x", "--ride", "a.drive").err
     assert not Path("x").exists()
 
 
@@ -114,7 +114,7 @@ def test_the_reference_of_somebody_elses_drive_is_what_the_policy_chooses_there(
     monkeypatch.setattr(recorded_ride, "recorded_ride", lambda *given: ridden)
     told = wcsim("export", policy, "--onnx", "x", "--ride", "a.drive", "--force")
     assert told.code == 0, told
-    assert "0.0% of the actions as in the recording, where dwa chose" in told.out
+    assert "0.0% of the actions match the recording, which dwa drove" in told.out
     assert "wcsim drive --policy own --record FILE" in told.out
     with np.load("x/reference.npz") as kept:
         assert len(kept["action"]) == 12 and (kept["action"] != 80).all()

@@ -57,7 +57,7 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
     info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
     refused = {
         "quick": (("--steps 40000", "--steps: a danger network"), ("--data mine", '--set collect.data=["mine"]')),
-        "dqn": (("--data mine", "--data: only"), ("--worlds 2", "--worlds: only"), ("--lease 9", "--lease: there")),
+        "dqn": (("--data mine", "--data: only"), ("--worlds 2", "--worlds: only"), ("--lease 9", "--lease: only")),
     }
     for preset, words in refused.items():
         config = learning(load_run_config(preset))

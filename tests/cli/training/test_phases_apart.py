@@ -80,8 +80,8 @@ def test_a_choice_that_names_no_client_is_refused(tmp_path):
 
 BAD = {
     "--clients small,gru --select-by nonesuch": "there is no such list",
-    "--clients small,gru --select-by dev --set learn.phase1_steps=0": "has none: learn.phase1_steps",
-    "--clients small,gru --select-by dev --set learn.head=danger": "learns both in one go",
+    "--clients small,gru --select-by dev --set learn.phase1_steps=0": "has none: set learn.phase1_steps",
+    "--clients small,gru --select-by dev --set learn.head=danger": "which cannot be split",
     "--network small --select-by dev": "--clients A,B",
 }
 

@@ -109,7 +109,7 @@ def learn(
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         if has_work(out):
-            raise PolicyError(f"{out} holds work, and no {MANIFEST}; restore that file, or move the folder away")
+            raise PolicyError(f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
     env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
     shares = TimeShares()

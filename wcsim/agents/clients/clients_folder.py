@@ -57,7 +57,7 @@ class ClientsFolder:
             files.write_bytes(path, secrets.token_hex(16).encode(), mode=0o600)
         claim = read_text(path, FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError))
         if not _CLAIM.fullmatch(claim):
-            raise PolicyError(f"{path}: is damaged; remove it, and the client is a new one to its world")
+            raise PolicyError(f"{path}: is damaged; remove it, and the client joins as a new one")
         return claim
 
     def log(self, name: str) -> Path:
@@ -165,7 +165,7 @@ def read_choice(path: Path, clients: Collection[str]) -> str:
         return ""
     best = read_json(path / SELECTION, CHOICE).get("best")
     if not isinstance(best, str) or best not in clients:
-        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare them again")
+        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again")
     return best
 
 

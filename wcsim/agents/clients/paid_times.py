@@ -66,7 +66,8 @@ def read_paid_times(run: Path) -> PaidTimes | None:
         return PaidTimes(clients=clients, waited_s={who: _seconds(row) for who, row in data["waited_s"].items()})
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise PolicyError(
-            f"{run / WAITS}: is damaged ({str(error)[:80]}); expected what a run has written: remove it to count anew"
+            f"{run / WAITS}: is damaged ({str(error)[:80]}); expected the file as a run wrote it: "
+            "remove it to count from zero"
         ) from None
 
 

@@ -96,8 +96,7 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
     got = hashlib.sha256(data).hexdigest()
     if sha256 and got != sha256:
         raise PolicyError(
-            f"{shown(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: it was damaged or exchanged; "
-            "collect it again"
+            f"{shown(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: damaged or replaced; collect it again"
         )
     try:
         columns = _columns(data)

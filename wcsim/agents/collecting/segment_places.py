@@ -66,7 +66,7 @@ def require_recordable(config: RunConfig) -> None:
         ConfigError: The chairs would not see what data is made of, or a variant cannot be used.
     """
     if config.env.observation != "compact":
-        told = f"env.observation={config.env.observation}: data is made of class ids and depth"
+        told = f"env.observation={config.env.observation}: training data consists of class ids and depth"
         raise ConfigError(f"{told}; expected compact")
     for variant in config.collect.variants:
         try:
@@ -74,7 +74,7 @@ def require_recordable(config: RunConfig) -> None:
         except ConfigError as error:
             raise ConfigError(
                 f"collect.variants: {shown(variant)!r} cannot be used ({error}); expected section.key=value, several "
-                "with blanks between them: a value has no blank in it"
+                "separated by blanks, and no blanks within a value"
             ) from None
 
 

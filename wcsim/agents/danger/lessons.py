@@ -49,7 +49,8 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
     """Look at a segment again, step by step, as a chair that drives would. Raises PolicyError for other actions."""
     actions = len(action_set(config.env.actions))
     if segment.truth.shape[1] != actions:
-        raise PolicyError(f"a segment tells of {segment.truth.shape[1]} actions; expected {actions}: collect it again")
+        labels = segment.truth.shape[1]
+        raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
     looks = spec_of(config).looks
     sights: list[KeptSight] = []
     eyes: dict[int, Eye] = {}

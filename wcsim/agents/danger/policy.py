@@ -125,7 +125,7 @@ class DangerPolicy:
         with torch.inference_mode():
             logits = self._net(*(part.to(self._device) for part in inputs([sight], self._eye))).cpu().numpy()[0]
         if not np.isfinite(logits).all():
-            raise NotFinite(f"policy {self.name!r} gives dangers that are not finite; train it again")
+            raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
         return danger
 

@@ -150,7 +150,7 @@ class Eye:
         if set(shapes.values()) != {self._shape[1:]}:
             raise PolicyError(
                 f"a danger network got pictures of {shapes}; expected {self._shape[1:]} (rows, columns): test it with "
-                "the camera that it was trained with"
+                "the camera of its training"
             )
 
     def _vector(self, observation: Observation, later_s: float) -> F32:

@@ -35,21 +35,21 @@ class EnvOptions(TypedDict, total=False):
     """What every environment of a town takes by name; all may be left out."""
 
     config: RunConfig | None
-    """A resolved configuration, in the place of a preset."""
+    """A resolved configuration, instead of a preset."""
     preset: str
     """Name of a preset, "quick" by default."""
     overrides: Sequence[str]
-    """Laid over the configuration or the preset: "section.key=value"."""
+    """Settings that override the configuration or preset: "section.key=value"."""
     seed: int | None
-    """Seed of the first reset when that brings none; drawn from the system when both are missing."""
+    """Seed of the first reset if that gives none. Without both, the seed is random."""
     reward_terms: Sequence[RewardTerm]
-    """The user's own terms, added to the reward as `RewardTerms.extra`; each chair has copies of its own."""
+    """Your own terms, added to the reward as `RewardTerms.extra`. Each chair gets its own copies."""
     render_mode: str | None
-    """None or "rgb_array" (the cameras then draw colours too, for people to look at)."""
+    """None or "rgb_array". With the latter, cameras also render colours."""
     run: Path | None
-    """A run folder for the outputs of the town's own SUMO scenario; without one they go with the world."""
+    """Run folder for the outputs of the SUMO scenario. Without one, they are deleted with the world."""
     hook: str
-    """The user's own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md."""
+    """Your own step hook as "module:Class", called around every step of SUMO; see docs/overrides.md."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

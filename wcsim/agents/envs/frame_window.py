@@ -59,7 +59,7 @@ def newest(observation: policy_api.Observation, frames: int) -> policy_api.Obser
     held = len(observation[CLASS_KEY])
     if held < frames:
         raise PolicyError(
-            f"an observation holds {held} images, this policy was trained on {frames}; expected as many or more: "
+            f"an observation holds {held} images, this policy was trained on {frames}; expected at least as many: "
             f"set env.window={frames}"
         )
     if held == frames:

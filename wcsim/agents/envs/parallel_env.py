@@ -23,7 +23,7 @@ from wcsim.supervisor.observation import Observation
 
 
 class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]  # PettingZoo has no types
-    """Drive several wheelchairs through one town; see the module's text."""
+    """Several wheelchairs in one town, for PettingZoo."""
 
     def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
         """Describe the environment; the world is made by the first reset.

@@ -24,7 +24,7 @@ from wcsim.supervisor.observation import Observation
 
 
 class StreetVecEnv(VecEnv):
-    """Drive several wheelchairs through one town; see the module's text."""
+    """Several wheelchairs in one town, for Stable-Baselines3."""
 
     def __init__(self, town: str = "helsinki", *, chairs: int = 2, **options: Unpack[EnvOptions]) -> None:
         """Describe the environment; the world is made by the first reset. Arguments as in `StreetParallelEnv`.
@@ -75,7 +75,7 @@ class StreetVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """What came of it: observations, rewards (N,) float32, dones (N,), infos."""
         if not self._waiting:
-            raise ProtocolError("step_wait() came before step_async(); say first what the chairs do")
+            raise ProtocolError("step_wait() came before step_async(); call step_async() first")
         self._waiting = False
         steps = [chair.receive(self._chairs.link(seat)) for seat, chair in enumerate(self._chairs.all)]
         infos = [{**step.info, "TimeLimit.truncated": step.truncated} for step in steps]
@@ -112,7 +112,7 @@ class StreetVecEnv(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refused: the chairs are of one world. Raises ConfigError."""
-        raise ConfigError(f"{attr_name!r} cannot be set in a world that is there; make another StreetVecEnv")
+        raise ConfigError(f"{attr_name!r} cannot be set in an existing world; make another StreetVecEnv")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any

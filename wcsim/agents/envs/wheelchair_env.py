@@ -39,7 +39,7 @@ from wcsim.types import ClientSnapshot
 
 
 class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
-    """Drive one wheelchair through a town; see the module's text."""
+    """One wheelchair in a town, for Gymnasium."""
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
 
@@ -50,9 +50,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
 
         Args:
             town: A town's name or folder.
-            join: Take this seat in a running world instead. Town, seed, run and hook are the server's then, cameras
-                and actions of the configuration must be the server's, and user and episode length are those of
-                `join.spec`.
+            join: Take this seat in a running world instead. The server sets town, seed, run and hook. Cameras and
+                actions must match the server's. `join.spec` sets user and episode length.
             **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
 
         Raises:

@@ -63,7 +63,7 @@ def net_spec(config: RunConfig) -> NetSpec:
         reward_scale=learn.reward_scale,
     )
     if learn.head == "danger":
-        raise PolicyError("learn.head='danger' is no head of Q-learning; expected residual or plain here")
+        raise PolicyError("learn.head='danger' is not a head for Q-learning; expected residual or plain here")
     return NetSpec(
         network=learn.network,
         head=learn.head,
@@ -100,7 +100,7 @@ def build_model(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path |
         return _built(config, env, seed, replay_folder)
     except MemoryError:
         frames = config.learn.replay_frames
-        raise ConfigError(f"learn.replay_frames={frames} do not fit into the memory; expected fewer") from None
+        raise ConfigError(f"learn.replay_frames={frames} do not fit into memory; expected fewer") from None
 
 
 def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
@@ -115,14 +115,14 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
         )
     if _is_stateful(config) and learn.danger:
         raise ConfigError(
-            f"learn.danger with learn.memory=groups and {learn.network!r}: what carries a state is not asked for "
+            f"learn.danger with learn.memory=groups and {learn.network!r}: a network with a state cannot use "
             "dangers; expected learn.memory=steps or windows, or a network without a state"
         )
     if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
         what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
         raise ConfigError(
-            f"{what} with learn.memory=groups and {learn.network!r}: there is no state for a step by itself or in a "
-            "mirror; expected none of them: set learn.mirror=false and learn.aid=none, or another learn.memory"
+            f"{what} with learn.memory=groups and {learn.network!r}: a recurrent state does not work with that; "
+            "expected neither of them: set learn.mirror=false and learn.aid=none, or another learn.memory"
         )
 
 
@@ -132,7 +132,7 @@ def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, 
     if not learn.danger:
         return SeqDQN, SeqQPolicy, {}
     if learn.head != "residual":
-        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers are taken off values")
+        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers lower its values")
     shield = Shield(weight=learn.danger_weight, threshold=config.danger.threshold)
     return ShieldedDQN, ShieldedQPolicy, {"shield": shield}
 
@@ -142,7 +142,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
     if learn.mirror and not sees_in_a_mirror(camera):
         raise ConfigError(
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
-            "because its pictures are mirrored: set learn.mirror=false"
+            "because pictures are mirrored: set learn.mirror=false"
         )
     kind, policy, shield = _kind(config)
     return kind(

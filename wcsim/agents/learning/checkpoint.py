@@ -135,9 +135,9 @@ def passed_over(path: Path, error: Exception) -> PassedOver:
 
 
 def none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
-    """What is raised where all checkpoints of a run were passed over, or there is none."""
-    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "there is none"
-    return PolicyError(f"{folder} holds no sound checkpoint that fits ({faults}); restore one, or start a new run")
+    """What is raised where all checkpoints of a run were passed over, or none found."""
+    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
+    return PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
 
 
 def _hold_frames(folder: Path, model: SeqDQN) -> None:
@@ -157,7 +157,7 @@ def _first_frame(path: Path) -> list[int]:
 
 
 def newest_step(folder: Path) -> int:
-    """The step of a run's newest checkpoint, sound or not; -1 when there is none."""
+    """The step of a run's newest checkpoint, sound or not; -1 when none found."""
     return max(map(step_of, step_folders(folder)), default=-1)
 
 

@@ -77,7 +77,7 @@ class NetPolicy:
                 found, after = self.net(batch), self._state
             values = np.asarray(found[0].numpy(), dtype=np.float32)
         if not np.isfinite(values).all():
-            raise PolicyError(f"policy {shown(self.name)!r} gives values that are not finite; train it again")
+            raise PolicyError(f"policy {shown(self.name)!r} returns values that are not finite; train it again")
         return values, after
 
 

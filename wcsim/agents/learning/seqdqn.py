@@ -180,7 +180,7 @@ class SeqDQN(DQN):
         if not np.isfinite(rewards).all():
             raise PolicyError(
                 f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; expected a finite "
-                "number: correct the reward term of your own that gives it (--reward), then --resume"
+                "number: correct your own reward term (--reward), then --resume"
             )
         groups = replay_buffer.groups if isinstance(replay_buffer, FrameReplay) else None
         if groups is not None and self._carried is not None:

@@ -123,8 +123,8 @@ def stopped_error(path: Path, step: int, total: int, unsaved: str) -> Interrupte
     told = f"stopped after {step} of {total} steps"
     if unsaved:
         return DiskFullError(
-            f"{told}; the policy so far is kept, but the last checkpoint could not be written ({unsaved}): --resume "
-            f"goes on from the one before it in {path}, or begins again where there is none; make room for the next one"
+            f"{told}; the policy so far is saved, but the last checkpoint could not be written ({unsaved}): --resume "
+            f"continues from the one before it in {path}, or starts again if there is none; free some disk space"
         )
     return InterruptedRunError(f"{told}; {path} holds the policy so far and can be continued with --resume")
 
@@ -275,7 +275,7 @@ def _loaded(
 ) -> Loaded | None:
     """The newest sound checkpoint, restored; None for a run that has none yet and begins again."""
     if newest_step(run.checkpoints) < 0:
-        say(f"{run.path} was ended before its first checkpoint; it begins again")
+        say(f"{run.path} stopped before its first checkpoint; it starts again")
         run.event("begin_again")
         return None
     loaded = load_checkpoint(run.checkpoints, model, alive)
@@ -290,10 +290,10 @@ def tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) ->
     """
     for item in loaded.passed_over:
         kept = files.set_aside(item.path)
-        say(f"{item.path}: passed over for {loaded.path.name} ({item.reason}); it is now {kept.name}")
+        say(f"{item.path}: skipped ({item.reason}); continuing from {loaded.path.name}, renamed to {kept.name}")
         run.event("passed_over", checkpoint=kept.name, reason=item.reason)
     if not loaded.sealed:
-        say(f"{loaded.path}: of an older version; its counters and random states have no hash, and are taken as sound")
+        say(f"{loaded.path}: of an older version; its counters and random states have no hash, so they are not checked")
         run.event("unsealed", checkpoint=loaded.path.name)
 
 

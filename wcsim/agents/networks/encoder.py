@@ -174,7 +174,7 @@ def _features_dim(name: str, body: nn.Module, shape: tuple[int, ...], vector_siz
         raise PolicyError(f"network {name!r} returned {got} for a batch of 2; expected a tensor (2, features)")
     if not out.is_meta and not bool(torch.isfinite(out).all()):  # on meta, where policies are read, nothing has values
         raise PolicyError(
-            f"network {name!r} returned numbers that are not finite for an image and a vector of zeros, which it will "
-            "see; expected finite ones: look for a division or a logarithm of 0 in it"
+            f"network {name!r} returned numbers that are not finite for an image and a vector of zeros, which do "
+            "occur; expected finite ones: look for a division or a logarithm of 0 in it"
         )
     return int(out.shape[1])

@@ -61,6 +61,6 @@ def require_named(where: str, name: str, named: str | None) -> None:
     """
     if name != named:
         raise PolicyError(
-            f"{where} uses the network {shown(name, 80)!r}, which is not one of wcsim's, and loading it runs its code; "
-            f"expected that you name it, if you trust it: --network {shown(name, 80)}"
+            f"{where} uses the network {shown(name, 80)!r}, which is not part of wcsim, and loading it runs its code; "
+            f"if you trust it, name it: --network {shown(name, 80)}"
         )

@@ -47,7 +47,7 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
     if found != sha256:
         raise PolicyError(
             f"{shown(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
-            "the file was damaged or exchanged; copy the whole policy folder again"
+            "the file was damaged or replaced; copy the whole policy folder again"
         )
     _require_same(path, _told(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
     return data

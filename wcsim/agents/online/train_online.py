@@ -260,7 +260,7 @@ class _OnlineSession:
         run, listeners = self.run, self._listeners
         found = load_online(run.checkpoints, self._learner, self._ride, listeners.alive)
         if found is None:
-            listeners.say(f"{run.path} was ended before its first checkpoint; it begins again")
+            listeners.say(f"{run.path} stopped before its first checkpoint; it starts again")
             run.event("begin_again")
             return
         state, loaded = found
@@ -290,8 +290,8 @@ def truth_of(info: dict[str, Any]) -> Truth:
     said = info.get("truth")
     if not isinstance(said, Truth):
         raise PolicyError(
-            "the environment tells no truth; expected info['truth'] with every observation: set env.truth=true, or "
-            "env.truth_visible=true for the teacher that knows what the cameras showed"
+            "the environment returns no truth; expected info['truth'] with every observation: set env.truth=true, or "
+            "env.truth_visible=true for labels limited to what the cameras showed"
         )
     return said
 

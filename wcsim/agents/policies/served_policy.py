@@ -54,7 +54,7 @@ class ServedPolicy:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            raise PolicyError(f"{shown(address)}: nobody serves a policy there ({error}); start it first") from None
+            raise PolicyError(f"{shown(address)}: no policy is served there ({error}); start it first") from None
         about = self._asked("hello", {}, actions=points.tolist())
         self.version = f"{about.get('name', '')} {about.get('version', '')}"
         if self.version != shown(self.version):  # results are told apart by it, so it must not be cut
@@ -128,5 +128,5 @@ def _little(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _parts(address: str) -> tuple[str, int]:
     host, _, port = address.removeprefix(SCHEME).rpartition(":")
     if not port.isdecimal() or not 0 < int(port) < 1 << 16:
-        raise PolicyError(f"{shown(address)!r} is no address of a policy; expected tcp:PORT or tcp:HOST:PORT")
+        raise PolicyError(f"{shown(address)!r} is not an address of a policy; expected tcp:PORT or tcp:HOST:PORT")
     return host or "127.0.0.1", int(port)

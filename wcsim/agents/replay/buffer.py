@@ -206,7 +206,7 @@ class FrameReplay(ReplayBuffer):
         Raises ValueError when there is no whole group, or the memory is none of groups.
         """
         if self.groups is None:
-            raise ValueError("replay holds steps one by one; build it with memory='groups'")
+            raise ValueError("replay holds single steps; build it with memory='groups'")
         drawn = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
         return gather_groups(self, self.groups, *drawn)
 
@@ -251,7 +251,7 @@ class FrameReplay(ReplayBuffer):
         Raises ValueError when the memory was built without `advice`.
         """
         if self.advice is None:
-            raise ValueError("replay keeps no advice; build it with advice=True (learn.aid=oracle)")
+            raise ValueError("replay stores no advice; build it with advice=True (learn.aid=oracle)")
         drawn = self.advice.draw(count, tight_share, self.rng)
         if drawn is None:
             return None

@@ -179,7 +179,7 @@ class DiskFrames:
         if not there.all():
             raise PolicyError(
                 f"the replay in {shown(self._folder)} lacks {int((~there).sum())} of the frames {first} to {stop} that "
-                "were kept; expected all of them: restore its folder, or start a new run"
+                "were saved; expected all of them: restore its folder, or start a new run"
             )
         return zlib.crc32(crc.tobytes())
 
@@ -239,7 +239,7 @@ class DiskFrames:
         torn = cut_segment(self._folder, segments[-1], records)
         if torn:
             name = blobs_path(self._folder, segments[-1])
-            self.notes.append(f"{name}: {torn} bytes of a torn frame were cut off; all frames before it are there")
+            self.notes.append(f"{name}: {torn} bytes of a truncated frame were removed; all others are intact")
 
     def _whole(self, segment: int, records: Records) -> Records:
         """The records up to the first one whose blob is not what was written, as after a loss of power."""

@@ -80,7 +80,7 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
         require_same_settings(order.folder, file, order.config)
         kept, towns = dict(file.segments), dict(file.towns)
     elif any(path.name not in (SEGMENTS, LOGS, ORDERS) for path in order.folder.iterdir() if not is_begun(path)):
-        raise PolicyError(f"{order.folder} holds something else than recorded driving; choose another --out")
+        raise PolicyError(f"{order.folder} does not hold recorded driving; choose another --out")
     _require_same_order(order, found)
     towns |= {town.name: streets_hash(town) for town in found}
     first = SegmentKey(run=order.seed, round=0, index=0)

@@ -49,7 +49,7 @@ def learned_segments(run: RunFolder) -> Iterator[Segment]:
     found, path = data_of(run), run.path / LEARNED
     if not any(found.values()) and run.config.collect.segments == 0:
         raise PolicyError(
-            f"{', '.join(map(shown, found)) or 'collect.data'}: holds no driving to learn from; expected segments of "
+            f"{', '.join(map(shown, found)) or 'collect.data'}: holds no data to learn from; expected segments of "
             "`wcsim collect`, or collect.segments of 1 or more"
         )
     if found and not is_file(path):
@@ -59,5 +59,5 @@ def learned_segments(run: RunFolder) -> Iterator[Segment]:
             try:
                 yield read_segment(Path(folder) / SEGMENTS / name, segments[name])
             except PolicyError as error:
-                told = "the run learns from what was there when it began: put it back, or train anew"
+                told = "the run needs the data that it started with: restore it, or start a new run"
                 raise PolicyError(f"{error}; {shown(path)} names it, as {told}") from None

@@ -60,7 +60,7 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
     path = _file_of(path)
     ride = _of_drive(path, steps) if is_drive(path) else _of_journal(path, steps, seat)
     if not ride.seen:
-        raise ConfigError(f"{shown(path)}: seat {seat} drove no tick; expected the seat of a chair: name another one")
+        raise ConfigError(f"{shown(path)}: seat {seat} has no tick; expected another --seat")
     return ride
 
 

@@ -76,7 +76,7 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     try:
         in_order(segments)
     except PolicyError as error:
-        raise PolicyError(f"{shown(path)} names the segment of no run: {error}") from None
+        raise PolicyError(f"{shown(path)} names a segment that no run has: {error}") from None
     return segments
 
 

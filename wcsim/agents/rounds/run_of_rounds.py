@@ -50,7 +50,7 @@ def train_danger(
             sha256 = train_rounds(rounds, progress)
         except KeyboardInterrupt:
             folder.with_status("interrupted", 0)
-            kept = "the policy of the rounds that are done" if keep_newest(folder) else "what was driven, no policy yet"
+            kept = "the policy of the complete rounds" if keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
                 f"stopped; {folder.path} holds {kept}, and can be continued with --resume"
             ) from None
@@ -64,10 +64,10 @@ def _tell_damaged(folder: RunFolder, say: Callable[[str], object]) -> None:
     damaged = damaged_rounds(folder.checkpoints)
     if damaged and newest_round(folder.checkpoints) < 0:
         names = ", ".join(path.name for path in damaged)
-        raise PolicyError(f"{folder.checkpoints} holds no sound checkpoint ({names}); restore one, or start a new run")
+        raise PolicyError(f"{folder.checkpoints} holds no intact checkpoint ({names}); restore one, or start a new run")
     for path in damaged:
         kept = files.set_aside(path)
-        say(f"{path}: damaged, passed over for the round before; it is now {kept.name}")
+        say(f"{path}: damaged, skipped for the round before; renamed to {kept.name}")
         folder.event("passed_over", checkpoint=kept.name, reason="damaged")
 
 
@@ -75,6 +75,6 @@ def _require_driving(config: RunConfig) -> None:
     """Refuse a run that nobody drives for. Raises ConfigError."""
     if config.collect.segments == 0 and not config.collect.data:
         raise ConfigError(
-            "collect.segments=0 without collect.data: there is nothing to learn from; expected --data FOLDER, or "
+            "collect.segments=0 without collect.data: there is no data to learn from; expected --data FOLDER, or "
             "collect.segments of 1 or more"
         )

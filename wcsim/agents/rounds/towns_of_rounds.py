@@ -35,13 +35,13 @@ def towns_of(
     others = [find_town(name) for name in config.collect.towns]
     for town in others:
         if town.split == "test":
-            raise TownError(f"collect.towns: {town.name} is a town for tests; expected towns for training")
+            raise TownError(f"collect.towns: {town.name} is a test town; expected training towns")
     made = config.collect.made_towns if config.collect.segments else 0
     for number in range(made):
         drawn = seeding.derive(seed, "collect", "town", number)
         out = folder / TOWNS / f"made-{drawn}"
         if not out.is_dir():
-            stage(f"making town {number + 1} of {made}")
+            stage(f"generating town {number + 1} of {made}")
             make_town(out, drawn, Wishes())
         others.append(open_town(out))
     return tuple(str(town.address) for town in (own, *others))

@@ -45,7 +45,7 @@ def require_own(path: Path, classes: Sequence[str], mark: str, named: Collection
         return
     names = ", ".join(shown(name, 80) for name in unnamed)
     raise PolicyError(
-        f"{path} was made elsewhere with classes of its own ({names}); resuming runs their code: name each again if "
+        f"{path} was made elsewhere with custom classes ({names}); resuming runs their code: name each again if "
         "you trust it (--network, --reward, --hook, or --clients)"
     )
 

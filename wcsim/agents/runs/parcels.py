@@ -26,7 +26,7 @@ def town_parcel(address: str) -> Parcel:
     if outside:
         raise TownError(
             f"town {town.name} has a file outside of its folder, {shown(outside[0])}; expected all in {shown(folder)}, "
-            "as it travels to other machines"
+            "as the folder is sent to other machines"
         )
     names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
     inner = "" if Path(town.address).is_dir() else town.sumocfg.name
@@ -93,8 +93,8 @@ def require_travels(
     found += [shown(word, 80) for word in words if ".toml" in word or RECORDED in word]
     if found:
         raise ConfigError(
-            f"--cluster: {', '.join(found)} lies on this machine alone and does not travel; expected what comes with "
-            "wcsim: leave it out, or drive without --cluster"
+            f"--cluster: {', '.join(found)} exists on this machine only and cannot be sent; expected parts of wcsim "
+            "alone: leave it out, or drive without --cluster"
         )
 
 

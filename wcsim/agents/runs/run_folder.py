@@ -177,7 +177,7 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
     try:
         return parse(ManifestFile, data, shown(file))
     except ConfigError as error:
-        raise PolicyError(f"{error}: this is no manifest of this version; train again") from None
+        raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
 
 def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
@@ -217,7 +217,7 @@ def policy_path(name: str) -> Path:
     if not is_folder(Path(head)):
         names = (*NAMES, *UPPER_BOUNDS)
         raise PolicyError(
-            f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, {SHIPPED}, "
+            f"{shown(head)} is not a run: no such folder; expected one that `wcsim train` made, {SHIPPED}, "
             f"module:Class of your own, or a baseline: {', '.join(names)}{meant(head, (SHIPPED, *names))}"
         )
     run = open_run(Path(head))
@@ -246,8 +246,8 @@ def split_level(name: str) -> tuple[str, float | None]:
     level = float(text)
     if not 0.0 < level <= 1.0:
         raise PolicyError(
-            f"policy {shown(name)!r} has no such level of assistance; expected RUN@L with L above 0, to 1: danger that "
-            "is allowed"
+            f"policy {shown(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
+            "above 0 and at most 1"
         )
     return head, level
 

@@ -30,12 +30,12 @@ def shipped_folder(place: Path | None = None) -> Path:
         place: Another folder than the one that comes with wcsim.
 
     Raises:
-        PolicyError: None came with this wcsim, or a file is not what was shipped.
+        PolicyError: None came with this wcsim, or a file differs from what was shipped.
     """
     folder = shipped_place() if place is None else place
     if not is_file(folder / FILES):
         raise PolicyError(
-            f"no policy comes with this wcsim: {shown(folder)} has no {FILES}; expected one made by "
+            f"this wcsim comes without a policy: {shown(folder)} has no {FILES}; expected one made by "
             "tools/ship_policy.py RUN: name a run of your own"
         )
     try:
@@ -46,8 +46,8 @@ def shipped_folder(place: Path | None = None) -> Path:
     other = [name for name in HELD if name not in missing and files.sha256(folder / name) != told[name]]
     if missing or other:
         raise PolicyError(
-            f"{shown(folder)} is not what was shipped: {', '.join(missing + other)} "
-            f"{'missing' if missing else 'damaged or exchanged'}; install wcsim again"
+            f"{shown(folder)} differs from what was shipped: {', '.join(missing + other)} "
+            f"{'missing' if missing else 'damaged or replaced'}; install wcsim again"
         )
     return folder
 

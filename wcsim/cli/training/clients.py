@@ -106,7 +106,7 @@ def train_clients(
             outcome = launcher.run() if left else ALL_DONE
         code = _told(run, folder, options.json, outcome, (rate, paid.times))
     if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun
-        raise InterruptedRunError(f"stopped; {run.out} holds what was learned so far; continue with --resume")
+        raise InterruptedRunError(f"stopped; {run.out} holds the training so far; continue with --resume")
     return code
 
 
@@ -118,7 +118,7 @@ def resolved(options: Options) -> tuple[Client, ...]:
     """
     networks = some_words("--clients", options.clients or "")
     if len(networks) > MOST_CLIENTS:
-        raise ConfigError(f"--clients: {len(networks)} of them; expected {MOST_CLIENTS} at most")
+        raise ConfigError(f"--clients: {len(networks)} clients; expected at most {MOST_CLIENTS}")
     names = client_names(networks)
     files = _files(options.config_for, names)
     clients: list[Client] = []
@@ -127,16 +127,16 @@ def resolved(options: Options) -> tuple[Client, ...]:
         require_user(config.env.profile)
         if learns_in_rounds(config):
             raise ConfigError(
-                f"client {name}: collect.rounds={config.collect.rounds} drives in worlds of its own; expected 0, a "
-                "network that learns as it drives, or --preset dqn, which learns by Q-learning"
+                f"client {name}: collect.rounds={config.collect.rounds} learns in rounds; expected 0, which "
+                "learns from every step, or --preset dqn, which uses Q-learning"
             )
         clients.append(Client(name=name, seat=seat, config=config))
     clients = _sensing_alike(clients)
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:
         raise ConfigError(
-            f"clients {' and '.join(worlds.values())} ask for different worlds; expected one world, chair, camera, "
-            "IMU and reward for all: only [learn] and what [env] shows may differ (--config-for)"
+            f"clients {' and '.join(worlds.values())} ask for different worlds; expected the same world, chair, "
+            "camera, IMU and reward for all: only [learn] and the observation in [env] may differ (--config-for)"
         )
     return tuple(clients)
 
@@ -193,8 +193,8 @@ def resumed_group(options: Options, out: Path, typed: Typed) -> tuple[GroupRun, 
     manifest = folder.manifest
     if named and client_names(some_words("--clients", named)) != folder.clients:
         raise PolicyError(
-            f"--clients {named}: {out} was made with another clients ({', '.join(folder.clients)}); "
-            "resume with its own, or leave that option out"
+            f"--clients {named}: {out} was made with other clients ({', '.join(folder.clients)}); "
+            "resume with the same ones, or leave that option out"
         )
     require_same(out, manifest, typed)
     networks = [folder.client_config(name).learn.network for name in folder.clients]
@@ -260,7 +260,7 @@ def _mend(folder: ClientsFolder) -> None:
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
     if not part_files(path) and any(file.stat().st_size for file in ledgers):
-        raise JournalError(f"{path}: is missing, and the ledgers tell of ticks; restore it, or begin a new run")
+        raise JournalError(f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run")
     if path.exists():
         with JournalWriter.append_to(path) as journal:
             _say_torn(path, journal.cut_bytes)
@@ -294,14 +294,14 @@ def _told(
     report = report_of(folder, run.info.seed, *seen)
     print_report(stdout_console(), report)
     for kept in folder.kept_torn():
-        print(f"wcsim: {kept}: was cut off a torn end at some time", file=sys.stderr)
+        print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
     if json is not None:
         write_json(json, report.as_json())
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
         lost = "".join(f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved)
-        print(f"wcsim: {outcome.message}{lost}; {folder.path} is kept, --resume goes on with it", file=sys.stderr)
+        print(f"wcsim: {outcome.message}{lost}; {folder.path} is kept; --resume continues it", file=sys.stderr)
         return Exit.FAILED
     print_crossings(folder.path)
     if run.last:
@@ -316,9 +316,9 @@ def _told_stop(path: Path, clients: Sequence[ClientState]) -> str:
     why = {client.name: client.unsaved for client in clients} | given_up
     lost = [f"client {name} {told}" for name, told in why.items() if told]
     if not lost:
-        return f"stopped; {path} holds what was learned so far; continue with --resume"
+        return f"stopped; {path} holds the training so far; continue with --resume"
     return (
-        f"stopped, but {'; '.join(lost)}: what was learned since its last checkpoint is lost; {path} holds the rest; "
+        f"stopped, but {'; '.join(lost)}: the training since its last checkpoint is lost; {path} holds the rest; "
         "continue with --resume"
     )
 
@@ -337,6 +337,6 @@ def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFol
 def _nothing_came(outcome: LaunchOutcome) -> None:
     """Raise what a run is told of that ended before anything was learned; go on when it failed otherwise."""
     if outcome.stopped:
-        raise NothingKept("stopped before anything was learned; nothing is kept")
+        raise NothingKept("stopped before anything was learned; nothing is saved")
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)

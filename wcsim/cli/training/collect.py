@@ -18,37 +18,38 @@ from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, InterruptedRunError
 
 
 @dataclass
 class Options:
-    """Record driving to learn from; `wcsim train --data FOLDER` reads it."""
+    """Record driving as training data; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
-    """Where, in turn, each a town's name, its folder, or anybody's .sumocfg; joined by commas, none for tests."""
+    """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg of your own."""
     preset: str = "laptop"
-    """Settings to begin with; the section [collect] says who drives, and how."""
+    """Preset to start from. Its section [collect] sets drivers and segments."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file laid over the preset."""
+    """TOML file with settings that override the preset."""
     set: Repeated = ()
-    """section.key=value, laid over both; may be given several times."""
+    """Setting as section.key=value; overrides preset and file."""
     segments: int = 10
-    """Segments in all, each a fresh world of collect.ticks ticks; those that are there already are kept."""
+    """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
-    """A trained danger network that drives a share of the episodes; without one users and the oracle drive."""
+    """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""
     network: str = ""
-    """Your own network as module:Class, for a --policy that looks with it."""
+    """Your own network as module:Class, if the --policy uses it."""
     worlds: int = 1
-    """Worlds that drive at once, each in a process of its own: the data is the same for any number."""
+    """Worker processes that drive at once. The data does not depend on their number."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
-    """HOST:PORT of a Ray cluster whose nodes drive, or `local`: the same data (docs/cluster.md)."""
+    """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""
     seed: int = 0
-    """Seed of everything: equal seeds give equal data."""
+    """Random seed: equal seeds give equal data."""
     out: OutFolder = None
     """Data folder; default data/TOWN-SEED."""
     json: OutFile = None
-    """Write where the data is, and its hash, to this file."""
+    """Write the path and hash of the data to this file."""
 
 
 def run(words: list[str]) -> int:
@@ -62,7 +63,7 @@ def run(words: list[str]) -> int:
     require_trained_users(config)
     require_drawn_users(config, options.set, options.config)
     if options.segments < 1 or options.worlds < 1:
-        raise ConfigError(f"--segments {options.segments}, --worlds {options.worlds}; expected 1 or more of each")
+        raise ConfigError(f"--segments {options.segments}, --worlds {options.worlds}; expected at least 1 of each")
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"
@@ -86,9 +87,10 @@ def run(words: list[str]) -> int:
         kept = len(list(out.glob(f"{SEGMENTS}/*.npz.zst")))
         if not kept:
             raise
-        raise InterruptedRunError(f"stopped; {out} keeps {kept} segments, the same command goes on") from None
+        held = counted(kept, "segment")
+        raise InterruptedRunError(f"stopped; {out} holds {held}; the same command continues") from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
-    print(f"data folder: {out}, SHA-256 {sha256}    learn from it: {learn}")
+    print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
     if options.json is not None:
         write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
     return Exit.DONE

@@ -35,30 +35,30 @@ if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.matrix import TestResult
 
 _FILM_WIDTH_PX, _FILM_S = 480, 10.0
-_USUAL = "On two free cores this takes some 4 minutes, half of them to train; the first time one more, for the streets."
+_USUAL = "This takes about 4 minutes on two free cores, half of them for training. The first run takes one minute more."
 
 
 @dataclass
 class Options:
-    """Train preset quick in Helsinki, test it in Monaco beside the baselines, and film it there.
+    """Train preset quick in Helsinki, then test and film it in Monaco.
 
-    Some 4 minutes on two free cores; every stage says how long it still takes.
+    This takes about 4 minutes on two free cores. Every stage shows the time left.
     """
 
     train_town: str = "helsinki"
-    """Where to train: a town's name, its folder, or anybody's .sumocfg."""
+    """Training town: a town's name, its folder, or a .sumocfg of your own."""
     test_town: str = "monaco"
-    """Where to test: a town's name, its folder, or anybody's .sumocfg."""
+    """Test town: a town's name, its folder, or a .sumocfg of your own."""
     out: OutFolder = None
     """Run folder; default runs/demo, runs/demo-2, ..."""
     set: Repeated = ()
-    """section.key=value, laid over preset quick; may be given several times."""
+    """Setting as section.key=value; overrides preset quick."""
     episodes: int = 3
-    """Test episodes for each policy."""
+    """Test episodes per policy."""
     max_steps: int = 600
-    """Steps after which a test episode ends well."""
+    """Steps after which a test episode is truncated."""
     seed: int = 1
-    """Seed of everything."""
+    """Random seed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,14 +91,14 @@ def run(words: list[str]) -> int:
     config = learning(load_run_config(QUICK, options.set))
     if learns_in_rounds(config):
         require_drawn_users(config, options.set, None)
-    demo.say(f"wcsim demo: a network learns in {school.name}, and shows in {', '.join(tested)} what it has learned.")
+    demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)
     _train(demo, config, school, words)
     results = _test(demo, ", ".join(tested))
     still = _film(demo)
     page = _page(demo, config, results, still)
-    demo.say(f"\ndone in {_minutes(time.monotonic() - started)}; the page to open: {page}", "bold")
+    demo.say(f"\ndone in {_minutes(time.monotonic() - started)}; open this page: {page}", "bold")
     demo.say("next:")
     for command, does in _commands(demo):
         demo.say(f"  {command}\n      {does}")
@@ -108,7 +108,7 @@ def run(words: list[str]) -> int:
 
 def _train(demo: _Demo, config: RunConfig, school: Town, words: list[str]) -> None:
     """The first stage; what was learned until Ctrl-C is enough for the others."""
-    demo.say(f"\n1/3 training in {school.name}; Ctrl-C ends it early and keeps what was learned", "bold")
+    demo.say(f"\n1/3 training in {school.name}; Ctrl-C ends it early and keeps the policy so far", "bold")
     demo.say(how_it_learns(config), "dim")
     info = RunInfo(seed=demo.options.seed, command=("wcsim", "demo", *words))
     try:
@@ -119,7 +119,7 @@ def _train(demo: _Demo, config: RunConfig, school: Town, words: list[str]) -> No
 
 def _test(demo: _Demo, towns: str) -> Sequence[TestResult]:
     """The second: the network beside the baselines, who meet the same world."""
-    demo.say(f"\n2/3 testing in {towns}, where it has never been, beside seven baselines", "bold")
+    demo.say(f"\n2/3 testing in {towns}, a new town for it, next to seven baselines", "bold")
     results = test.test_policies(replace(demo.trial, policies=(str(demo.out),)), overrides=False)
     for result in results:
         demo.console.print(*result.tables(demo.console.width))
@@ -162,8 +162,8 @@ def _page(demo: _Demo, config: RunConfig, results: Sequence[TestResult], still: 
         learned=how_it_learns(config),
         results=results,
         film=still.with_suffix(".webm").name,
-        film_says=f"The network beside a user {demo.trial.profile} in {demo.town.name}: the chair's camera, the map, "
-        "the user's stick (blue) and the one that was driven (orange). A click on the picture plays the film.",
+        film_says=f"The network assists a simulated user ({demo.trial.profile}) in {demo.town.name}: the chair's "
+        "camera, the map, the user's stick (blue) and the driven one (orange). Click the picture to play the film.",
         still_png=still.read_bytes(),
         commands=_commands(demo),
     )
@@ -174,10 +174,10 @@ def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:
     """What to do next, each with what it does."""
     run, town = shlex.quote(str(demo.out)), shlex.quote(str(demo.options.test_town.split(",")[0].strip()))
     return (
-        (f"wcsim drive {town} --policy {run}", "you are the user, on a page in your browser, and it helps you"),
-        (f"wcsim look {town}", "a picture and ten seconds of film without any network"),
-        (f"wcsim test --suite dev {run} --jobs 2", "judges it on a fixed list of episodes, in a quarter of an hour"),
-        ("wcsim train --preset laptop --out runs/laptop", "a better one, in half an hour"),
+        (f"wcsim drive {town} --policy {run}", "you drive on a page in your browser, assisted by this network"),
+        (f"wcsim look {town}", "pictures and ten seconds of film, without a network"),
+        (f"wcsim test --suite dev {run} --jobs 2", "tests it on a fixed list of episodes, in a quarter of an hour"),
+        ("wcsim train --preset laptop --out runs/laptop", "trains a better network, in half an hour"),
     )
 
 
@@ -186,15 +186,15 @@ def _minutes(spent_s: float) -> str:
 
 
 def how_it_learns(config: RunConfig) -> str:
-    """What is done while a configuration is trained, in a sentence; "" where it learns from every step as it drives."""
+    """What a training in rounds does, in a sentence; "" for one that learns from every step."""
     collect, danger = config.collect, config.danger
     if not learns_in_rounds(config):
         return ""
     times = counted(collect.rounds, "round")
     return (
-        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users drive, "
-        "and an oracle that knows what is about to happen; from this a network learns, in "
-        f"{danger.updates} updates a round, which of all joystick positions end badly"
+        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users and an "
+        f"oracle drive. From this, a network learns in {danger.updates} updates per round which joystick positions end "
+        "badly."
     )
 
 
@@ -204,7 +204,7 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
     tested, _ = test.check(trial)
     same = [town.name for town in tested.values() if streets_hash(town) == streets_hash(school)]
     if same:
-        raise TownError(f"{same[0]} is the town {school.name} itself; expected another --test-town than --train-town")
+        raise TownError(f"{same[0]} is the training town {school.name} itself; expected another --test-town")
     return school, tested
 
 

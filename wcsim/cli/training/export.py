@@ -20,7 +20,7 @@ from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import RunConfig
-from wcsim.core.reading import is_folder, shown
+from wcsim.core.reading import counted, is_folder, shown
 from wcsim.errors import ConfigError, PolicyError, meant
 
 if TYPE_CHECKING:
@@ -31,28 +31,27 @@ _SAME_POLICY: Final = 0.95  # of a recording's actions: with fewer it was hardly
 
 @dataclass
 class Options:
-    """Write a policy as an ONNX model with its state, its rule, its meaning and reference steps."""
+    """Export a danger network as an ONNX model, with a reference ride to check it."""
 
     policy: Annotated[str, tyro.conf.Positional]
-    """A run of a danger network, its policy folder, or shipped; RUN@0.2 sets the assistance level."""
+    """Run of a danger network, its policy folder, or shipped; RUN@0.2 sets its threshold."""
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder to make; one of an earlier export is replaced."""
+    """Output folder; an earlier export in it is replaced."""
     town: str = "helsinki"
-    """Where the reference steps are driven, by turns with the user's stick and with one that is pushed: a town's name,
-    its folder, or anybody's .sumocfg."""
+    """Town of the reference ride: a town's name, its folder, or a .sumocfg of your own."""
     ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """A recorded drive, or the journal of a run, whose first episode gives the reference steps instead; the actions are
-    still the policy's own, and how many of them were driven then is said."""
+    """Recorded drive, or journal of a run, to use as the reference ride instead. Its first episode counts. The command
+    reports how many of the policy's actions match the recorded ones."""
     seat: int = 0
-    """Of a journal."""
+    """Seat of the journal in --ride."""
     steps: int = 200
-    """Reference steps, at the most."""
+    """Maximum length of the reference ride."""
     delay_ticks: int | None = None
-    """From a command to the chair that obeys it; by default the recording's, or as in training."""
+    """Ticks from a command to the chair's motion; by default as in the recording or in training."""
     force: bool = False
-    """Export it although a decision takes longer than a tick less what segmenting the picture takes."""
+    """Export even if a decision is too slow: a tick less the time for segmenting the picture."""
     json: OutFile = None
-    """Write what was measured to this file."""
+    """Write the measurements to this file."""
 
 
 def run(words: list[str]) -> int:
@@ -66,7 +65,7 @@ def run(words: list[str]) -> int:
     require_export_place("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
-            f"--ride {shown(options.ride)}: is not there; expected a recorded drive, a journal, or the folder of a run"
+            f"--ride {shown(options.ride)}: not found; expected a recorded drive, a journal, or the folder of a run"
         )
     path = _network(options.policy)
     from wcsim.agents.danger.export.onnx_export import export_danger  # torch is loaded here
@@ -91,7 +90,7 @@ def _network(name: str) -> Path:
     """The folder of a danger network. Raises PolicyError, also for what drives and has none."""
     if is_plain(name):
         raise PolicyError(
-            f"{shown(name)} has no network of wcsim's to export; expected a run of a danger network, its policy "
+            f"{shown(name)} has no network that can be exported; expected a run of a danger network, its policy "
             f"folder, or {SHIPPED}"
         )
     head = split_level(name)[0]
@@ -103,11 +102,11 @@ def _network(name: str) -> Path:
         )
     path = policy_path(name)
     if not is_danger(path):
-        raise PolicyError(f"{name} gives values for actions; expected a danger network (learn.head=danger)")
+        raise PolicyError(f"{name} was trained by Q-learning; expected a danger network (learn.head=danger)")
     eye = read_danger_file(path).net.eye
     if eye != "map":
         raise PolicyError(
-            f"{name} looks at pictures (danger.eye={eye}), which cannot be exported; expected a danger network with "
+            f"{name} uses camera pictures (danger.eye={eye}), which cannot be exported; expected a danger network with "
             "danger.eye=map: docs/export.md, What cannot be exported"
         )
     return path
@@ -115,23 +114,23 @@ def _network(name: str) -> Path:
 
 def _compared(facts: ExportFacts) -> str:
     """How the model compares with the network and with wcsim."""
-    borders = f" ({facts.border_off:.1g} in {facts.border_steps} of the steps, at borders of cells)"
+    borders = f" ({facts.border_off:.1g} in {counted(facts.border_steps, 'step')} at borders of map cells)"
     return (
-        f"{facts.bytes / 1e6:.1f} MB, dangers off by {facts.most_off:.1g} at most"
+        f"{facts.bytes / 1e6:.1f} MB, dangers differ by at most {facts.most_off:.1g}"
         f"{borders if facts.border_steps else ''}\n"
-        f"{facts.same_actions:.1%} of {facts.steps} actions the same ({facts.same_as_wcsim:.1%} as in wcsim), "
-        f"{facts.interventions} of them not the user's own; {facts.warnings} steps with a warning"
+        f"{facts.same_actions:.1%} of {facts.steps} actions match the network, {facts.same_as_wcsim:.1%} match wcsim's "
+        f"policy; {counted(facts.interventions, 'intervention')}, {counted(facts.warnings, 'step')} with a warning"
     )
 
 
 def _beside_recording(same: float, by: str, policy: str) -> str:
     """How the network's own actions compare with those of a recording."""
-    told = f"{same:.1%} of the actions as in the recording{f', where {shown(by, 80)} chose' if by else ''}"
+    told = f"{same:.1%} of the actions match the recording{f', which {shown(by, 80)} drove' if by else ''}"
     if same >= _SAME_POLICY and by.partition("@")[0] not in (*NAMES, *UPPER_BOUNDS):
         return told
     return (
-        f"{told}: not this policy, or not at this level; the reference steps hold what {shown(policy)} chooses "
-        f"there. What it does when it drives itself: wcsim drive --policy {shlex.quote(policy)} --record FILE"
+        f"{told}: another policy or threshold. The reference ride holds the actions of {shown(policy)} for these "
+        f"observations. Record it while it drives: wcsim drive --policy {shlex.quote(policy)} --record FILE"
     )
 
 
@@ -140,12 +139,12 @@ def _costs(facts: ExportFacts) -> str:
     small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
     within = "within" if cost.p99_ms <= facts.bar_ms else "over"
     return (
-        f"one thread: {cost.p50_ms:.2f} ms a step (p99 {cost.p99_ms:.2f}, {within} the bar of {facts.bar_ms:g} ms; "
-        f"{cost.cpu_p50_ms:.2f} ms of the processor), {cost.peak_mb:.0f} MB of memory\n"
+        f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the target of {facts.bar_ms:g} "
+        f"ms; {cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
         f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
         f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})\n"
-        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers off by "
-        f"{facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} the same"
+        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers "
+        f"differ by up to {facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} of the actions match"
     )
 
 

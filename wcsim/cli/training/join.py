@@ -35,34 +35,37 @@ WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
 
 @dataclass
 class Options:
-    """Train one network in a running world (`wcsim serve`); world, chair and camera are as the server has them."""
+    """Train one network in a running world of `wcsim serve`.
+
+    The server sets world, chair and camera.
+    """
 
     endpoint: Annotated[str, tyro.conf.Positional]
-    """Where the world is, as `wcsim serve` prints it: ipc://FILE or tcp://HOST:PORT."""
+    """Address of the world, as printed by `wcsim serve`: ipc://FILE or tcp://HOST:PORT."""
     out: OutFolder = None
     """Run folder; default runs/joined-NETWORK-SEED."""
     network: str = ""
-    """Network by name, or your own as module:Class; the same as --set learn.network=..."""
+    """Name of a network, or your own as module:Class; same as --set learn.network=..."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Steps in all, as --set learn.total_steps=N; a first phase of over half of them shrinks in proportion."""
+    """Total steps, as --set learn.total_steps=N. A first phase of more than half of them shrinks in proportion."""
     seat: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
-    """Seat to take; by default the first that is free."""
+    """Seat to take; by default the first free one."""
     name: str = ""
-    """Name to be known by; default the network's."""
+    """Name of this client; default the network's."""
     keys: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder with the server's public key and the secret one of this client."""
+    """Folder with the server's public key and this client's secret key."""
     preset: str = "dqn"
-    """Settings to begin with: dqn or paper."""
+    """Preset to start from: dqn or paper."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file laid over the preset."""
+    """TOML file with settings that override the preset."""
     set: Repeated = ()
-    """section.key=value, laid over both; may be given several times."""
+    """Setting as section.key=value; overrides preset and file."""
     reward: Repeated = ()
-    """Your own reward term as module:Class, added to the paper's; may be given several times."""
+    """Your own reward term as module:Class, added to the paper's terms."""
     seed: int = 0
-    """Seed of network, exploration and replay; that of the world is the server's."""
+    """Random seed of network, exploration and replay. The server sets the world's seed."""
     wait: Annotated[float, tyro.conf.arg(metavar="S")] = 20.0
-    """Seconds to wait for a server that does not answer."""
+    """Seconds to wait for the server's first answer."""
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
 
@@ -73,12 +76,14 @@ def run(words: list[str]) -> int:
     in_bounds("--wait", options.wait, 0.1, 3600.0)
     in_bounds("--seat", options.seat or 0, 0, 63)
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
-        raise ConfigError(f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as serve prints it")
+        raise ConfigError(
+            f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it"
+        )
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
-        raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
+        raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with .")
     config = resolve_config(options, options.network)
     if config.learn.head == "danger":
-        raise ConfigError("learn.head=danger: a client that joins learns by Q-learning; expected --preset dqn or paper")
+        raise ConfigError("learn.head=danger: `wcsim join` supports Q-learning only; expected --preset dqn or paper")
     require_known(config.learn.network, options.reward)
     require_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
@@ -150,7 +155,7 @@ def _world(options: Options, seat: SocketSeat) -> WorldOffer:
         seat.join()
     except ServerGoneError:
         raise ConfigError(
-            f"{options.endpoint}: nobody answered within {options.wait:g} s; is `wcsim serve` running there? "
+            f"{options.endpoint}: no answer within {options.wait:g} s; is `wcsim serve` running there? "
             "(--wait S waits longer)"
         ) from None
     seat.core.patience = Patience(reconnect_s=RECONNECT_S)

@@ -54,13 +54,13 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     asked = {client.config.learn.select_by for client in run.clients}
     if len(asked) > 1:
         told = ", ".join(sorted(map(shown, asked)))
-        raise ConfigError(f"clients have different learn.select_by ({told}); expected one suite")
+        raise ConfigError(f"clients have different learn.select_by ({told}); expected the same suite for all")
     (name,) = asked
     if not name or len(run.clients) == 1:
         if options.worlds is not None:
             raise ConfigError(
-                f"--worlds {options.worlds}: no clients are compared; expected several and --select-by LIST, or leave "
-                "that out"
+                f"--worlds {options.worlds}: no clients are compared; expected several clients and --select-by LIST, "
+                "or leave that out"
             )
         return train_clients(options, run, town)
     from wcsim.agents.evaluation.suite.list_file import open_suite
@@ -69,12 +69,14 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     worlds_of(options.worlds)  # before the first phase
     unled = [client.name for client in run.clients if client.config.learn.phase1_steps < 1]
     if unled:
-        raise ConfigError(f"learn.select_by compares after a first phase, and {unled[0]} has none: learn.phase1_steps")
+        raise ConfigError(
+            f"learn.select_by compares clients after the first phase, but {unled[0]} has none: set learn.phase1_steps"
+        )
     dangers = [client.name for client in run.clients if client.config.learn.head == "danger"]
     if dangers:  # their learning rate rises and falls once over all of a run
         raise ConfigError(
-            f"learn.select_by lets phases be learned apart, and {dangers[0]} has learn.head=danger, which learns both "
-            "in one go; expected another head, or learn.select_by=''"
+            f"learn.select_by separates the two phases, but {dangers[0]} has learn.head=danger, which cannot be split; "
+            "expected another head, or learn.select_by=''"
         )
     chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
     if not chosen:
@@ -120,7 +122,7 @@ def _choose(options: Options, run: GroupRun, suite: Suite, name: str) -> str:
     except KeyboardInterrupt:
         log.add("comparison_stopped")
         raise InterruptedRunError(
-            f"stopped while clients were compared; {run.out} holds what was driven so far; continue with --resume"
+            f"stopped while clients were compared; {run.out} holds the episodes so far; continue with --resume"
         ) from None
     for each in judged:
         log.add("compared", who=each.client, score=each.score, crashes_own=each.crashes_own)
@@ -135,8 +137,8 @@ def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
 
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
     told = stderr_console()
-    chooses = f"{suite.file.suite} {suite.file.set} chooses"
-    told.print(f"first phase done; {chooses}: {counted(suite.episodes, 'episode')} a client", markup=False)
+    by = f"{suite.file.suite} {suite.file.set}"
+    told.print(f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each", markup=False)
 
     def say(policy: str, done: int, of: int) -> None:
         told.print(f"{policy}: {done} of {of} blocks", style="dim", markup=False)
@@ -183,6 +185,6 @@ def best_of(judged: Sequence[Judged]) -> str:
 def _show(judged: Sequence[Judged], best: str, suite: str) -> None:
     table = Table("client", f"score on {suite}", "own crashes", "", box=box.SIMPLE_HEAD, pad_edge=False)
     for each in judged:
-        goes_on = "learns the second phase" if each.client == best else "stops after the first"
+        goes_on = "learns the second phase" if each.client == best else "stops after the first phase"
         table.add_row(each.client, f"{each.score:.3f}", str(each.crashes_own), goes_on)
     stdout_console().print(table)

@@ -111,7 +111,7 @@ def _entries(ledger: Path) -> Iterable[LedgerEntry]:
 def _client(name: str, ledger: Path, journal: Path | None, against: Audit) -> ClientReport:
     facts = ledger_facts(_entries(ledger))
     if journal is None and facts.first_tick >= 0:
-        raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} beside its folder")
+        raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder")
     return ClientReport(
         name=name,
         first_tick=facts.first_tick,
@@ -133,7 +133,7 @@ def print_report(console: Console, report: ClientsReport) -> None:
     if len(report.waits.clients) > 1:
         console.print(_paid(report.waits))
     console.print(
-        f"{report.ticks} ticks of the world, {report.ticks_per_s:.1f} a second; journal {report.journal_hash}",
+        f"{report.ticks} world ticks, {report.ticks_per_s:.1f} per second; journal hash {report.journal_hash}",
         markup=False,
         soft_wrap=True,
     )
@@ -141,7 +141,7 @@ def print_report(console: Console, report: ClientsReport) -> None:
 
 def _paid(waits: PaidTimes) -> Table:
     """What each client paid, and for whom it waited most; the page of `wcsim report` has all pairs."""
-    table = Table("client", "acts s", "learns s", "waits s", "most for", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table("client", "acting s", "learning s", "waiting s", "mostly for", box=box.SIMPLE_HEAD, pad_edge=False)
     for name, paid in waits.clients.items():
         waited = waits.waited_s.get(name, {})
         whom = max(waited, key=lambda other: waited[other], default="")

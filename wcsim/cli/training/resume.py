@@ -73,7 +73,7 @@ def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
     except TownError as error:
         if typed.town is not None:
             raise
-        raise TownError(f"{path} was made in the town {name!r}: {error}; say where it is: --town FOLDER") from None
+        raise TownError(f"{path} was made in the town {name!r}: {error}; give its location: --town FOLDER") from None
     if streets_hash(town) != manifest.town_sha256:
         raise _another(path, "town_sha256", f"--town {name}")
     return town
@@ -148,7 +148,7 @@ def _require_own_config(path: Path, manifest: Manifest) -> None:
         return
     known = manifest.config_sha256, read_json(path, MANIFEST).get("config_was_sha256")
     if parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() not in known:
-        raise PolicyError(f"{path / CONFIG} is not what the run was made with: changed or damaged; restore it")
+        raise PolicyError(f"{path / CONFIG} does not match the run: changed or damaged; restore it")
 
 
 def _require_equal(path: Path, config: RunConfig, other: RunConfig, said: str) -> None:
@@ -169,7 +169,7 @@ def steps_of(path: Path, config: RunConfig, typed: Typed) -> int:
     if typed.steps is None:
         return total
     if typed.steps < total:
-        raise PolicyError(f"--steps {typed.steps}: {path} was made for {total}; expected so many or more")
+        raise PolicyError(f"--steps {typed.steps}: {path} was made for {total}; expected at least as many")
     return typed.steps
 
 
@@ -197,5 +197,5 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
 
 def _another(path: Path, what: str, said: str, own: object = None) -> PolicyError:
     its = "" if own is None else f" ({own})"
-    return PolicyError(f"{said}: {path} was made with another {what}{its}; resume with its own, or leave it out")
+    return PolicyError(f"{said}: {path} was made with another {what}{its}; resume with the same one, or leave it out")
 

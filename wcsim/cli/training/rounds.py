@@ -14,6 +14,7 @@ from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.bar import gone_if_nothing_came_of_it
 from wcsim.config import RunConfig
+from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import Town
@@ -53,7 +54,7 @@ def _trained(run: ResolvedRun, town: Town, machines: Machines, show: Show, say: 
     except InterruptedRunError:
         if run.out.exists():
             raise
-        raise NothingKept("stopped before the first segment was driven; nothing is kept") from None
+        raise NothingKept("stopped before the first segment was driven; nothing is saved") from None
 
 
 def share_done(now: RoundProgress, config: RunConfig) -> float:
@@ -75,6 +76,6 @@ def _log(bar: StageBar, now: RoundProgress) -> None:
     """A line where a round is driven, and one where it is learned from."""
     says = f"round {now.round + 1} of {now.rounds}, {now.segments} of {now.of} segments"
     if now.updates:
-        bar.say(f"{says}, {now.updates} updates, loss {now.loss:.4f}")
+        bar.say(f"{says}, {counted(now.updates, 'update')}, loss {now.loss:.4f}")
     elif now.segments == now.of and not now.learned:
         bar.say(f"{says}: learning")

@@ -42,59 +42,58 @@ _OF_CLIENTS = ("config_for", "lease", "recovery")  # options that one network wo
 
 @dataclass
 class Options:
-    """Train a network: first to follow the user (action driven learning), then when not to (agent driven learning)."""
+    """Train a network to assist a user: a danger network, or by Q-learning."""
 
     town: str = "helsinki"
-    """Where to train: a town's name, its folder, or anybody's .sumocfg; none for tests."""
+    """Training town: a town's name, its folder, or a .sumocfg of your own. Test towns need --allow-test-town."""
     preset: str = ""
-    """Settings to begin with: quick, laptop, best, dqn or paper. (default: quick, which learns dangers in rounds; dqn,
-    which learns by Q-learning, with --network, --clients, --steps, --reward, --hook or a setting of [learn])"""
+    """Preset to start from: quick, laptop or best (danger networks), dqn or paper (Q-learning). Empty: quick, or
+    dqn with --network, --clients, --steps, --reward, --hook or a setting of [learn]."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file laid over the preset."""
+    """TOML file with settings that override the preset."""
     set: Repeated = ()
-    """section.key=value, laid over both; may be given several times."""
+    """Setting as section.key=value; overrides preset and file."""
     network: str = ""
-    """Network by name, or your own as module:Class; the same as --set learn.network=..."""
+    """Name of a network, or your own as module:Class; same as --set learn.network=..."""
     reward: Repeated = ()
-    """Your own reward term as module:Class, added to the paper's; may be given several times."""
+    """Your own reward term as module:Class, added to the paper's terms."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Steps in all, as --set learn.total_steps=N; a first phase of over half of them shrinks in proportion."""
+    """Total steps, as --set learn.total_steps=N. A first phase of more than half of them shrinks in proportion."""
     clients: Annotated[str | None, tyro.conf.arg(metavar="A,B,...")] = None
-    """Networks that learn in one world at once, each in a process of its own; by name or as module:Class."""
+    """Networks that learn at once in one shared world, each in its own process; names or module:Class."""
     config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
-    """TOML file laid over all for one of the clients; may be given several times."""
+    """TOML file with settings for one client; overrides all others."""
     select_by: Annotated[str | None, tyro.conf.arg(metavar="LIST")] = None
-    """Suite, or list of your own, by which clients are compared after the first phase: the best one alone learns the
-    second. (default: learn.select_by, with preset paper validation; '' lets all learn it)"""
+    """Suite, or episode list of your own, that compares clients after the first phase. Only the best one learns the
+    second; with '' all do. None: learn.select_by, which is validation in preset paper."""
     worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Worlds that drive beside a danger network that learns, or that compare clients, each in a process of its own:
-    data, weights and choice are the same for any number. (default: one for each core, 4 at the most)"""
+    """Worker processes that drive data for a danger network, or that compare clients. Results do not depend on their
+    number. None: one per core, at most 4."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
-    """HOST:PORT of a Ray cluster whose nodes drive for a danger network that learns, or `local`: the same data and
-    weights (docs/cluster.md)."""
+    """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`. Data and weights stay the same
+    (docs/cluster.md)."""
     data: Repeated = ()
-    """Folder of `wcsim collect` that a danger network learns from as well, as collect.data; may be given several
-    times."""
+    """Data folder of `wcsim collect` that a danger network also learns from, as collect.data."""
     lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
-    """Seconds without a sign of progress after which a client is given up and started again."""
+    """Seconds without progress after which a client is restarted."""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
-    """After the world of several clients died: begin a new one, or make the same one again, step by step."""
+    """If the world of several clients dies: start a new one, or rebuild the same one step by step."""
     seed: int = 0
-    """Seed of everything: equal seeds give equal weights."""
+    """Random seed: equal seeds give equal weights."""
     out: OutFolder = None
     """Run folder; default runs/TOWN-PRESET-SEED."""
     tensorboard: bool = False
-    """Write scalars for TensorBoard into the run folder too, as --set learn.tensorboard=true."""
+    """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
     resume: bool = False
-    """Continue the run in --out from its newest checkpoint, with its own settings; --steps may be more than before."""
+    """Continue the run in --out from its newest checkpoint with its own settings; --steps may extend it."""
     allow_test_town: bool = False
-    """Train in a town that is meant for tests."""
+    """Allow training in a test town."""
     verbose: Verbose = False
-    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
+    """Show which SUMO options of the town are overridden, and why."""
     json: OutFile = None
-    """Write where the run is to this file."""
+    """Write the path of the run to this file."""
 
 
 def run(words: list[str]) -> int:
@@ -109,7 +108,7 @@ def run(words: list[str]) -> int:
     if options.resume:
         return _resume(options, words)
     if options.select_by:
-        raise ConfigError("--select-by: there is one network; expected --clients A,B,... to choose from")
+        raise ConfigError("--select-by: there is only one network; expected several: --clients A,B,...")
     config = resolve_config(options, options.network)
     require_heard(config, _only_by_steps(options, config))
     require_rounds(config, _only_in_rounds(options))
@@ -152,7 +151,7 @@ def _require_one(words: list[str]) -> None:
     """Refuse options that are for several clients. Raises ConfigError."""
     found = [f"--{name.replace('_', '-')}" for name in _OF_CLIENTS if name in given(words)]
     if found:
-        raise ConfigError(f"{', '.join(found)}: there is one network; expected --clients A,B,..., or leave that out")
+        raise ConfigError(f"{', '.join(found)}: only for several networks; expected --clients A,B,... with it")
 
 
 def _resume(options: Options, words: list[str]) -> int:
@@ -162,7 +161,7 @@ def _resume(options: Options, words: list[str]) -> int:
         out = _out(options, checked_town(options.town, True))
     check_folder("--out", out)
     run = open_run(out)
-    config, own = run.config, "a run goes on as it was made; leave that out"
+    config, own = run.config, "a resumed run keeps its settings; leave that out"
     require_heard(config, {"--steps": options.steps is not None}, own)
     require_rounds(config, _only_in_rounds(options), own)
     resolved, town = resumed(out, typed(options, words))
@@ -176,7 +175,7 @@ def _finished(out: Path, config: RunConfig) -> str:
     """What to say of a run that has nothing left to do."""
     if learns_in_rounds(config):
         return f"{out} is finished: all of its {config.collect.rounds} rounds are done"
-    return f"{out} is finished: all of its {config.learn.total_steps} steps are done; more in all: --steps N"
+    return f"{out} is finished: all of its {config.learn.total_steps} steps are done; extend it with --steps N"
 
 
 def _info_of(options: Options, words: list[str]) -> RunInfo:
@@ -222,11 +221,11 @@ def _train_clients(options: Options, words: list[str]) -> int:
     from wcsim.cli.training.clients import resolved, resumed_group
     from wcsim.cli.training.phases_apart import train_group
 
-    require_no_cluster(options.cluster, "is of several clients, which share a world")
+    require_no_cluster(options.cluster, "has several clients in one world")
     if options.data:
-        raise ConfigError("--data and --clients: expected one of them; only a network that learns in rounds reads data")
+        raise ConfigError("--data and --clients: expected only one of them; only round-based training reads data")
     if options.network:
-        raise ConfigError("--network and --clients: expected one of them; a client's network is its name")
+        raise ConfigError("--network and --clients: expected only one of them; --clients names the networks")
     if options.resume:
         out = options.out if options.out is not None else _out(options, checked_town(options.town, True))
         return train_group(options, *resumed_group(options, out, typed(options, words)))
@@ -242,8 +241,8 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
     validate_net(town.net)
     if town.split == "test" and not allow_test_town:
         raise TownError(
-            f"{town.name} is a test town; networks that were trained in it cannot be tested honestly. "
-            "Train in a town of split train (wcsim town list), or say --allow-test-town"
+            f"{town.name} is a test town; networks trained in it cannot be tested fairly. "
+            "Train in a town of split train (wcsim town list), or pass --allow-test-town"
         )
     return town
 

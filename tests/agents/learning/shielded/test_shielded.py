@@ -239,7 +239,7 @@ def test_another_danger_network_than_the_one_of_training_is_refused(run: Path, p
     folder = shutil.copytree(run / "policies" / "final", tmp_path / "copy")
     other = DangerLearner(danger_config(), 9, 1).net
     save_danger(folder / PART, other, rule_of(danger_config().danger), danger_config())
-    with pytest.raises(PolicyError, match="another danger network"):
+    with pytest.raises(PolicyError, match="is not the danger network"):
         open_policy(str(folder), config(part))
     with pytest.raises(PolicyError, match="drives with both"):
         load_policy(run / "policies" / "final")

@@ -75,7 +75,7 @@ def test_what_lies_on_this_machine_alone_is_refused():
         lambda: require_travels(config, users=("me.toml",)),
         lambda: require_travels(load_run_config("quick", ("collect.profiles=['recorded:mine.csv']",))),
     ):
-        with pytest.raises(ConfigError, match=r"does not travel; expected .* without --cluster"):
+        with pytest.raises(ConfigError, match=r"cannot be sent; expected .* without --cluster"):
             own()
 
 

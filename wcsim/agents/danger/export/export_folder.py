@@ -23,8 +23,8 @@ def require_export_place(option: str, folder: Path) -> None:
     if others:
         named = ", ".join(shown(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (len(others) > _MOST_NAMED)
         raise ConfigError(
-            f"{option} {shown(folder)} holds {named}, which no export wrote; expected a new folder, or that of an "
-            "export, which is replaced: choose another one"
+            f"{option} {shown(folder)} holds {named}, which is not from an export; expected a new folder, or an "
+            "earlier export, which is replaced: choose another one"
         )
 
 

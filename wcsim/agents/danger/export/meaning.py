@@ -15,8 +15,8 @@ from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId
 
 _NOT_FOR: Final = (
-    "nothing here says anything about a real street or a real chair: it was trained and measured in a simulation, and "
-    "nobody has ridden with it"
+    "this says nothing about a real street or a real chair: it was trained and tested in a simulation, and no person "
+    "has driven with it"
 )
 _INPUTS: Final = {
     "depth": "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 m), rounded to the "
@@ -32,17 +32,17 @@ _INPUTS: Final = {
     "joystick": "float32 (1, 2): the user's stick, x right, y ahead, in -1..1",
 }
 _WHEN: Final = (
-    "all inputs of a tick are of one moment, its end; one tick every tick_s. A picture is shown once: a tick in which "
-    "none is new has no frame (see the guard)"
+    "all inputs describe the end of a tick; one tick every tick_s. Use each picture once: a tick without a new picture "
+    "has no frame (see the guard)"
 )
 _RESET: Final = (
-    "every state is zero at the start, and again whenever the chair was not given the sticks that came out of here (an "
-    "emergency stop, an attendant), or was carried; the output next_state_X goes into state_X at the next tick"
+    "set every state to zero at the start, and whenever the chair did not execute the output of this model (an "
+    "emergency stop, an attendant) or was carried; the output next_state_X goes into state_X at the next tick"
 )
 _OUTPUTS: Final = {
     "values": "float32 (1, A): the action is that of the highest value",
     "warning": "float32 (1, 1): above 0.5 the user should be warned",
-    "danger": "float32 (1, A) in 0..1: how sure it is that the action ends badly",
+    "danger": "float32 (1, A) in 0..1: the danger of each action",
 }
 _RULE: Final = (
     "already in `values`: the user's own action where its danger is below threshold, or below at_once and it was not "
@@ -58,9 +58,9 @@ _SENSES: Final = (
 )
 _GUARD: Final = (
     "a tick is bad without frames, with an input or output that is not finite, a frame older than oldest_s, or an "
-    "answer later than deadline_s, and when the model ends in an error: then all states begin anew, and the stick "
-    "goes to zero within stop_s, by sqrt(2) * tick_s / stop_s a tick; the policy drives again after good_ticks good "
-    "ticks, in which it is shown a joystick at rest"
+    "answer later than deadline_s, and when the model fails: then all states are reset, and the stick "
+    "goes to zero within stop_s, by sqrt(2) * tick_s / stop_s per tick; the policy drives again after good_ticks good "
+    "ticks with a joystick at rest as its input"
 )
 
 

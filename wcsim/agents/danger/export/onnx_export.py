@@ -181,9 +181,9 @@ def _write_reference(
     same = told["values"].argmax(axis=1) == np.array(chosen)
     if np.mean(same) < LEAST_SAME:
         raise PolicyError(
-            f"the exported model chooses as wcsim's policy in {np.mean(same):.1%} of the steps (not in step "
-            f"{int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a fault of the export, please "
-            "report it; nothing was written"
+            f"the exported model chooses the action of wcsim's policy in {np.mean(same):.1%} of the steps "
+            f"(first difference: step {int(np.argmin(same))}); expected at least {LEAST_SAME:.0%}: this is a "
+            "bug of the export, please report it; nothing was written"
         )
     return ExportFacts(
         steps=len(ride),
@@ -214,9 +214,9 @@ def _off(told: F32, wanted: F32) -> F32:
     share, worst = float(np.mean(off > MOST_OFF)), int(off.argmax())
     if share > BORDER_SHARE or off[worst] > BORDER_OFF:
         raise PolicyError(
-            f"the exported model's dangers are off by up to {off[worst]:.2g} (step {worst}), and by more than "
+            f"the exported model's dangers differ by up to {off[worst]:.2g} (step {worst}), and by more than "
             f"{MOST_OFF:g} in {share:.1%} of the steps; expected at most {BORDER_OFF:g}, and {BORDER_SHARE:.0%}: "
-            "this is a fault of the export, please report it; nothing was written"
+            "this is a bug of the export, please report it; nothing was written"
         )
     return off
 

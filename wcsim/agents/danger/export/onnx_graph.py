@@ -80,13 +80,13 @@ class DangerGraph(nn.Module):
         super().__init__()
         if net.spec.rival or net.spec.gaps == "rival":
             raise PolicyError(
-                "a network that looks at what the rival remembers cannot be exported; let another one learn from the "
-                "same driving: wcsim train --preset laptop --data RUN/data --set collect.rounds=1 "
+                "a network that reads the memory of dwa cannot be exported; train another one on the "
+                "same data: wcsim train --preset laptop --data RUN/data --set collect.rounds=1 "
                 "--set collect.segments=0 --set danger.updates=6000 --set danger.rival=false --set danger.gaps=map"
             )
         if net.spec.eye != "map" or not (net.spec.memory and net.spec.odometry):
             raise PolicyError(
-                "only a network that looks at the remembered street map, with odometry, can be exported; train with "
+                "only a network that uses the street map, memory and odometry can be exported; train with "
                 "danger.eye=map, danger.memory=true and danger.odometry=true"
             )
         camera, actions = config.cameras[0], action_set(config.env.actions)

@@ -55,7 +55,7 @@ def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) 
     if words:
         typed = " ".join(f"--set {shlex.quote(word)}" for word in words)
         raise PolicyError(
-            f"{shown(file)} was recorded without what {shown(policy)} sees; expected a recording with "
-            f"{', '.join(words)}: record again, by the command that made it with {typed}, or by "
+            f"{shown(file)} lacks inputs of {shown(policy)}; expected a recording with "
+            f"{', '.join(words)}: record it again with the same command and {typed}, or with "
             f"wcsim drive --policy {shlex.quote(policy)} --record FILE, which needs no settings"
         )

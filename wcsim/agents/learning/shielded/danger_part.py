@@ -49,7 +49,7 @@ def danger_part(run: RunFolder) -> Path | None:
     if not is_folder(own):
         path = policy_path(name)
         if not is_danger(path):
-            raise PolicyError(f"learn.danger={name}: gives values for actions; expected a danger network")
+            raise PolicyError(f"learn.danger={name}: was trained by Q-learning; expected a danger network")
         copy_part(path, own)
     return own
 

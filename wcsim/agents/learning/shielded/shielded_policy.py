@@ -96,7 +96,7 @@ def shielded(
     danger = load_danger(part, values.name, config, level, network)
     if files.sha256(part / WEIGHTS) != shield.danger_sha256:
         raise PolicyError(
-            f"{shown(part)} is another danger network than the one that {shown(values.name)!r} learned with; copy the "
+            f"{shown(part)} is not the danger network that {shown(values.name)!r} learned with; copy the "
             "whole policy folder again"
         )
     return ShieldedPolicy(values, danger, shield, shield.threshold if level is None else level)

@@ -56,7 +56,7 @@ def _writer_class() -> Any:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
         raise ConfigError(
-            "learn.tensorboard=true needs the package tensorboard, which is not here: python -m pip install "
+            "learn.tensorboard=true needs a package that is not installed: python -m pip install "
             "tensorboard, or leave it out: metrics.csv holds the same numbers"
         ) from None
     return SummaryWriter

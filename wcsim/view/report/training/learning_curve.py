@@ -12,7 +12,7 @@ from typing import Any, Final
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, read_json
-from wcsim.core.reading import is_file, shown_value
+from wcsim.core.reading import counted, is_file, shown_value
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
@@ -55,15 +55,15 @@ class LimitCrossing:
         """In words.
 
         >>> LimitCrossing(step=1200, last=0.4, left=9000).told()
-        'KPI 1, mean of 20 episodes, below 0.1768 from step 1200 on, above again since step 9000'
+        'KPI 1 (mean of 20 episodes) is below 0.1768 from step 1200 on, above it again since step 9000'
         """
         if self.episodes < LEAST:
-            return f"KPI 1, {self.episodes} episodes: too few for a mean that is told, {LEAST} at least"
-        mean = f"KPI 1, mean of {min(OVER, self.episodes)} episodes"
+            return f"KPI 1: {counted(self.episodes, 'episode')}, too few for a mean (at least {LEAST})"
+        mean = f"KPI 1 (mean of {min(OVER, self.episodes)} episodes)"
         if self.step is None:
-            return f"{mean}, never below {KPI1_LIMIT}"
-        after = f", above again since step {self.left}" if self.left is not None else ""
-        return f"{mean}, below {KPI1_LIMIT} from step {self.step} on{after}"
+            return f"{mean} never falls below {KPI1_LIMIT}"
+        after = f", above it again since step {self.left}" if self.left is not None else ""
+        return f"{mean} is below {KPI1_LIMIT} from step {self.step} on{after}"
 
 
 def read_training(folders: Sequence[Path]) -> Training:

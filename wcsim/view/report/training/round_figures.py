@@ -16,12 +16,12 @@ from wcsim.view.report.page import Section, shown
 Runs = Mapping[str, tuple[TrainedRound, ...]]
 _THOUSAND: Final = 1000.0
 _LOSS_SAYS: Final = (
-    "Loss at the end of a round, smoothed over some 50 updates, all 81 positions together. Each round adds driving, "
-    "so it need not fall; a test says what the network is worth"
+    "Loss at the end of each round, smoothed over about 50 updates, for all 81 positions. Each round adds data, so the "
+    "loss need not fall. Test the network to judge it: wcsim test"
 )
 _CRASH_SAYS: Final = (
-    "Crashes per 1,000 new steps of whoever drove in a round: users and oracle, and from the third round on, for a "
-    "share of the episodes, the network of the round before the last"
+    "Crashes per 1,000 new steps of a round, of all drivers: users and oracle. From the third round on, the network of "
+    "two rounds earlier also drives a share of the episodes, so more crashes do not mean a worse network"
 )
 
 
@@ -84,8 +84,8 @@ def _table(runs: Runs) -> Exhibit:
     return Exhibit(
         name="rounds",
         title="Rounds",
-        says="Steps that can be learned from so far, those that this round added, and in how many of all some "
-        "position ends badly; crashes of this round; updates so far; the clock on the wall.",
+        says="Training steps so far, new ones of this round, and the share of all in which a position is unsafe. "
+        "Crashes of this round, updates so far, wall clock times.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )

@@ -25,18 +25,18 @@ from wcsim.view.report.training.learning_curve import (
 from wcsim.view.report.training.round_figures import round_sections
 
 _KPI1_SAYS: Final = (
-    f"Joystick distance of user and agent, mean over an episode: KPI 1, with its limit {KPI1_LIMIT}; in the first "
-    "phase of the actions that the agent would have chosen. A triangle: a mean comes below the limit"
+    f"Mean distance between the user's and the agent's joystick over an episode, with the limit {KPI1_LIMIT}. In the "
+    "first phase, of the actions that the agent would have chosen. Triangle: the mean falls below the limit"
 )
 _OVER_SAYS: Final = (
-    "Value of the best action at the start of an episode minus the discounted return that really followed, both in "
-    "units of the scaled reward: what the network promises too much. Without double Q-learning (learn.double_q) it is "
-    "higher. In the first phase the user's action is what followed"
+    "Overestimation: value of the best action at the start of an episode minus the actual discounted return, in units "
+    "of the scaled reward. It is higher without double Q-learning (learn.double_q). In the first phase the user's "
+    "actions were executed"
 )
 _Value = Callable[[TrainedEpisode], float | None]
 _FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
     ("kpi1", "Fig. 7a: ", "KPI 1, mean joystick distance", _KPI1_SAYS, lambda e: e.kpi1),
-    ("length", "Fig. 7b: ", "KPI 2, steps alive", "Steps that an episode lasted, at most its limit: KPI 2",
+    ("length", "Fig. 7b: ", "KPI 2, steps without a crash", "Length of each episode in steps, at most its limit: KPI 2",
      lambda e: float(e.length)),
     ("overestimate", "", "value minus return", _OVER_SAYS, lambda e: e.overestimate),
 )  # fmt: skip
@@ -57,7 +57,7 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
     """
     episodes, rounds = any(training.clients.values()), round_sections(training.rounds)
     if not episodes and not rounds:
-        raise PolicyError(f"{folder}: no client has finished an episode; expected some: train on with --resume")
+        raise PolicyError(f"{folder}: no client has finished an episode yet; continue the training with --resume")
     parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]
     if episodes:
         clients = _table(training)
@@ -120,9 +120,9 @@ def _figure(training: Training, key: str, number: str, label: str, says: str, of
     return figure(
         _NAMES[key],
         f"{number}{label}",
-        f"{says}. A dot an episode, at the step of its end; lines are means of the last {OVER} episodes. Dashed, in a "
-        "client's colour: the end of its first phase, in which the user's action is executed. Exploration is in it: a "
-        "test says more.",
+        f"{says}. Each dot is an episode, at the step of its end. Lines are means of the last {OVER} episodes. Dashed, "
+        "in a client's colour: the end of its first phase, in which the user's actions are executed. The curves "
+        "include exploration; wcsim test judges the policy itself.",
         csv_of(("client", "step", "phase", key, f"mean_of_{OVER}", "crashed"), plain),
         curve_chart(_NAMES[key], label, curves, limit),
     )
@@ -144,8 +144,8 @@ def _table(training: Training) -> Exhibit:
     return Exhibit(
         name="clients",
         title="Clients",
-        says="Steps up to the last episode that ended; means over the last episodes of the training. KPI 1 comes below "
-        "its limit where the mean does that the figure draws.",
+        says="Steps up to the last finished episode. Means are over the last episodes. KPI 1 falls below its limit "
+        "where the mean in the figure does.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
         csv=csv_of(headings, rows),
     )

@@ -43,11 +43,11 @@ def _section(run: Path, number: int, times: PaidTimes) -> tuple[Section, Exhibit
     headings, rows = waiting_rows(times)
     exhibit = Exhibit(
         name="waiting" if number == 0 else f"waiting-{number + 1}",
-        title=f"{run.resolve().name}: who waits for whom",
-        says="Seconds over all lives of each client. Waiting is for the world's own work or for others and messages; a "
-        "part of both may be spent on learning, the rest is idle. Learning while it waits costs nothing as long as "
-        "somebody else is waited for. The last columns: how long this client, which had acted, waited for those that "
-        "had not; what several were late for is shared among them. They hold no world's work and no messages",
+        title=f"{run.resolve().name}: waiting times",
+        says="Seconds of each client, over all its restarts. A client waits for the world's own work, or for other "
+        "clients and messages. It may learn while it waits; the rest is idle. Learning costs nothing while another "
+        "client is late. The last columns show how long each client, once it had acted, waited for each other "
+        "one. If several were late, the time is shared among them. World work and messages are not included",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )
