@@ -17,7 +17,7 @@ BELOW_A_FILE = "file/x"
 """A place that cannot be written: below a file. (A folder without write permission stops nobody who is root.)"""
 
 
-STAGES = ("looking through the files", "building the ", "opening the net", "starting SUMO", "reading ")
+STAGES = ("reading ", "building the ", "street of ", "starting SUMO")
 
 
 def refused(result: Result, *told: str) -> None:

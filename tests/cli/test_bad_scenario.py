@@ -56,12 +56,12 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert files_in(folder) == set()
     alone = wcsim("town", "run", theirs, *RUN, "--chairs", "0")
     assert alone.code == 0
-    assert f"no walking areas; first lay pavements and crossings: wcsim town pave {theirs}/" in alone.out
-    assert re.search(r"^then, for the paved copy, make walkers\.rou\.xml.* -n \S*-paved/a\.net\.xml", alone.out, re.M)
+    assert f"no walking areas; first add pavements and crossings: wcsim town pave {theirs}/" in alone.out
+    assert re.search(r"^then, for the paved copy, create walkers\.rou\.xml.* -n \S*-paved/a\.net\.xml", alone.out, re.M)
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
     told = one_line(checked)
-    assert "no walking areas, so nobody can walk; first lay pavements and crossings: wcsim town pave /" in told
+    assert "no walking areas, so pedestrians cannot walk; first add pavements and crossings: wcsim town pave /" in told
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
@@ -92,11 +92,11 @@ def test_nobody_in_the_street(wcsim, folder, theirs):
     (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: nobody walks in this town: its demand has no persons on foot; make walkers" in one_line(checked)
+    assert "fault: the demand has no pedestrians; create walkers" in one_line(checked)
     assert f"randomTrips.py -n {theirs}/a.net.xml --pedestrians" in one_line(checked)
     ran = wcsim("town", "run", theirs, *RUN)
     assert ran.code == 0
-    assert "nobody walked: the demand has no persons" in one_line(ran) and "--pedestrians" in ran.out
+    assert "no pedestrians: the demand has none" in one_line(ran) and "--pedestrians" in ran.out
 
 
 def test_a_file_that_is_not_there(wcsim, folder, theirs):

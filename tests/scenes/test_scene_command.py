@@ -108,7 +108,7 @@ def test_names_that_are_no_folder_are_refused(tmp_path, name):
 def test_a_scene_that_is_there_stays(tmp_path):
     folder = write_scene(tmp_path, "mine")
     (folder / "scene.toml").write_text("mine")
-    with pytest.raises(TownError, match="is there already"):
+    with pytest.raises(TownError, match="already exists"):
         write_scene(tmp_path, "mine")
     assert (folder / "scene.toml").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]

@@ -25,15 +25,15 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert refused.code == 2 and shlex.join(words) in " ".join(refused.err.split())
     assert words[:3] == ["wcsim", "town", "pave"]
     paved = wcsim(*words[1:], "--json", "paved.json")
-    assert paved.code == 1 and "fault: nobody walks" in paved.out, paved.err
+    assert paved.code == 1 and "fault: the demand has no pedestrians" in paved.out, paved.err
     assert "24 streets have a pavement now; " in paved.out and "10 signal programs" in paved.out
-    later = printed(checked.out, "then, for the paved copy, make walkers")
+    later = printed(checked.out, "then, for the paved copy, create walkers")
     told = json.loads(Path("paved.json").read_text())
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
     ours = find_town(told["paved"]["sumocfg"])
     (fault,) = told["faults"]
-    assert shlex.split(later) == shlex.split(printed(fault, "nobody walks")), "what was printed before is for the copy"
-    code, said = typed(printed(fault, "nobody walks"), folder)
+    assert shlex.split(later) == shlex.split(printed(fault, "no pedestrians")), "what was printed before is for the copy"
+    code, said = typed(printed(fault, "no pedestrians"), folder)
     assert code == 0, said
     text = (ours.folder / "walkers.rou.xml").read_text()
     departs_s = [float(found) for found in re.findall(r'<person id="[^"]*" depart="([^"]*)"', text)]
@@ -104,7 +104,7 @@ def test_paving_refuses_what_it_would_spoil(wcsim: Run, folder: Path) -> None:
     (folder / "full").mkdir()
     (folder / "full" / "x").write_text("x")
     said = wcsim("town", "pave", theirs, "--out", "full")
-    assert said.code == 2 and "full is there already" in said.err
+    assert said.code == 2 and "full already exists" in said.err
     assert wcsim("town", "pave", theirs).code == 2
     assert wcsim("town", "pave", theirs, "--out", "ours", "--max-speed", "5").code == 2
     assert not (folder / "ours").exists()

@@ -191,16 +191,16 @@ def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
         told = walkers_cure(open_town(folder / "u.sumocfg"), paved=True).replace("'", "")
         assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in told
     told = walkers_cure(open_town(tmp_path / "link" / "u.sumocfg"), paved=True)
-    assert told == "make walkers as the check of the copy says"
+    assert told == "add pedestrians as the copy's check says"
 
 
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:
     fast = open_town(made(tmp_path / "fast", ("--grid", "--grid.number", "3"), persons=False, speed_mps=25.0))
     (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
-    command = printed(fault, "lay pavements")
+    command = printed(fault, "add pavements")
     assert command == pave_cure(fast).partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
     code, said = typed(command, tmp_path)
-    assert code == 1 and "24 streets have a pavement now" in said and "fault: nobody walks" in said, said
+    assert code == 1 and "24 streets got a pavement" in said and "fault: the demand has no pedestrians" in said, said
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ FINE = Findings(
         ({"crossings": 0}, "no crossings.*wcsim town pave /.*sumocfg --out"),
         ({"walkable_largest_share": 0.6}, "only 60.0% of the walkable.*join the parts: /.*/netedit -s /.*net.xml.gz"),
         ({"unroutable": 7}, "7 trips have no way.*duarouter -n /.* -r /.* --ignore-errors -o /"),
-        ({"classes": ("bus",)}, "nobody walks.*/randomTrips.py -n /.* --pedestrians .* -b 0 -e 3600 "),
+        ({"classes": ("bus",)}, "no pedestrians.*/randomTrips.py -n /.* --pedestrians .* -b 0 -e 3600 "),
         ({"mesh_faults": 50}, "50 of 4000 rays missed the ground.*wcsim cache --clear"),
     ],
 )

@@ -189,9 +189,9 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     assert len([note for note in made.notes if "no traffic of class" in note]) == 1
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0
-    assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1 " in fault]
+    assert [fault for fault in check_town(none).faults if "no pedestrians" in fault and "--traffic 1 " in fault]
     still = import_town(replace(order, per_hour={"pedestrian": 0.0})).town
-    assert [fault for fault in check_town(still).faults if "nobody walks" in fault and "randomTrips" in fault]
+    assert [fault for fault in check_town(still).faults if "no pedestrians" in fault and "randomTrips" in fault]
 
 
 def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(order: ImportOrder) -> None:

@@ -87,7 +87,7 @@ def test_small_towns_of_every_kind_can_be_made(kind: str, tmp_path: Path) -> Non
     """Seed 4 makes a grid in which no corner of a junction is left to the pavement."""
     town = make_town(tmp_path / "tiny", 4, Wishes(size_m=300.0, kind=kind, traffic=0.0))
     faults = check_town(town).faults
-    assert len(faults) == 1 and faults[0].startswith("nobody walks")
+    assert len(faults) == 1 and faults[0].startswith("the demand has no pedestrians")
     assert "wcsim town make tiny" in faults[0] and "--traffic 1" in faults[0]
 
 
