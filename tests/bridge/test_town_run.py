@@ -37,9 +37,9 @@ def test_ghosts_and_missing_actors_are_told_from_who_is_only_near_the_border():
     everyone = (near, border, far)
     check_mirrored((near,), everyone, chairs, 50.0)
     check_mirrored((near, border, actor("v:near~1", 6.0, piece=1)), everyone, chairs, 50.0)
-    with pytest.raises(SumoError, match=r"not there: v:ghost; there but not shown: nobody"):
+    with pytest.raises(SumoError, match=r"not in SUMO: v:ghost; in SUMO but not mirrored: none"):
         check_mirrored((near, actor("v:ghost", 3.0)), everyone, chairs, 50.0)
-    with pytest.raises(SumoError, match=r"not there: nobody; there but not shown: v:near"):
+    with pytest.raises(SumoError, match=r"not in SUMO: none; in SUMO but not mirrored: v:near"):
         check_mirrored((), everyone, chairs, 50.0)
     check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
 

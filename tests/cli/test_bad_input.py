@@ -42,7 +42,7 @@ OPTIONS = {
     "town make x --seed 2147483648": ("--seed 2147483648",),
     "town make ../x": ("'../x'", "letters, digits"),
     "town make /x": ("'/x'", "letters, digits"),
-    "town make scenes": ("'scenes'", "no town's folder"),
+    "town make scenes": ("'scenes'", "reserved"),
     "town make x --size 20": ("size of 20 m", "300 to 1500"),
     "town make x --size nan": ("size of nan m", "300 to 1500"),
     "town make x --size 1e9": ("size of 1e+09 m", "300 to 1500"),

@@ -68,7 +68,9 @@ def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "nobody can cross a street; first add crossings and walking areas: wcsim town pave /" in one_line(checked)
+    assert "pedestrians cannot cross a street; first add crossings and walking areas: wcsim town pave /" in one_line(
+        checked
+    )
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
@@ -116,8 +118,8 @@ def test_polygons_of_another_town(wcsim, folder, theirs):
     change(theirs / "a.sumocfg", "a.add.xml", "a.add.xml,a.poly.xml")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "none of the 1 things of a.poly.xml lies at the streets, so it was made for another net" in one_line(checked)
-    assert "build it of its map again, with polyconvert's option --net-file a.net.xml" in one_line(checked)
+    assert "none of the 1 objects of a.poly.xml is near the streets, so it belongs to another net" in one_line(checked)
+    assert "build it from its map again, with polyconvert's option --net-file a.net.xml" in one_line(checked)
 
 
 def test_routes_for_another_net(wcsim, folder, theirs):
@@ -128,7 +130,7 @@ def test_routes_for_another_net(wcsim, folder, theirs):
     assert files_in(folder) == set()
     checked = wcsim("town", "check", theirs)
     assert checked.code in (1, 2)
-    assert "trips have no way through the net; to drop or mend them, make better.rou.xml" in one_line(checked)
+    assert "trips have no route through the net; to drop or repair them, create better.rou.xml" in one_line(checked)
 
 
 def test_archives_that_are_none_and_files_that_are_archives(wcsim, folder, theirs):

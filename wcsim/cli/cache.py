@@ -8,14 +8,14 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.shared.common import OutFile, parse, write_json
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 from wcsim.towns.cache.files import cache_facts, clear_cache
 
 
 @dataclass
 class Options:
-    """Show the contents of the cache: streets, checked nets and scenarios, machine code, generated places. Clear it."""
+    """Show the cache of streets, checked nets, machine code and generated places."""
 
     clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Delete everything in it; what is needed is built again. Running worlds continue."""
@@ -28,8 +28,9 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "cache")
     before = cache_facts()
     left = clear_cache() if options.clear else before
-    kept = f"{before.streets} streets, {before.verdicts} checked nets and scenarios, {before.kernels} kernels"
-    kept += f", {before.driven} generated places to drive in, {before.unfinished} unfinished"
+    checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
+    kept = f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}"
+    kept += f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
     print(f"{shown(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")

@@ -29,7 +29,7 @@ HOME = Path("scenarios") / "sumo" / "scenes"
 
 @dataclass
 class RunOptions:
-    """Run scenes (default: all) and compare them with their [expect] values and golden traces."""
+    """Run scenes (default: all); compare them with [expect] and golden traces."""
 
     scenes: Scenes = ()
     """Names or folders of scenes."""
@@ -64,7 +64,7 @@ class NewOptions:
 
 @dataclass
 class SceneMakeOptions:
-    """Generate a scene of a family from a seed: a hazard that an assistance can avoid, and a recorded joystick."""
+    """Generate a scene of a family from a seed: a hazard and a recorded joystick."""
 
     family: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY")]
     """One of the families listed in docs/authoring.md."""

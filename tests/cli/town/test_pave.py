@@ -32,7 +32,7 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
     ours = find_town(told["paved"]["sumocfg"])
     (fault,) = told["faults"]
-    assert shlex.split(later) == shlex.split(printed(fault, "no pedestrians")), "what was printed before is for the copy"
+    assert shlex.split(later) == shlex.split(printed(fault, "no pedestrians")), "it was for the copy"
     code, said = typed(printed(fault, "no pedestrians"), folder)
     assert code == 0, said
     text = (ours.folder / "walkers.rou.xml").read_text()
@@ -49,12 +49,12 @@ def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(
     theirs = open_town(made(folder / "own", ("--grid", "--grid.number", "3", "--sidewalks.guess"), persons=False))
     checked = wcsim("town", "check", theirs.sumocfg)
     assert checked.code == 1
-    assert "has pavements beside 24 streets, but no walking areas to join them, so nobody can walk; " in checked.out
+    assert "has pavements beside 24 streets, but no walking areas to join them, so pedestrians" in checked.out
     assert "; first add crossings and walking areas: wcsim town pave /" in checked.out
     paved = wcsim("town", "pave", theirs.sumocfg, "--out", "ours", "--json", "paved.json")
     told = json.loads(Path("paved.json").read_text())
-    added = f"{told['crossings']} crossings and {told['walkingareas']} walking areas added"
-    assert f"24 streets had pavements already; {added}" in paved.out and "a pavement now" not in paved.out
+    added = f"added {told['crossings']} crossings and {told['walkingareas']} walking areas"
+    assert f"24 streets already had one; {added}" in paved.out and "got a pavement" not in paved.out
     assert told["crossings"] > 0 and told["walkingareas"] > 0 and told["paved"]["had"] == 24
 
 

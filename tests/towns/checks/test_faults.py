@@ -68,7 +68,7 @@ def test_streets_over_the_pavements_of_others_are_a_note_however_many(corner_tow
         over = (Overlap(street="a", pavement="b", area_m2=area_m2),)
         assert faults_of(corner_town, net, replace(FINE, overlaps=over)) == ()
         (told,) = [note for note in notes_of(corner_town, net, over) if "edge b under a" in note]
-        assert f"{area_m2:.0f} m2 of pavement lie under" in told and "more than 3 m2 counts" in told
+        assert f"{area_m2:.0f} m2 of pavement overlap the carriageway" in told and "places of more than 3 m2" in told
         assert shlex.split(printed(told, "move or delete"))[1:] == ["-s", str(corner_town.net)]
 
 

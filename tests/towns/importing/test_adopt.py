@@ -76,7 +76,7 @@ def test_files_beside_the_scenarios_folder_keep_their_structure(corner_town: Tow
     (folder / "run.sumocfg").write_text(
         "<c><n value='../../common/a.net.xml'/><r value='../../common/a.rou.xml'/></c>", encoding="utf-8"
     )
-    with pytest.raises(TownError, match=r"run\.sumocfg: names .*a\.net\.xml, which lies outside .*--allow-outside"):
+    with pytest.raises(TownError, match=r"run\.sumocfg: names .*a\.net\.xml, which is outside .*--allow-outside"):
         adopt_scenario(folder / "run.sumocfg", "mine", tmp_path / "mine")
     assert not (tmp_path / "mine").exists()
     town = adopt_scenario(folder / "run.sumocfg", "mine", tmp_path / "mine", outside=True)

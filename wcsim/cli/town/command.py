@@ -33,10 +33,10 @@ class ListOptions:
 
 @dataclass
 class CheckOptions:
-    """Check a town: connected pavements, routes of the traffic, the ground, and whether SUMO runs it."""
+    """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """Name of a town, its folder, or a .sumocfg."""
+    """A town's name, its folder, or a .sumocfg."""
     json: OutFile = None
     """Write the result to this file."""
 

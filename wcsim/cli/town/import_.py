@@ -38,7 +38,7 @@ Stage = Callable[[str], None]  # what begins now, in words
 
 @dataclass
 class ImportOptions:
-    """Import a town from OpenStreetMap, with buildings, parked cars and endless traffic, or a SUMO scenario."""
+    """Import a town from OpenStreetMap, or from a SUMO scenario."""
 
     name: str
     """The town's name."""

@@ -21,7 +21,7 @@ from wcsim.towns.making.wishes import Wishes, check_wishes
 
 @dataclass
 class TownMakeOptions:
-    """Generate a town without a map: streets, hills, buildings, furniture, parked cars and endless traffic."""
+    """Generate a town from a seed, without a map."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """The town's name."""

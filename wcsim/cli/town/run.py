@@ -42,10 +42,10 @@ MAX_CHAIRS = 64
 
 @dataclass
 class RunOptions:
-    """Run a town's traffic, with or without wheelchairs, and record it in a folder."""
+    """Run a town's traffic, with or without wheelchairs, and record it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """Name of a town, its folder, or a .sumocfg."""
+    """A town's name, its folder, or a .sumocfg."""
     seconds: float = 600.0
     """Simulated time."""
     seed: int = 0

@@ -31,10 +31,10 @@ TOUR = (
 
 @dataclass
 class TourOptions:
-    """Drive a wheelchair over every pavement, walking area and crossing of a town, through its traffic."""
+    """Drive a wheelchair over every pavement, walking area and crossing of a town."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """Name of a town, its folder, or a .sumocfg."""
+    """A town's name, its folder, or a .sumocfg."""
     speed: float = 2.8
     """Speed of the wheelchair in m/s."""
     every: int = 1

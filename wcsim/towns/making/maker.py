@@ -64,18 +64,18 @@ def make_town(
     overwrite: bool = False,
     stage: Stage = lambda told: None,
 ) -> Town:
-    """Make a town, replacing a made one that is there if nobody has worked on it.
+    """Generate a town from a seed; it replaces a generated town in the folder that was not edited.
 
     Args:
-        folder: Where the town is to be.
-        seed: Of everything in it, 0 to MOST_SEED.
-        wishes: What is not left to the seed.
+        folder: Folder of the town.
+        seed: Seed of the whole town, 0 to MOST_SEED.
+        wishes: Properties that the seed does not choose.
         name: The town's name; by default that of its folder.
-        overwrite: Replace a town that was imported, or that somebody has worked on, too.
-        stage: Called with what begins now, before anything that takes long.
+        overwrite: Also replace an imported or edited town.
+        stage: Called with the name of each stage when it begins.
 
     Raises:
-        TownError: seed, name or wishes cannot be used, or the folder holds something else or somebody's work.
+        TownError: seed, name or wishes cannot be used, or the folder holds something else or an edited town.
         SumoError: one of SUMO's tools failed.
     """
     wishes = wishes or Wishes()
