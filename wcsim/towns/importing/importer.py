@@ -189,7 +189,7 @@ def _counts(
         f"guessed; {marks.unpainted} are unpainted (guessed or unmarked, and without a signal)"
     )
     stops = (
-        f"the map has {stops_mapped} bus stops, the town {marks.stops}: only those beside a bus lane "
+        f"the map has {stops_mapped} bus stops, the town {marks.stops}: only those beside a lane open to buses "
         "(bus stations need --keep-service)"
     )
     parked = f"{len(parking.vehicles)} parked cars never drive"
