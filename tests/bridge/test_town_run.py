@@ -99,7 +99,7 @@ def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner, tmp_pat
     monkeypatch.setattr("wcsim.bridge.world.validate_net", lambda *words, **more: pytest.fail("the net was opened"))
     for chairs in (0, 1):
         order = RecordOrder(seconds=1.0, seed=3, chairs=chairs, folder=tmp_path)
-        with pytest.raises(TownError, match=r"not there.*gone\.add\.xml"):
+        with pytest.raises(TownError, match=r"does not exist.*gone\.add\.xml"):
             record_town(find_town(str(sumocfg)), quick_config(), order, lambda scenario: None)
 
 

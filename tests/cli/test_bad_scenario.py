@@ -108,7 +108,7 @@ def test_a_file_that_is_not_there(wcsim, folder, theirs):
         ("run", theirs, *RUN),
         ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
     ):
-        refused(wcsim("town", *words), "a.sumocfg", "names a file that is not there", "a.rou.xml", "restore it")
+        refused(wcsim("town", *words), "a.sumocfg", "names a file that does not exist", "a.rou.xml", "restore it")
     assert files_in(folder) == set()
 
 

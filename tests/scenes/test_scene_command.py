@@ -95,7 +95,7 @@ def test_a_film_of_a_scene(tmp_path, capsys):
     assert main(["scene", "run", "kerb-drop", "--film", str(film)]) == 0
     assert film.stat().st_size > 1000
     assert main(["scene", "run", "--film", str(film)]) == 2
-    assert "name the one to film" in capsys.readouterr().err
+    assert "name the scene to film" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["a/b", "..", "", "mit Leerzeichen"])

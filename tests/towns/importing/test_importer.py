@@ -185,7 +185,7 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     assert sum(per_s) == pytest.approx(0.1, rel=1e-3)
     assert not [flow for flow in flows if flow.tag == "personFlow"]
     made = import_town(replace(order, per_hour={"tram": 60.0, "bicycle": 9.0}))
-    assert made.notes[0] == "no traffic of class tram: no street or track of this town is open to it"
+    assert made.notes[0] == "no traffic of class tram: no street or track of this town allows it"
     assert len([note for note in made.notes if "no traffic of class" in note]) == 1
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0

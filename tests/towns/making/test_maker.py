@@ -144,7 +144,7 @@ def test_what_somebody_did_there_is_not_lost(town: Town, tmp_path: Path) -> None
     (mine.folder / "notes.txt").unlink()
     toml = mine.folder / "town.toml"
     toml.write_text(toml.read_text(encoding="utf-8").replace("town make", "town import"), encoding="utf-8")
-    with pytest.raises(TownError, match="town made of a map"):
+    with pytest.raises(TownError, match="contains an imported town"):
         make_town(mine.folder, 6, SMALL)
     (mine.folder / "notes.txt").write_text("mine", encoding="utf-8")
     make_town(mine.folder, 6, replace(SMALL, traffic=0.0), overwrite=True)
