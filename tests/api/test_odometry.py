@@ -118,7 +118,7 @@ def test_a_range_draws_its_numbers_for_every_episode(corner):
     ("override", "says"),
     [
         ('vary.sensors={"odometry.colour"=[0,1]}', "expected one of .*odometry.ticks_per_turn"),
-        ('vary.sensors={"lidar.beams"=[0,1]}', "no number of a sensor that is there"),
+        ('vary.sensors={"lidar.beams"=[0,1]}', "not a number of an existing sensor"),
         ('vary.sensors={"odometry.radius_error"=[0.1,0.5]}', "vary.sensors.odometry.radius_error.*at most 0.2"),
     ],
 )

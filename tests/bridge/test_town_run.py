@@ -37,9 +37,9 @@ def test_ghosts_and_missing_actors_are_told_from_who_is_only_near_the_border():
     everyone = (near, border, far)
     check_mirrored((near,), everyone, chairs, 50.0)
     check_mirrored((near, border, actor("v:near~1", 6.0, piece=1)), everyone, chairs, 50.0)
-    with pytest.raises(SumoError, match=r"not there: v:ghost; there but not shown: nobody"):
+    with pytest.raises(SumoError, match=r"not in SUMO: v:ghost; in SUMO but not mirrored: none"):
         check_mirrored((near, actor("v:ghost", 3.0)), everyone, chairs, 50.0)
-    with pytest.raises(SumoError, match=r"not there: nobody; there but not shown: v:near"):
+    with pytest.raises(SumoError, match=r"not in SUMO: none; in SUMO but not mirrored: v:near"):
         check_mirrored((), everyone, chairs, 50.0)
     check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
 
@@ -99,7 +99,7 @@ def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner, tmp_pat
     monkeypatch.setattr("wcsim.bridge.world.validate_net", lambda *words, **more: pytest.fail("the net was opened"))
     for chairs in (0, 1):
         order = RecordOrder(seconds=1.0, seed=3, chairs=chairs, folder=tmp_path)
-        with pytest.raises(TownError, match=r"not there.*gone\.add\.xml"):
+        with pytest.raises(TownError, match=r"does not exist.*gone\.add\.xml"):
             record_town(find_town(str(sumocfg)), quick_config(), order, lambda scenario: None)
 
 

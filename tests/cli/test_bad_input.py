@@ -17,7 +17,7 @@ BELOW_A_FILE = "file/x"
 """A place that cannot be written: below a file. (A folder without write permission stops nobody who is root.)"""
 
 
-STAGES = ("looking through the files", "building the ", "opening the net", "starting SUMO", "reading ")
+STAGES = ("reading ", "building the ", "street of ", "starting SUMO")
 
 
 def refused(result: Result, *told: str) -> None:
@@ -42,7 +42,7 @@ OPTIONS = {
     "town make x --seed 2147483648": ("--seed 2147483648",),
     "town make ../x": ("'../x'", "letters, digits"),
     "town make /x": ("'/x'", "letters, digits"),
-    "town make scenes": ("'scenes'", "no town's folder"),
+    "town make scenes": ("'scenes'", "reserved"),
     "town make x --size 20": ("size of 20 m", "300 to 1500"),
     "town make x --size nan": ("size of nan m", "300 to 1500"),
     "town make x --size 1e9": ("size of 1e+09 m", "300 to 1500"),

@@ -56,19 +56,21 @@ def test_a_net_without_pavements(wcsim, folder, theirs):
     assert files_in(folder) == set()
     alone = wcsim("town", "run", theirs, *RUN, "--chairs", "0")
     assert alone.code == 0
-    assert f"no walking areas; first lay pavements and crossings: wcsim town pave {theirs}/" in alone.out
-    assert re.search(r"^then, for the paved copy, make walkers\.rou\.xml.* -n \S*-paved/a\.net\.xml", alone.out, re.M)
+    assert f"no walking areas; first add pavements and crossings: wcsim town pave {theirs}/" in alone.out
+    assert re.search(r"^then, for the paved copy, create walkers\.rou\.xml.* -n \S*-paved/a\.net\.xml", alone.out, re.M)
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
     told = one_line(checked)
-    assert "no walking areas, so nobody can walk; first lay pavements and crossings: wcsim town pave /" in told
+    assert "no walking areas, so pedestrians cannot walk; first add pavements and crossings: wcsim town pave /" in told
 
 
 def test_a_net_without_crossings(wcsim, folder, theirs):
     put_net(theirs, *(word for word in PAVED if word != "--crossings.guess"))
     checked = wcsim("town", "check", theirs, "--json", "check.json")
     assert checked.code == 1
-    assert "nobody can cross a street; first add crossings and walking areas: wcsim town pave /" in one_line(checked)
+    assert "pedestrians cannot cross a street; first add crossings and walking areas: wcsim town pave /" in one_line(
+        checked
+    )
     assert json.loads(Path("check.json").read_text())["crossings"] == 0
     assert wcsim("town", "run", theirs, *RUN).code == 0
 
@@ -92,11 +94,11 @@ def test_nobody_in_the_street(wcsim, folder, theirs):
     (theirs / "a.rou.xml").write_text("<routes/>", encoding="utf-8")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "fault: nobody walks in this town: its demand has no persons on foot; make walkers" in one_line(checked)
+    assert "fault: the demand has no pedestrians; create walkers" in one_line(checked)
     assert f"randomTrips.py -n {theirs}/a.net.xml --pedestrians" in one_line(checked)
     ran = wcsim("town", "run", theirs, *RUN)
     assert ran.code == 0
-    assert "nobody walked: the demand has no persons" in one_line(ran) and "--pedestrians" in ran.out
+    assert "no pedestrians: the demand has none" in one_line(ran) and "--pedestrians" in ran.out
 
 
 def test_a_file_that_is_not_there(wcsim, folder, theirs):
@@ -106,7 +108,7 @@ def test_a_file_that_is_not_there(wcsim, folder, theirs):
         ("run", theirs, *RUN),
         ("import", "--sumocfg", theirs / "a.sumocfg", "--name", "x"),
     ):
-        refused(wcsim("town", *words), "a.sumocfg", "names a file that is not there", "a.rou.xml", "restore it")
+        refused(wcsim("town", *words), "a.sumocfg", "names a file that does not exist", "a.rou.xml", "restore it")
     assert files_in(folder) == set()
 
 
@@ -116,8 +118,8 @@ def test_polygons_of_another_town(wcsim, folder, theirs):
     change(theirs / "a.sumocfg", "a.add.xml", "a.add.xml,a.poly.xml")
     checked = wcsim("town", "check", theirs)
     assert checked.code == 1
-    assert "none of the 1 things of a.poly.xml lies at the streets, so it was made for another net" in one_line(checked)
-    assert "build it of its map again, with polyconvert's option --net-file a.net.xml" in one_line(checked)
+    assert "none of the 1 objects of a.poly.xml is near the streets, so it belongs to another net" in one_line(checked)
+    assert "build it from its map again, with polyconvert's option --net-file a.net.xml" in one_line(checked)
 
 
 def test_routes_for_another_net(wcsim, folder, theirs):
@@ -128,7 +130,7 @@ def test_routes_for_another_net(wcsim, folder, theirs):
     assert files_in(folder) == set()
     checked = wcsim("town", "check", theirs)
     assert checked.code in (1, 2)
-    assert "trips have no way through the net; to drop or mend them, make better.rou.xml" in one_line(checked)
+    assert "trips have no route through the net; to drop or repair them, create better.rou.xml" in one_line(checked)
 
 
 def test_archives_that_are_none_and_files_that_are_archives(wcsim, folder, theirs):

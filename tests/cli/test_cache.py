@@ -48,7 +48,7 @@ def cache(tmp_path, monkeypatch) -> Path:
 def test_the_cache_says_where_it_is_and_what_it_holds(wcsim, cache):
     told = wcsim("cache", "--json", "c.json")
     assert (told.code, told.err) == (0, "")
-    assert f"{cache}: 1 streets, 1 verdicts on nets and scenarios, 1 kernels, 2 generated places to drive" in told.out
+    assert f"{cache}: 1 street, 1 checked net or scenario, 1 kernel, 2 generated places to drive" in told.out
     assert "1 unfinished, 3.0 MB" in told.out
     assert "wcsim cache --clear" in told.out
     assert json.loads(Path("c.json").read_text()) == {

@@ -30,7 +30,7 @@ TOWN_KEYS = {
     *("town", "crossings", "walkingareas", "walkable_largest_share", "classes", "unroutable", "mesh_faults"),
 }
 COLUMNS = 80
-STAGES = ["reading", "building", "buildings,", "building", "checking", "letting", "letting"]  # an import's lines
+STAGES = ["reading", "building", "adding", "building", "checking", "testing", "testing"]  # an import's lines
 
 
 def read(path: str) -> Any:

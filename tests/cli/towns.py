@@ -86,13 +86,13 @@ def _add_to_toml(town: Path, line: str) -> None:
 
 
 FAULTS: dict[str, tuple[Callable[[Path], None], str]] = {
-    "missing-net": (_missing_net, "not there"),
+    "missing-net": (_missing_net, "does not exist"),
     "empty-net": (_empty_net, "no edge"),
     "plain-empty-net": (_plain_empty_net, "no edge"),
     "truncated-net": (_truncated_net, "cannot be read"),
     "no-xml": (_no_xml, "not well-formed"),
     "routes-as-net": (_routes_as_net, "<routes>"),
-    "missing-routes": (_missing_routes, "not there"),
+    "missing-routes": (_missing_routes, "does not exist"),
     "unknown-key": (_unknown_key, "unknown key 'colour'"),
     "out-of-bounds": (_out_of_bounds, "kerb_height_m"),
     "no-toml": (_no_toml, "is not TOML"),

@@ -59,7 +59,7 @@ def check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, e
     for actor in actors[first::every]:
         if actor.kind not in UPRIGHT and not abs(actor.deflect_m) <= FURTHEST_M:
             raise PhysicsError(
-                f"vehicle {actor.id!r} is shown {actor.deflect_m:.3f} m beside SUMO's place; expected at most "
+                f"vehicle {actor.id!r} is mirrored {actor.deflect_m:.3f} m beside SUMO's place; expected at most "
                 f"{FURTHEST_M} m: its swing-out is wrong"
             )
         x, y, z, yaw_rad = pool.pose(actor.id)

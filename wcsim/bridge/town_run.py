@@ -98,10 +98,10 @@ def record_town(
     """
     place = RunPlace(folder=order.folder, outputs=order.outputs, hook=order.hook)
     ticks = round(order.seconds / config.world.tick_s)
-    stage(f"looking through the files of {town.name}")
+    stage(f"reading the scenario files of {town.name}")
     require_files(town, config)
     if not order.chairs:
-        stage("opening the net, and starting SUMO")
+        stage("starting SUMO")
         with TownTraffic(town, config, order.seed, place) as traffic:
             opened(traffic.scenario)
             with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
@@ -109,7 +109,7 @@ def record_town(
     validate_net(town.net, border=town.border)
     load_street(town, stage)
     spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
-    stage(f"starting SUMO, and warming its traffic up for {warmup_s(town, config):g} s")
+    stage(f"starting SUMO; traffic warm-up of {warmup_s(town, config):g} s")
     with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
         opened(world.scenario)
         with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_origin_m[2])) as writer:
@@ -185,8 +185,8 @@ def check_mirrored(
     ghosts, missing = sorted(shown - there), sorted(near - shown)
     if ghosts or missing:
         raise SumoError(
-            f"the mirror differs from SUMO: shown but not there: {', '.join(ghosts[:5]) or 'nobody'}; "
-            f"there but not shown: {', '.join(missing[:5]) or 'nobody'}; this is a fault of wcsim: report it"
+            f"the mirror differs from SUMO: mirrored but not in SUMO: {', '.join(ghosts[:5]) or 'none'}; "
+            f"in SUMO but not mirrored: {', '.join(missing[:5]) or 'none'}; this is a bug of wcsim: report it"
         )
 
 

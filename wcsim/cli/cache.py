@@ -1,4 +1,4 @@
-"""`wcsim cache`: where streets are kept that were built once, how large that is, and how it is emptied."""
+"""`wcsim cache`: where built streets are cached, how large the cache is, and how to clear it."""
 
 from __future__ import annotations
 
@@ -8,33 +8,34 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.shared.common import OutFile, parse, write_json
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 from wcsim.towns.cache.files import cache_facts, clear_cache
 
 
 @dataclass
 class Options:
-    """Say what the cache holds: streets, verdicts on nets and scenarios, machine code, generated places."""
+    """Show the cache of streets, checked nets, machine code and generated places."""
 
     clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Remove them; they are made again when they are needed. Worlds that run go on."""
+    """Delete everything in it; what is needed is built again. Running worlds continue."""
     json: OutFile = None
     """Write the result to this file."""
 
 
 def run(words: list[str]) -> int:
-    """Say it, and empty the cache where that is asked for."""
+    """Print it, and clear the cache if requested."""
     options = parse(Options, words, "cache")
     before = cache_facts()
     left = clear_cache() if options.clear else before
-    kept = f"{before.streets} streets, {before.verdicts} verdicts on nets and scenarios, {before.kernels} kernels"
-    kept += f", {before.driven} generated places to drive in, {before.unfinished} unfinished"
+    checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
+    kept = f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}"
+    kept += f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
     print(f"{shown(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
-        print("remove them with: wcsim cache --clear")
+        print("clear it: wcsim cache --clear")
     if options.json is not None:
         result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
         result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}

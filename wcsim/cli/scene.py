@@ -17,7 +17,7 @@ from wcsim.cli.shared.common import OutFile, check_output, parse, subcommand, wr
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 from wcsim.scenes.facts import SceneFacts, facts_of, faults
 from wcsim.scenes.template import write_scene
@@ -29,7 +29,7 @@ HOME = Path("scenarios") / "sumo" / "scenes"
 
 @dataclass
 class RunOptions:
-    """Run scenes (all of them when none is named) and compare them with what they must show and their golden traces."""
+    """Run scenes (default: all); compare them with [expect] and golden traces."""
 
     scenes: Scenes = ()
     """Names or folders of scenes."""
@@ -41,7 +41,7 @@ class RunOptions:
 
 @dataclass
 class BlessOptions:
-    """Run scenes and make what they do now their golden traces; prints what changed."""
+    """Run scenes and save the result as their golden traces; print the changes."""
 
     scenes: Scenes = ()
     """Names or folders of scenes."""
@@ -49,29 +49,29 @@ class BlessOptions:
 
 @dataclass
 class ListOptions:
-    """List the scenes and what each shows."""
+    """List the scenes and what each one tests."""
 
 
 @dataclass
 class NewOptions:
-    """Write a small scene that runs as it is, as a beginning for one's own."""
+    """Create a small scene that runs as it is, as a template for your own."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
-    """What the scene and its folder are called."""
+    """Name of the scene and its folder."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = HOME
-    """Where the scene's folder is made; scenes in the default place are found by name."""
+    """Where the scene's folder is created; scenes in the default folder are found by name."""
 
 
 @dataclass
 class SceneMakeOptions:
-    """Write a scene that a seed draws from a family: a danger that a helper can avoid, and a recorded joystick."""
+    """Generate a scene of a family from a seed: a hazard and a recorded joystick."""
 
     family: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY")]
-    """Which family, as docs/authoring.md lists them."""
+    """One of the families listed in docs/authoring.md."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """The folder to make."""
+    """Folder to create."""
     seed: int = 0
-    """Draws places, times, speeds and the side; the same seed writes the same files."""
+    """Seed of places, times, speeds and the side; the same seed writes the same files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def _names(folders: tuple[Path, ...]) -> tuple[str, ...]:
 
 
 def _list() -> int:
-    table = Table("scene", "seconds", "chairs", "shows", show_lines=True)
+    table = Table("scene", "seconds", "chairs", "what it tests", show_lines=True)
     broken = []
     for folder in list_scenes():
         try:
@@ -129,10 +129,10 @@ def _list() -> int:
 def _run(options: RunOptions) -> int:
     check_output("--film", options.film, ".webm")
     if options.film is not None and len(options.scenes) != 1:
-        raise ConfigError(f"--film shows one scene, got {len(options.scenes)}; name the one to film")
+        raise ConfigError(f"--film takes one scene, got {len(options.scenes)}; name the scene to film")
     folders = _folders(options.scenes)
     outcomes = [_outcome(folder, name) for folder, name in zip(folders, _names(folders), strict=True)]
-    table = Table("scene", "", "what happened")
+    table = Table("scene", "", "result")
     for outcome in outcomes:
         told = "; ".join(outcome.faults) or _words(outcome.facts)
         table.add_row(outcome.name, "FAILS" if outcome.faults else "ok", Text(told))
@@ -161,9 +161,7 @@ def _outcome(folder: Path, name: str) -> Outcome:
         found = faults(facts, scene.expect)
         golden = folder / GOLDEN
         if not golden.is_file():
-            found += (
-                f"there is no golden trace; when the scene is right, make one: wcsim scene bless {_called(folder)}",
-            )
+            found += (f"no golden trace; when the scene is right, save one: wcsim scene bless {_called(folder)}",)
         else:
             told = difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
@@ -184,7 +182,7 @@ def _bless(options: BlessOptions) -> int:
             if told:
                 shutil.copyfile(trace, golden)
             wrong = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
-            but = f"; it does not show what it must: {'; '.join(wrong)}" if wrong else ""
+            but = f"; but its [expect] fails: {'; '.join(wrong)}" if wrong else ""
             print(f"{name}: {'blessed, ' + told if told else 'unchanged'}; {_words(facts)}{but}")
     return 0
 
@@ -195,17 +193,17 @@ def _news(trace: Path, golden: Path) -> str:
     from wcsim.bridge.recording.trace_file import read_trace
 
     if not golden.is_file():
-        return "there was no golden trace"
+        return "no golden trace before"
     other_versions = read_trace(trace)[0] != read_trace(golden)[0]
-    return difference(trace, golden) or ("it was made by other versions" if other_versions else "")
+    return difference(trace, golden) or ("the golden trace is of other versions" if other_versions else "")
 
 
 def _new(options: NewOptions) -> int:
     folder = write_scene(options.out, options.name)
     called = _called(folder)
-    print(f"{folder}: a scene that runs as it is; change it, and look at what it does:")
+    print(f"created {folder}; it runs as it is. Edit it, and look at the result:")
     _print_ways_in(folder, options.name)
-    print(f"  wcsim scene bless {called}   when it is right: from then on a run fails that differs")
+    print(f"  wcsim scene bless {called}   when it is right; later runs must match")
     return 0
 
 
@@ -213,7 +211,7 @@ def _make(options: SceneMakeOptions) -> int:
     from wcsim.towns.scene_folders.families import catalogue  # loads numba, which --help must not
 
     folder = catalogue.write_scene(options.family, options.seed, options.out)
-    print(f"{folder}: a scene of the family {options.family}; look at what becomes of it:")
+    print(f"created {folder}, a scene of the family {options.family}. Look at the result:")
     _print_ways_in(folder, folder.name)
     return 0
 
@@ -232,9 +230,9 @@ def _called(folder: Path) -> str:
 
 
 def _words(facts: SceneFacts) -> str:
-    nearest = f"closest {facts.closest_actor_m:.2f} m" if facts.closest_actor_m < 50.0 else "nobody near"
+    nearest = f"closest {facts.closest_actor_m:.2f} m" if facts.closest_actor_m < 50.0 else "no road user near"
     return (
         f"{'crash' if facts.crashed else 'no crash'}, {facts.travelled_m:.1f} m, drop {facts.drop_m:.2f} m, "
         f"roll {facts.max_roll_deg:.1f} deg, pitch {facts.max_pitch_deg:.1f} deg, "
-        f"{nearest}, standing {facts.standing_s:.1f} s, {facts.actors_seen} actors"
+        f"{nearest}, standing {facts.standing_s:.1f} s, {counted(facts.actors_seen, 'road user')}"
     )

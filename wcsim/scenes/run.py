@@ -115,7 +115,7 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
     if done.returncode != 0:
         told = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
         known = done.returncode == BAD_SCENE
-        raise TownError(told if known else f"{folder}: its process ended with code {done.returncode}: {told}")
+        raise TownError(told if known else f"{folder}: its process ended with exit code {done.returncode}: {told}")
     return facts_from_line(done.stdout)
 
 

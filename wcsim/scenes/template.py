@@ -41,13 +41,13 @@ _FILES = {
     "street.rou.xml": """\
 <routes>
     <vType id="car" vClass="passenger" length="4.5" width="1.8" height="1.5"/>
-    <!-- what moves, in the order of its departures -->
+    <!-- vehicles and persons, in the order of their departures -->
     <vehicle id="car.west" type="car" depart="0" departPos="5" departSpeed="max"><route edges="EC CW"/></vehicle>
 </routes>
 """,
     "street.add.xml": """\
 <additional>
-    <!-- what stands here: wcsim.sign, wcsim.bench, wcsim.roadworks, ... and SUMO's own parking areas and stops -->
+    <!-- objects: wcsim.sign, wcsim.bench, wcsim.roadworks, ... and SUMO's own parking areas and stops -->
     <poi id="sign" type="wcsim.sign" x="-20" y="-5.4" angle="90"/>
 </additional>
 """,
@@ -58,18 +58,18 @@ seed = 1
 duration_s = 16.0
 kerb_height_m = 0.12
 # lefthand = true         # traffic keeps to the left
-# warmup_s = 30.0         # of traffic before the scene begins
-# attention_share = 1.0   # of those who notice the chair; 0.0 is nobody
+# warmup_s = 30.0         # traffic before the scene begins
+# attention_share = 1.0   # share of road users that notice the chair
 
 [[seats]]                 # one block for each wheelchair
 start_m = [0.0, -5.5]     # as in the .nod.xml
 heading_deg = 0.0         # SUMO's: 0 is north, 90 is east
 script = [[0.0, 0.0, 0.6], [10.8, 0.0, 0.0]]   # from this second on: right, forward
-# joystick = [0.0, 0.6]   # or instead of the script: held all the time; or a user with a way of its own:
+# joystick = [0.0, 0.6]   # or instead of the script: held all the time; or a simulated user with a goal:
 # goal_m = [-30.0, -4.5]
 # profile = "competent"
 
-[expect]                  # lowest and highest value that is right; a run prints all that can be asked for (--json FILE)
+[expect]                  # lowest and highest value that passes; scene run --json FILE writes all of them
 crashed = false
 closest_vehicle_m = [0.8, 2.5]
 gave_way = [1, 1]
@@ -81,10 +81,10 @@ went_on = [1, 1]
 def write_scene(home: Path, name: str) -> Path:
     """Write the template as the folder `name` in `home`, whole or not at all, and return it. Raises TownError."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
-        raise TownError(f"a scene cannot be called {name!r}; use up to 64 letters, digits, - and _")
+        raise TownError(f"a scene cannot be named {name!r}; expected up to 64 letters, digits, - and _")
     folder = home / name
     if folder.exists():
-        raise TownError(f"{folder} is there already; choose another name, or remove it first")
+        raise TownError(f"{folder} already exists; choose another name, or remove it first")
     try:
         home.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=home, prefix=".new-") as work:
@@ -94,5 +94,5 @@ def write_scene(home: Path, name: str) -> Path:
                 (part / file).write_text(text.replace("{name}", name), encoding="utf-8")
             part.rename(folder)
     except OSError as error:
-        raise TownError(f"{folder}: cannot be written ({error.strerror}); choose another place (--out)") from None
+        raise TownError(f"{folder}: cannot be written ({error.strerror}); choose another folder (--out)") from None
     return folder

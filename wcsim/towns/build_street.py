@@ -70,7 +70,7 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
     ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
     placed = author_things(items, surfaces.hull)
-    at("ways, and what stands beside them", 0.3 * areas_s + tiles_s)
+    at("walkways and objects", 0.3 * areas_s + tiles_s)
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
     buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])

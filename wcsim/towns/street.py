@@ -13,7 +13,6 @@ from threading import Event, Thread
 from types import MappingProxyType
 
 from wcsim.core.sources import sources_of
-from wcsim.towns.cache.folder import shown_cache
 from wcsim.towns.cache.street_arrays import street_of
 from wcsim.towns.cache.street_cache import cached_street
 from wcsim.towns.ground.tiles import Packed
@@ -64,7 +63,7 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
 def _telling(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str, float], object]]:
     """Tell how far a street is, as long as it is built, from what the builder says of its parts."""
     over, began_s, marks = Event(), time.monotonic(), [("net", 0.0, time.process_time())]
-    once = "" if town.passing else f"; it is done once, and kept in {shown_cache()}"
+    once = "" if town.passing else " (once, then cached)"
 
     def tell() -> None:
         more = once
@@ -73,9 +72,9 @@ def _telling(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str
             work_s = max(mark[1] for mark in marks)
             done_s = max(0.01, work_s - left_s + time.process_time() - cpu_s)
             takes_s = (work_s - done_s) / done_s * (time.monotonic() - began_s)
-            about = f", about {takes_s:.0f} s left" if takes_s >= 1.0 else ""
+            about = f", about {takes_s:.0f} s left" if takes_s >= 1.0 else ", almost done"
             with suppress(OSError):  # who listened is gone
-                say(f"building the street of {town.name}: {part}{about}{more}")
+                say(f"street of {town.name}{more}: {part}{about}")
             more = ""
 
     teller = Thread(target=tell, daemon=True)

@@ -38,12 +38,12 @@ def cured(theirs: Path, folder: Path) -> Path:
         code, said = typed(printed(said, "wcsim town pave"), folder)
         assert code == 0, said
         ours = folder / re.findall(r"wrote (\S+);", said)[0]
-        assert_in_place(theirs, ours, int((re.findall(r"(\d+) places gave way", said) or ["0"])[0]))
+        assert_in_place(theirs, ours, int((re.findall(r"(\d+) positions? moved off", said) or ["0"])[0]))
     if "join the parts" in said:
         code, opened = typed(printed(said, "join the parts") + " --version", folder)  # there is no screen
         assert code == 0 and "netedit" in opened
-    if "nobody walks" in said:
-        code, said = typed(printed(said, "nobody walks"), folder)
+    if "the demand has no pedestrians" in said:
+        code, said = typed(printed(said, "the demand has no pedestrians"), folder)
         assert code == 0, said
         add_routes(ours, ours.with_name("walkers.rou.xml"))
     return ours

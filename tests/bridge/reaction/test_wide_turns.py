@@ -162,7 +162,7 @@ def test_rails_and_short_ones_stay_where_sumo_has_them():
 def test_the_guard_stops_a_vehicle_that_is_shown_too_far_from_sumos_place():
     with Engine(1 / 240) as engine:
         pool = BodyPool(engine)
-        with pytest.raises(PhysicsError, match=r"'v:bus' is shown 3\.200 m beside SUMO's place"):
+        with pytest.raises(PhysicsError, match=r"'v:bus' is mirrored 3\.200 m beside SUMO's place"):
             pool_and_check(pool, replace(actor(name="v:bus"), deflect_m=3.2))
         pool_and_check(pool, replace(actor(name="v:bus"), deflect_m=2.9))
 

@@ -117,5 +117,5 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     chair = replace(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
     with TraceWriter(tmp_path / "c", TraceHeader(name="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
         writer.append(chair)
-    with pytest.raises(WcsimError, match="kept no sizes of actors and chairs"):
+    with pytest.raises(WcsimError, match="without the sizes of actors and chairs"):
         write_fcd(tmp_path / "c", tmp_path / "x.xml")

@@ -83,7 +83,7 @@ def test_departed_arrived_parked_riding_and_teleported_ones(tmp_path, caplog):
         assert teleported == {"jammed"} and rode
         assert loop.sumo.so_far[0] == 1
         (line,) = (record.getMessage() for record in caplog.records if "jam" in record.getMessage())
-        assert re.fullmatch(r"jam: jammed stood too long on edge SC and was teleported at 1\d\.\d s", line)
+        assert re.fullmatch(r"jam: SUMO teleported jammed, which stood too long on edge SC, at 1\d\.\d s", line)
         assert {"v:parked", "v:broken"} <= before, "who stands stays in the mirror"
         assert not {"p:brief", "p:rides"} & before
         assert {"v:leaves", "v:line", "p:rides", "p:walks", "p:brief", "v:jammed"} <= seen

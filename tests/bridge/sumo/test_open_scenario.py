@@ -98,7 +98,7 @@ def test_a_scenario_that_kills_the_next_one_is_refused(sound, tmp_path):
     """SUMO 1.28 keeps devices that send from one simulation to the next, and dies of them."""
     options = "<device.btsender.probability value='1'/>"
     town = open_town(hostile.scenario(sound, tmp_path / "theirs", options))
-    with ExitStack() as held, pytest.raises(TownError, match=r"a\.sumocfg: SUMO dies when .* anew .*btsender"):
+    with ExitStack() as held, pytest.raises(TownError, match=r"a\.sumocfg: SUMO crashes when .* again .*btsender"):
         open_scenario(town, SETTINGS, RunPlace(), held)
 
 

@@ -142,7 +142,7 @@ def first_record(trace: bytes) -> int:
 def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, folder, corner):
     assert wcsim("town", "run", corner, "--seconds", "1", "--chairs", "0", "--out", "run").code == 0
     whole = Path("run/trace").read_bytes()
-    for length, told in ((20, "or was cut off within its first record"), (first_record(whole) + 9, "no whole tick")):
+    for length, told in ((20, "or was truncated in its first record"), (first_record(whole) + 9, "no complete tick")):
         Path("run/trace").write_bytes(whole[:length])
         refused(wcsim("replay", "run", "--fcd", "x.xml"), "run/trace: ", told, "copy it again, or record it again")
     Path("run/trace").write_bytes(whole)

@@ -23,7 +23,7 @@ def test_what_is_overridden_is_one_line_and_a_table_when_it_is_asked_for(wcsim, 
     assert "of SUMO's options are not as in pedestrian-crossing's scenario (" in line
     assert "seed" in line and "xml-validation" in line and "--verbose says why" in line
     assert "what this run overrides of pedestrian-crossing's scenario" in long.out
-    assert "one seed for all that chance" in long.out and "one seed for all" not in short.out
+    assert "one seed for all random" in long.out and "one seed for all" not in short.out
 
 
 def test_a_scenario_of_longer_steps_is_told_what_that_does_without_being_asked(wcsim, corner, tmp_path):

@@ -25,15 +25,15 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     assert refused.code == 2 and shlex.join(words) in " ".join(refused.err.split())
     assert words[:3] == ["wcsim", "town", "pave"]
     paved = wcsim(*words[1:], "--json", "paved.json")
-    assert paved.code == 1 and "fault: nobody walks" in paved.out, paved.err
-    assert "24 streets have a pavement now; " in paved.out and "10 signal programs" in paved.out
-    later = printed(checked.out, "then, for the paved copy, make walkers")
+    assert paved.code == 1 and "fault: the demand has no pedestrians" in paved.out, paved.err
+    assert "24 streets got a pavement; " in paved.out and "10 signal programs" in paved.out
+    later = printed(checked.out, "then, for the paved copy, create walkers")
     told = json.loads(Path("paved.json").read_text())
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
     ours = find_town(told["paved"]["sumocfg"])
     (fault,) = told["faults"]
-    assert shlex.split(later) == shlex.split(printed(fault, "nobody walks")), "what was printed before is for the copy"
-    code, said = typed(printed(fault, "nobody walks"), folder)
+    assert shlex.split(later) == shlex.split(printed(fault, "no pedestrians")), "it was for the copy"
+    code, said = typed(printed(fault, "no pedestrians"), folder)
     assert code == 0, said
     text = (ours.folder / "walkers.rou.xml").read_text()
     departs_s = [float(found) for found in re.findall(r'<person id="[^"]*" depart="([^"]*)"', text)]
@@ -49,12 +49,12 @@ def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(
     theirs = open_town(made(folder / "own", ("--grid", "--grid.number", "3", "--sidewalks.guess"), persons=False))
     checked = wcsim("town", "check", theirs.sumocfg)
     assert checked.code == 1
-    assert "has pavements beside 24 streets, but no walking areas to join them, so nobody can walk; " in checked.out
+    assert "has pavements beside 24 streets, but no walking areas to join them, so pedestrians" in checked.out
     assert "; first add crossings and walking areas: wcsim town pave /" in checked.out
     paved = wcsim("town", "pave", theirs.sumocfg, "--out", "ours", "--json", "paved.json")
     told = json.loads(Path("paved.json").read_text())
-    added = f"{told['crossings']} crossings and {told['walkingareas']} walking areas added"
-    assert f"24 streets had pavements already; {added}" in paved.out and "a pavement now" not in paved.out
+    added = f"added {told['crossings']} crossings and {told['walkingareas']} walking areas"
+    assert f"24 streets already had one; {added}" in paved.out and "got a pavement" not in paved.out
     assert told["crossings"] > 0 and told["walkingareas"] > 0 and told["paved"]["had"] == 24
 
 
@@ -104,7 +104,7 @@ def test_paving_refuses_what_it_would_spoil(wcsim: Run, folder: Path) -> None:
     (folder / "full").mkdir()
     (folder / "full" / "x").write_text("x")
     said = wcsim("town", "pave", theirs, "--out", "full")
-    assert said.code == 2 and "full is there already" in said.err
+    assert said.code == 2 and "full already exists" in said.err
     assert wcsim("town", "pave", theirs).code == 2
     assert wcsim("town", "pave", theirs, "--out", "ours", "--max-speed", "5").code == 2
     assert not (folder / "ours").exists()

@@ -74,5 +74,5 @@ def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch)
 def test_an_import_says_it_too(wcsim: Run, folder: Path, corner) -> None:
     broken = hostile.scenario(find_town(str(corner)), folder / "broken", "", LOOP)
     told = wcsim("town", "import", "--sumocfg", broken, "--name", "mine")
-    assert told.code == 1 and "letting SUMO run its first steps" in told.err
+    assert told.code == 1 and "testing the first steps in SUMO" in told.err
     assert "a.add.xml: SUMO cannot run this scenario" in told.out and "nowhere" in told.out

@@ -238,15 +238,15 @@ def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
     assert against() == ""
     assert against(head=replace(header, fingerprint="x", name="y")) == ""
     assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
-    assert "ends after 89 ticks, the other one after 90" in against(kept=ticks[:-1])
+    assert "ends after 89 ticks, the other after 90" in against(kept=ticks[:-1])
     assert against(changed(state_hash="0")).startswith("epoch 0, tick 41: state ")
     assert against(changed(commands=ticks[40].commands + 0.5)).startswith("epoch 0, tick 41: seat 0 is commanded (")
-    assert against(changed(plants=ticks[40].plants + 0.5)).endswith("tick 41: seat 0 is 0.5 m away from the other one")
+    assert against(changed(plants=ticks[40].plants + 0.5)).endswith("tick 41: seat 0 is 0.5 m away from the other")
     body, *others = ticks[40].bodies
     ids = ("v:x", *ticks[40].actor_ids[1:])
     told = against(changed(actor_ids=ids, bodies=(replace(body, id="v:x"), *others)))
     assert told == f"epoch 0, tick 41: actors {sorted([body.id, 'v:x'])} are in one trace only"
-    assert against(changed(epoch=1)) == "epoch 0, tick 41: the other one has epoch 1, tick 41"
+    assert against(changed(epoch=1)) == "epoch 0, tick 41: the other trace has epoch 1, tick 41"
 
 
 def test_habits_that_were_drawn_for_episodes_are_drawn_again(corner, tmp_path):

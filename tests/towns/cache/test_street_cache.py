@@ -83,5 +83,5 @@ def test_who_waits_for_a_street_hears_which_part_it_is_and_how_long_it_takes_yet
     monkeypatch.setattr("wcsim.towns.build_street.build_street", build)
     monkeypatch.setattr(street, "_EVERY_S", 0.05)
     load_street(corner_town, told.append)
-    assert "it is done once, and kept in " in told[0] and not any("kept in" in line for line in told[1:])
+    assert " (once, then cached): " in told[0] and not any("cached" in line for line in told[1:])
     assert re.search(r": tiles, about \d+ s left$", told[-1])

@@ -73,7 +73,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
     assert "move each <calibrator> of u.add.xml into a file of its own" in fault
     _apart(theirs.folder / "u.add.xml", "calibrator")
     (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
-    code, said = typed(printed(fault, "to drop or mend them"), tmp_path)
+    code, said = typed(printed(fault, "to drop or repair them"), tmp_path)
     assert code == 0, said
     better = named(theirs, "u.rou.xml", "better.rou.xml")
     text = better.routes[0].read_text(encoding="utf-8")
@@ -118,7 +118,7 @@ def test_steep_streets_are_flattened_by_what_is_printed(theirs: Town, tmp_path: 
     net = read_net(steep.net)
     assert steepest_grade(net) > STEEPEST
     (fault,) = faults_of(steep, net, FINE)
-    code, said = typed(printed(fault, "as steep as"), tmp_path)
+    code, said = typed(printed(fault, "has a grade of"), tmp_path)
     assert code == 0, said
     better = named(steep, "steep.net.xml", "better.net.xml")
     assert steepest_grade(read_net(better.net)) <= STEEPEST
@@ -157,7 +157,7 @@ def test_a_larger_area_is_taken_of_the_towns_own_extract_while_that_has_more(tmp
             and north > 60.01
             and (options.seed, options.replace) == (7, True)
         )
-        assert ("from the internet" in fault) is not more and "is lost then" in fault
+        assert ("from the internet" in fault) is not more and "this discards your changes" in fault
 
 
 @pytest.mark.parametrize(
@@ -191,16 +191,16 @@ def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
         told = walkers_cure(open_town(folder / "u.sumocfg"), paved=True).replace("'", "")
         assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in told
     told = walkers_cure(open_town(tmp_path / "link" / "u.sumocfg"), paved=True)
-    assert told == "make walkers as the check of the copy says"
+    assert told == "add pedestrians as the copy's check says"
 
 
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:
     fast = open_town(made(tmp_path / "fast", ("--grid", "--grid.number", "3"), persons=False, speed_mps=25.0))
     (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
-    command = printed(fault, "lay pavements")
+    command = printed(fault, "add pavements")
     assert command == pave_cure(fast).partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
     code, said = typed(command, tmp_path)
-    assert code == 1 and "24 streets have a pavement now" in said and "fault: nobody walks" in said, said
+    assert code == 1 and "24 streets got a pavement" in said and "fault: the demand has no pedestrians" in said, said
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:
@@ -208,13 +208,15 @@ def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> 
     text = rails.net.read_text(encoding="utf-8").replace(' speed="', ' allow="tram" speed="')
     rails.net.write_text(text, encoding="utf-8")
     (fault,) = (fault for fault in faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
-    assert "no street that cars use" in fault and "town pave" not in fault
+    assert "no street is open to cars" in fault and "town pave" not in fault
     code, said = typed(f"wcsim town pave {rails.sumocfg} --out ours", tmp_path)
-    assert code == 2 and "it has none that cars use" in said
+    assert code == 2 and "none is open to cars" in said
 
 
 def test_types_of_two_files_are_not_told_twice(theirs: Town) -> None:
-    assert "take the types" not in routes_cure(theirs)
+    assert "remove the vehicle types" not in routes_cure(theirs)
     path = theirs.routes[0]
     path.write_text(path.read_text(encoding="utf-8").replace("<routes>", '<routes><vType id="x"/>'), encoding="utf-8")
-    assert "take the types out of u.add.xml, for better.rou.xml will have them, make" in routes_cure(theirs)
+    assert "remove the vehicle types from u.add.xml, because better.rou.xml will contain them, create" in routes_cure(
+        theirs
+    )

@@ -43,9 +43,9 @@ FINE = Findings(
         ({"walkingareas": 0}, "no walking areas.*wcsim town pave /.*sumocfg --out .*-paved"),
         ({"crossings": 0}, "no crossings.*wcsim town pave /.*sumocfg --out"),
         ({"walkable_largest_share": 0.6}, "only 60.0% of the walkable.*join the parts: /.*/netedit -s /.*net.xml.gz"),
-        ({"unroutable": 7}, "7 trips have no way.*duarouter -n /.* -r /.* --ignore-errors -o /"),
-        ({"classes": ("bus",)}, "nobody walks.*/randomTrips.py -n /.* --pedestrians .* -b 0 -e 3600 "),
-        ({"mesh_faults": 50}, "50 of 4000 rays missed the ground.*wcsim cache --clear"),
+        ({"unroutable": 7}, "7 trips have no route.*duarouter -n /.* -r /.* --ignore-errors -o /"),
+        ({"classes": ("bus",)}, "no pedestrians.*/randomTrips.py -n /.* --pedestrians .* -b 0 -e 3600 "),
+        ({"mesh_faults": 50}, "50 of 4000 vertical rays missed the ground.*wcsim cache --clear"),
     ],
 )
 def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, object], told: str) -> None:
@@ -68,7 +68,7 @@ def test_streets_over_the_pavements_of_others_are_a_note_however_many(corner_tow
         over = (Overlap(street="a", pavement="b", area_m2=area_m2),)
         assert faults_of(corner_town, net, replace(FINE, overlaps=over)) == ()
         (told,) = [note for note in notes_of(corner_town, net, over) if "edge b under a" in note]
-        assert f"{area_m2:.0f} m2 of pavement lie under" in told and "more than 3 m2 counts" in told
+        assert f"{area_m2:.0f} m2 of pavement overlap the carriageway" in told and "places of more than 3 m2" in told
         assert shlex.split(printed(told, "move or delete"))[1:] == ["-s", str(corner_town.net)]
 
 
@@ -106,7 +106,7 @@ def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: 
             element.set("shape", " ".join(f"{float(x) * 1e-5:.7f},{float(y) * 1e-5:.7f}" for x, y in points))
     net = tmp_path / "degrees.net.xml"
     ElementTree.ElementTree(root).write(net)
-    with pytest.raises(TownError, match=r"degrees.net.xml.*degrees or in another unit.*--proj.utm"):
+    with pytest.raises(TownError, match=r"degrees.net.xml.*in degrees or another unit.*--proj.utm"):
         check_town(replace(corner_town, net=net))
 
 

@@ -33,13 +33,13 @@ DEGREES = LANE.replace("0,0 9,0", "24.93,60.17 24.94,60.18")
         ('<!DOCTYPE net [<!ENTITY a "b">]><net/>', "document type"),
         (f'<net>{LANE}<junction id="x" type="priority"/></net>', "SUMO cannot open"),
         (f'<net>{DEGREES}{DEGREES}<junction id="x"/></net>', "look like degrees.*--proj.utm"),
-        (f"<net>{SIDES}{NODES}</net>", "reaches over 0.0400 m only; .*look like degrees.*--proj.utm"),
+        (f"<net>{SIDES}{NODES}</net>", "is only 0.0400 m across; .*look like degrees.*--proj.utm"),
         (f'<net>{LANE}<junction id="x" x="" y="1"/></net>', "<junction id='x'> has x=''; expected numbers"),
         (
             f'<net>{LANE.replace("9,0", "90000,0")}<junction id="x"/></net>',
             "lane 'a_0' is 9 m long and drawn over 90000",
         ),
-        (f'<net>{LANE}<junction id="x" shape="0,0 5,5 90000,0"/></net>', "junction 'x' reaches over 90000 m"),
+        (f'<net>{LANE}<junction id="x" shape="0,0 5,5 90000,0"/></net>', "junction 'x' is 90000 m across"),
         (f'<net>{LANE.replace("9,0", "900000,0")}<junction id="x"/></net>', "900 km.*--proj.utm"),
     ],
 )

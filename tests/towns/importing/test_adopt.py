@@ -76,7 +76,7 @@ def test_files_beside_the_scenarios_folder_keep_their_structure(corner_town: Tow
     (folder / "run.sumocfg").write_text(
         "<c><n value='../../common/a.net.xml'/><r value='../../common/a.rou.xml'/></c>", encoding="utf-8"
     )
-    with pytest.raises(TownError, match=r"run\.sumocfg: names .*a\.net\.xml, which lies outside .*--allow-outside"):
+    with pytest.raises(TownError, match=r"run\.sumocfg: names .*a\.net\.xml, which is outside .*--allow-outside"):
         adopt_scenario(folder / "run.sumocfg", "mine", tmp_path / "mine")
     assert not (tmp_path / "mine").exists()
     town = adopt_scenario(folder / "run.sumocfg", "mine", tmp_path / "mine", outside=True)
@@ -121,8 +121,8 @@ def test_what_cannot_be_adopted_is_said_and_leaves_nothing(corner_town: Town, tm
         sumocfg = tmp_path / "none.sumocfg"
     says = {
         "absolute": "by a path that a copy cannot follow",
-        "missing": "names a file that is not there",
-        "in the way": "is there already",
+        "missing": "names a file that does not exist",
+        "in the way": "already exists",
         "name": "expected 1 to 64 letters",
         "no such file": "there is no such file",
     }

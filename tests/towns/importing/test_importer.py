@@ -185,13 +185,13 @@ def test_orders_of_traffic_are_followed(order: ImportOrder) -> None:
     assert sum(per_s) == pytest.approx(0.1, rel=1e-3)
     assert not [flow for flow in flows if flow.tag == "personFlow"]
     made = import_town(replace(order, per_hour={"tram": 60.0, "bicycle": 9.0}))
-    assert made.notes[0] == "no traffic of class tram: no street or track of this town is open to it"
+    assert made.notes[0] == "no traffic of class tram: no street or track of this town allows it"
     assert len([note for note in made.notes if "no traffic of class" in note]) == 1
     none = import_town(replace(order, traffic=0.0)).town
     assert len(read_root(none.routes[0])) == 0
-    assert [fault for fault in check_town(none).faults if "nobody walks" in fault and "--traffic 1 " in fault]
+    assert [fault for fault in check_town(none).faults if "no pedestrians" in fault and "--traffic 1 " in fault]
     still = import_town(replace(order, per_hour={"pedestrian": 0.0})).town
-    assert [fault for fault in check_town(still).faults if "nobody walks" in fault and "randomTrips" in fault]
+    assert [fault for fault in check_town(still).faults if "no pedestrians" in fault and "randomTrips" in fault]
 
 
 def test_a_town_in_the_hills_is_no_steeper_than_ordered_and_can_be_built_again(order: ImportOrder) -> None:
@@ -253,11 +253,11 @@ def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
     (lost,) = made.left_out.footways
     assert (lost.id, lost.name, lost.why) == ("900", "Lost", "not connected to the rest in the box")
     assert made.left_out.names == () and 35.0 < made.left_out.footways_left_out_m == lost.inside_m < 45.0
-    assert any("40 of 40 m of ways on foot in the box, by the map's ids: 900 Lost" in note for note in made.notes)
+    assert any("40 of 40 m of footways in the box, by map id: 900 Lost" in note for note in made.notes)
     assert made.left_out.streets_left_out_m == 0.0 and made.left_out.streets_m > 1000.0
-    assert any("names no bounds, so it was taken at 0.2 x 0.2 km" in note for note in made.notes)
+    assert any("has no bounds, so all of it (0.2 x 0.2 km) was imported" in note for note in made.notes)
     crossings = len(read_net(made.town.net).lanes(LaneKind.CROSSING))
-    assert any(f"the map has 0 crossings and the net {crossings}" in note for note in made.notes)
+    assert any(f"the map has 0 crossings, the net {crossings}" in note for note in made.notes)
     west, south, east, north = 24.999, 59.999, 25.0046, 60.0023
     bounded = import_town(replace(order, bbox=(west, south, east, north)))
     assert not any("names no bounds" in note for note in bounded.notes)

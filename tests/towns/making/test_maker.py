@@ -87,7 +87,7 @@ def test_small_towns_of_every_kind_can_be_made(kind: str, tmp_path: Path) -> Non
     """Seed 4 makes a grid in which no corner of a junction is left to the pavement."""
     town = make_town(tmp_path / "tiny", 4, Wishes(size_m=300.0, kind=kind, traffic=0.0))
     faults = check_town(town).faults
-    assert len(faults) == 1 and faults[0].startswith("nobody walks")
+    assert len(faults) == 1 and faults[0].startswith("the demand has no pedestrians")
     assert "wcsim town make tiny" in faults[0] and "--traffic 1" in faults[0]
 
 
@@ -144,7 +144,7 @@ def test_what_somebody_did_there_is_not_lost(town: Town, tmp_path: Path) -> None
     (mine.folder / "notes.txt").unlink()
     toml = mine.folder / "town.toml"
     toml.write_text(toml.read_text(encoding="utf-8").replace("town make", "town import"), encoding="utf-8")
-    with pytest.raises(TownError, match="town made of a map"):
+    with pytest.raises(TownError, match="contains an imported town"):
         make_town(mine.folder, 6, SMALL)
     (mine.folder / "notes.txt").write_text("mine", encoding="utf-8")
     make_town(mine.folder, 6, replace(SMALL, traffic=0.0), overwrite=True)
@@ -174,7 +174,7 @@ def test_what_cannot_be_made_is_refused_and_leaves_nothing(tmp_path: Path, monke
         with pytest.raises(TownError, match=reason):
             make_town(tmp_path / name, seed, wishes)
     monkeypatch.setattr(maker, "_LEAST_CROSSINGS", 100_000)
-    with pytest.raises(TownError, match="10 attempts; take another seed"):
+    with pytest.raises(TownError, match="10 attempts; use another seed"):
         make_town(tmp_path / "x", 1, SMALL)
     assert {path.name for path in tmp_path.iterdir()} - {"cache"} == {"full", "file"}
     assert (tmp_path / "full" / "thesis.txt").read_text(encoding="utf-8") == "mine"

@@ -88,4 +88,4 @@ def test_traffic_keeps_to_the_side_of_the_country(place: str) -> None:
 def test_the_reason_is_said() -> None:
     assert str(side_at(*LEFT["Tokyo"])) == "left (time zone Asia/Tokyo)"
     assert str(side_at(*RIGHT["Hanoi"])) == "right (Vietnam, in time zone Asia/Bangkok)"
-    assert str(side_at(-30.0, 0.0)) == "right (no country is known there)"
+    assert str(side_at(-30.0, 0.0)) == "right (country unknown)"

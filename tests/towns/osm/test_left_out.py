@@ -33,11 +33,11 @@ TEXT = """<osm>
 _ON_FOOT = {
     "highway=steps": "steps",
     "highway=path tunnel=yes": "a tunnel, indoors, or on another level",
-    "highway=pedestrian area=yes": "an area, which is open ground",
+    "highway=pedestrian area=yes": "an open area",
     "highway=footway area=yes": "an area",
     "highway=path access=private": "closed to the public",
     "highway=footway": "part of a junction, or left out by netconvert",
-    "highway=cycleway foot=designated": "the net lets no walkers on it",
+    "highway=cycleway foot=designated": "closed to pedestrians in the net",
     "highway=path": "not connected to the rest in the box",
     "highway=pedestrian": "a bridge over another street",
     "highway=cycleway": "",
@@ -59,7 +59,7 @@ def test_what_the_net_does_not_have_is_told_by_length_and_name() -> None:
     assert found.names == () and found.streets_left_out_m == 0.0
     assert found.footways_left_out_m == found.footways_m == lengths_m["11"]
     (told,) = left_out_notes(found)
-    assert "445 of 445 m of ways on foot" in told and ": 11 Path (445 m, the net lets no walkers on it)" in told
+    assert "445 of 445 m of footways" in told and ": 11 Path (445 m, closed to pedestrians in the net)" in told
     (street, _) = left_out_notes(left_out_of(ways, NetWays()))
     assert "0.22 km of 0.22 km of streets" in street and "(Long Street);" in street
     assert left_out_notes(left_out_of(ways, NetWays(drawn=both, walked=both))) == left_out_notes(LeftOut()) == ()
@@ -80,7 +80,7 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
     whys = [*_ON_FOOT.values()]
     assert {way.id: way.why for way in found.footways} == {
         "11": "cut by the edge of the box",
-        "relation 7": "an area, which is open ground",
+        "relation 7": "an open area",
         **{str(100 + number): why for number, why in enumerate(whys) if why},
     }
     assert sum(way.inside_m for way in found.footways) == pytest.approx(found.footways_m)

@@ -150,7 +150,7 @@ def theirs(tmp_path: Path) -> Path:
 
 
 def test_streets_that_are_too_fast_get_none(theirs: Path, tmp_path: Path) -> None:
-    with pytest.raises(TownError, match=r"none of its streets got.*; take faster ones too: wcsim town pave /"):
+    with pytest.raises(TownError, match=r"none of its streets got.*; to include them: wcsim town pave /"):
         pave_town(open_town(theirs), tmp_path / "ours", 10.0)
     assert not (tmp_path / "ours").exists()
 
@@ -160,7 +160,7 @@ def test_a_net_without_lanes_within_junctions_gets_crossings_too(theirs: Path, t
     assert run.returncode == 0, run.output
     told = pave_town(open_town(theirs), tmp_path / "ours")
     assert told.crossings > 0 and told.walkingareas > 0
-    assert any("lanes within junctions were added" in note for note in told.notes)
+    assert any("lanes inside junctions were added" in note for note in told.notes)
 
 
 def test_a_net_of_any_number_of_paths_is_paved(theirs: Path, tmp_path: Path) -> None:
@@ -272,12 +272,12 @@ def test_streets_that_are_too_fast_are_counted_and_paved_by_what_is_printed(thei
     assert options.out != told.sumocfg.parent and options.max_speed == 20.0
     again = pave_town(open_town(Path(options.town)), options.out, options.max_speed)
     assert again.streets == 24 and not [note for note in again.notes if "got no pavement" in note]
-    with pytest.raises(TownError, match=r"faster than 2 m/s; take faster ones too: wcsim town pave /.* --out .*/ours"):
+    with pytest.raises(TownError, match=r"faster than 2 m/s; to include them: wcsim town pave /.* --out .*/ours"):
         pave_town(open_town(theirs), tmp_path / "ours", 2.0)
 
 
 def never_green(told: Paved) -> list[str]:
-    return [note for note in told.notes if "never gives green" in note]
+    return [note for note in told.notes if "never get green" in note]
 
 
 def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved], theirs: Path, tmp_path: Path) -> None:
@@ -300,7 +300,7 @@ def test_a_crossing_that_is_never_green_is_told(paved: tuple[Path, Path, Paved],
     signals.write_text(f"<additional>{logics}</additional>", encoding="utf-8")
     (note,) = never_green(pave_town(open_town(theirs), tmp_path / "ours"))  # no program in the net is in force
     assert "program in an additional file" in note and re.findall(r"over \w+ at (\w+)", note) == ["B1"] * 4
-    assert "give them a phase there" in note and "--tls.rebuild" not in note
+    assert "add a phase there" in note and "--tls.rebuild" not in note
 
 
 def test_no_ring_of_a_nema_controller_lets_walkers_go(tmp_path: Path) -> None:

@@ -134,8 +134,8 @@ def test_every_file_comes_once_and_none_from_outside(tmp_path: Path) -> None:
     last, first = written("last.xml"), written("first.xml", "last.xml", "../inside/last.xml", "")
     assert with_included((first, last), inside) == (first, last)
     for included, told in (
-        ("gone.xml", r"first\.xml: names a file that is not there"),
-        ("../secret.xml", r"first\.xml: names .*secret\.xml, which lies outside"),
+        ("gone.xml", r"first\.xml: names a file that does not exist"),
+        ("../secret.xml", r"first\.xml: names .*secret\.xml, which is outside"),
         ("../inside/first.xml", r"include each other \(first\.xml -> first\.xml\); remove one <include>"),
     ):
         (tmp_path / "secret.xml").write_text("<additional/>", encoding="utf-8")

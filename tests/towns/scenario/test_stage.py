@@ -143,7 +143,7 @@ def test_compressed_files_and_other_outputs_are_taken(corner_town: Town, tmp_pat
     ("more", "says"),
     [
         ('<include href="a.add.xml"/>', "include each other"),
-        ('<include href="none.xml"/>', "names a file that is not there"),
+        ('<include href="none.xml"/>', "names a file that does not exist"),
         ('<edgeData id="x" file="x.xml"', "not well-formed"),
     ],
 )

@@ -105,7 +105,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="seed -1 cannot be used"):
         write_scene("car-door", -1, tmp_path / "a")
     write_scene("car-door", 1, tmp_path / "a")
-    with pytest.raises(ConfigError, match="is there already"):
+    with pytest.raises(ConfigError, match="already exists"):
         write_scene("car-door", 1, tmp_path / "a")
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot be written"):

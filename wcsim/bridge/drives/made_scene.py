@@ -72,7 +72,7 @@ def _folder_of(scene: MadeScene) -> Path:
             _make(scene, made)
             _put(made, folder)
     except OSError as error:
-        told = f"{shown(folder)}: cannot be written ({error.strerror}); make room, or empty the cache"
+        told = f"{shown(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
         raise TownError(told) from None
     return folder
 
@@ -81,8 +81,8 @@ def _make(scene: MadeScene, folder: Path) -> None:
     got = scene_digest(write_scene(scene.family, scene.seed, folder / _SCENE))
     if got != scene.sha256:
         raise TownError(
-            f"the drive was in the scene {scene.family} {scene.seed} ({scene.sha256[:12]}), this wcsim draws another "
-            f"one ({got[:12]}); expected the same: use the wcsim that recorded it"
+            f"the drive was in the scene {scene.family} {scene.seed} ({scene.sha256[:12]}), this wcsim generates "
+            f"another one ({got[:12]}); expected the same: use the wcsim that recorded it"
         )
     build_scene(folder / _SCENE, folder / _TOWN)
 

@@ -76,7 +76,7 @@ class Randomization:
                 fault = error
                 continue
             return DrawnChair(drawn=drawn, spec=spec, cameras=cameras, sensors=sensors)
-        raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand; expected narrower ranges: {fault}")
+        raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand up; expected narrower ranges: {fault}")
 
 
 def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, attempt: int = 0) -> Drawn:
@@ -146,7 +146,7 @@ def retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> Sen
         old = data.get(section, {}).get(key)
         if isinstance(old, bool) or not isinstance(old, int | float):
             numbers = [f"{s}.{k}" for s, keys in data.items() for k, v in keys.items() if type(v) in (int, float)]
-            raise ConfigError(f"{name}: no number of a sensor that is there; expected one of {numbers}")
+            raise ConfigError(f"{name}: not a number of an existing sensor; expected one of {numbers}")
         data[section][key] = round(value) if isinstance(old, int) else value
     return parse(SensorsConfig, data, "sensors")
 
@@ -161,9 +161,9 @@ def _check_names(vary: VaryConfig) -> None:
     """Refuse numbers of a plant that change nothing in an episode, or that another range draws as well."""
     for name in vary.plant:
         if name.startswith(("limits.", "climbs.")):
-            raise ConfigError(f"vary.plant.{name}: says what the plant is tested for; expected a number of its body")
+            raise ConfigError(f"vary.plant.{name}: is a test criterion of the plant; expected a number of its body")
         if name == "mass.user_kg" and vary.user_mass_kg is not None:
-            raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected one of both")
+            raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected only one of them")
 
 
 def _check_plants(vary: VaryConfig, spec: PlantSpec, step_s: float) -> None:

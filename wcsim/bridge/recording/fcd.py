@@ -38,15 +38,15 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     chosen = [record for record in records if record.epoch == epoch]
     if not records:
         raise WcsimError(
-            f"{trace}: holds no whole tick: it was cut off, or its run ended before the first one; expected a whole "
-            "trace: copy it again, or record it again"
+            f"{trace}: has no complete tick: it was truncated, or its run ended before the first one; expected a "
+            "complete trace: copy it again, or record it again"
         )
     if not chosen:
         epochs = ", ".join(str(number) for number in sorted({record.epoch for record in records}))
         raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected --epoch with one of: {epochs}")
     sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
     if not sized or any(record.actor_ids and not record.bodies for record in chosen):
-        raise WcsimError(f"{trace}: is of an older version, which kept no sizes of actors and chairs; record it again")
+        raise WcsimError(f"{trace}: is of an older version without the sizes of actors and chairs; record it again")
     return write_steps(header, chosen, out)
 
 

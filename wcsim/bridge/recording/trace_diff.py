@@ -65,7 +65,7 @@ def first_difference(one: Path, other: Path) -> str:
     if len(ticks) == len(other_ticks):
         return ""
     fewer, more = sorted((len(ticks), len(other_ticks)))
-    return f"{one if len(ticks) == fewer else other} ends after {fewer} ticks, the other one after {more}"
+    return f"{one if len(ticks) == fewer else other} ends after {fewer} ticks, the other after {more}"
 
 
 def _header_difference(a: TraceHeader, b: TraceHeader) -> str:
@@ -77,7 +77,7 @@ def _header_difference(a: TraceHeader, b: TraceHeader) -> str:
 
 def _first_of_tick(a: TickRecord, b: TickRecord) -> str:
     if (a.epoch, a.tick) != (b.epoch, b.tick):
-        return f"the other one has epoch {b.epoch}, tick {b.tick}"
+        return f"the other trace has epoch {b.epoch}, tick {b.tick}"
     if len(a.commands) != len(b.commands) or a.seats != b.seats:
         return f"{len(a.commands)} commands (seats {list(a.seats)}) and {len(b.commands)} (seats {list(b.seats)})"
     for seat, one, other in zip(a.seats or range(len(a.commands)), a.commands, b.commands, strict=True):
@@ -92,6 +92,6 @@ def _first_of_tick(a: TickRecord, b: TickRecord) -> str:
         for name, one, other in zip(names, rows, others, strict=True):
             if one.tobytes() != other.tobytes():
                 gap_m = float(np.abs(one[:3] - other[:3]).max())
-                how = f"is {gap_m:.3g} m away from" if gap_m else "moves otherwise than in"
-                return f"{what} {name} {how} the other one"
+                how = f"is {gap_m:.3g} m away from" if gap_m else "moves differently from"
+                return f"{what} {name} {how} the other"
     return f"state {a.state_hash} and {b.state_hash}" if a.state_hash != b.state_hash else ""

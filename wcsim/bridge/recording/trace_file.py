@@ -40,8 +40,8 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
         first = next(payloads, b"")
         if not first:
             raise JournalError(
-                f"{shown(path)}: is not a trace, or was cut off within its first record; expected a whole file written "
-                "by wcsim: copy it again, or record it again"
+                f"{shown(path)}: is not a trace, or was truncated in its first record; expected a complete file "
+                "written by wcsim: copy it again, or record it again"
             )
         header = _header(first, shown(path))
         return header, tuple(_tick(payload, told, shown(path)) for payload in payloads)

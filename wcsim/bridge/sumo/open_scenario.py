@@ -62,14 +62,14 @@ def try_scenario(town: Town, settings: Settings, digest: str) -> None:
             run = _trial(staged.sumocfg, settings.step_s)
         except SumoError as error:
             raise TownError(
-                f"{town.sumocfg}: SUMO could not run its first {_TRIAL_STEPS} steps ({error}); give it less to do: "
+                f"{town.sumocfg}: SUMO could not run its first {_TRIAL_STEPS} steps ({error}); reduce the load: "
                 "a smaller scale, fewer vehicles and persons, wider stripes of pedestrians"
             ) from None
         culprit = _culprit(town, staged, settings) if run.returncode else town.sumocfg
     if run.died and _BEGUN_ANEW in run.output:
         raise TownError(
-            f"{town.sumocfg}: SUMO dies when this scenario begins anew in one process ({run.reason()}); that is known "
-            "of devices that send (btsender): remove them, here and from the routes"
+            f"{town.sumocfg}: SUMO crashes when this scenario starts again in one process ({run.reason()}); a known "
+            "cause is devices that send (btsender): remove them here and from the routes"
         )
     if run.returncode:
         raise TownError(

@@ -45,8 +45,8 @@ def refuse_second_world() -> None:
     """Raise WorldInUseError while a simulation is loaded in this process."""
     if world_in_this_process():
         raise WorldInUseError(
-            "this process holds a SUMO world already, and libsumo allows one a process; "
-            "close it first, or put this world in a process of its own (wcsim.server.links.child_world)"
+            "this process already has a SUMO world, and libsumo allows one per process; "
+            "close it first, or open this world in a process of its own (wcsim.server.links.child_world)"
         )
 
 
@@ -147,7 +147,7 @@ class SumoSession(Closing):
         self._so_far = (self._so_far[0] + self._teleports, self._so_far[1] + self._collisions)
         self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
-            log.warning("jam: %s stood too long%s and was teleported at %.1f s", name, _stood(name), self.time_s())
+            log.warning("jam: SUMO teleported %s, which stood too long%s, at %.1f s", name, _stood(name), self.time_s())
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
@@ -215,5 +215,5 @@ class SumoSession(Closing):
             call()
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
             raise SumoError(
-                f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; open it in sumo-gui to see more"
+                f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; open it in sumo-gui for details"
             ) from None

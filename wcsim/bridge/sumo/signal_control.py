@@ -78,7 +78,7 @@ class SignalControl:
             try:
                 self._ask(tls_id, request.links)
             except self._api.TraCIException:
-                log.debug("traffic light %s takes no request", tls_id)
+                log.debug("traffic light %s ignores the request", tls_id)
 
     def _ask(self, tls_id: str, links: Sequence[int]) -> None:
         lights = self._api.trafficlight

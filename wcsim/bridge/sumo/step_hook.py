@@ -42,7 +42,7 @@ class HookChair:
 
 
 class StepHook:
-    """One object of the user's class; it lives as long as the traffic of one epoch."""
+    """One object of the user's class; it lives until the world starts again."""
 
     def __init__(self, name: str, libsumo: ModuleType) -> None:
         """Make it. Raises HookError when there is no such class, it has no method to call, or making it failed."""

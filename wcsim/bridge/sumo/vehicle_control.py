@@ -122,7 +122,7 @@ class VehicleControl:
                 self._steer(name, order)
         except self._api.TraCIException:
             self._drop_modes(order.actor_id)
-            log.debug("%s has left before it could be told anything", order.actor_id)
+            log.debug("%s left before it could be commanded", order.actor_id)
 
     def turn_away(self, actor_id: str) -> None:
         """Take an actor out of the simulation that SUMO put where a chair stands."""
@@ -132,7 +132,7 @@ class VehicleControl:
         except self._api.TraCIException:
             log.debug("%s has left already", actor_id)
         self._drop_modes(actor_id)
-        log.info("%s came into being on top of a wheelchair and was taken out", actor_id)
+        log.info("%s departed on top of a wheelchair and was removed", actor_id)
 
     def _drop_modes(self, actor_id: str) -> None:
         """Forget the modes of who has left; a person may have the name of a vehicle that is still under orders."""

@@ -28,15 +28,15 @@ from wcsim.towns.scenario.town import find_town, list_towns
 
 @dataclass
 class ListOptions:
-    """List the towns that can be named."""
+    """List the towns that have a name."""
 
 
 @dataclass
 class CheckOptions:
-    """Check a town: can it be walked through, does its traffic find its way, is the ground whole, does SUMO run it."""
+    """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg."""
     json: OutFile = None
     """Write the result to this file."""
 

@@ -1,4 +1,4 @@
-"""`wcsim town import`: from a map, from the internet, or from somebody's ready scenario."""
+"""`wcsim town import`: from a map, from the internet, or from a SUMO scenario."""
 
 from __future__ import annotations
 
@@ -38,54 +38,54 @@ Stage = Callable[[str], None]  # what begins now, in words
 
 @dataclass
 class ImportOptions:
-    """Import a town: streets, pavements, buildings, trees, parked cars and endless traffic, or a ready scenario."""
+    """Import a town from OpenStreetMap, or from a SUMO scenario."""
 
     name: str
     """The town's name."""
     osm: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """An OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf."""
     bbox: str = ""
-    """What to keep of it, in degrees: west,south,east,north; without --osm that area is downloaded."""
+    """Area to import, in degrees: west,south,east,north; without --osm it is downloaded."""
     sumocfg: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Instead of a map: somebody's ready scenario; its files are copied as they are."""
+    """A SUMO scenario instead of a map; its files are copied unchanged."""
     allow_outside: Flag = False
-    """Copy what a ready scenario names outside of its own folder too."""
+    """Also copy files that the scenario names outside of its folder."""
     url: str = ""
-    """Overpass server to download from; default those that SUMO knows."""
+    """Overpass server to download from; default: the servers that SUMO knows."""
     split: Literal["train", "test"] = "train"
-    """Whether networks may be trained in it, or only tested."""
+    """Use it for training, or only for tests."""
     out: OutFolder = None
-    """Where to put it; default ./scenarios/sumo/NAME."""
+    """Folder to create; default ./scenarios/sumo/NAME."""
     lefthand: Flag = False
-    """Traffic drives on the left; default: as it does in that country."""
+    """Traffic drives on the left; default: that of the country."""
     righthand: Flag = False
     """Traffic drives on the right."""
     per_hour: str = ""
-    """Departures an hour by SUMO vehicle class, as passenger=900,bicycle=300; other classes keep their density."""
+    """Departures per hour by SUMO vehicle class, e.g. passenger=900,bicycle=300; other classes keep their density."""
     traffic: float = 1.0
-    """All traffic times this; 0 for none."""
+    """Factor for all traffic; 0 for none."""
     parked: float = 0.7
-    """Share of the parking spaces on the map that has a car in it."""
+    """Share of the mapped parking spaces with a parked car."""
     dem: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """GeoTIFF of the land's heights in metres."""
     hill: float = 0.0
-    """Height in metres of a made-up hill instead."""
+    """Height in metres of an invented hill, instead of --dem."""
     max_grade: float = 0.12
-    """No street is steeper than this rise over run: the land is smoothed and lowered."""
+    """Largest grade of a street (rise over run); steeper land is smoothed and lowered."""
     keep_service: Flag = False
-    """Keep driveways and yards, each with a crossing of its own."""
+    """Include driveways and yards, each with its own crossing."""
     seed: int = 42
     """Seed of the demand, the parked cars and the hill."""
     source: str = ""
-    """Where the extract or the scenario comes from, for the licence notice."""
+    """Origin of the extract or scenario, for the licence notice."""
     replace: Flag = False
-    """Build a town again that somebody has worked on: what was changed or added there is lost."""
+    """Replace a town that was edited; all edits are lost."""
     json: OutFile = None
     """Write the result of the check to this file."""
 
 
 def run(options: ImportOptions) -> int:
-    """Import, check, and say what came out; 0 when the town has no faults, else 1."""
+    """Import, check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
     check_folder("--out", out)
@@ -109,10 +109,10 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path, stage: Stage) -> To
     idle = [f"--{name.replace('_', '-')}" for name in given if name not in _ADOPTED]
     if idle:
         raise ConfigError(
-            f"--sumocfg takes a scenario as it is, and {', '.join(idle)} cannot be joined with it: leave one out"
+            f"--sumocfg copies a scenario unchanged, so {', '.join(idle)} cannot be combined with it: leave one out"
         )
     if options.allow_outside:
-        print(f"note: what {sumocfg} names is copied from wherever it lies; look through {out} before you share it")
+        print(f"note: files outside of the folder of {sumocfg} are copied too; check {out} before you share it")
     town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
     try:
         report = checked(town, told=stage)
@@ -135,7 +135,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
     if options.osm is not None and not options.osm.is_file():
         raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract")
     if options.osm is not None and options.url:
-        raise ConfigError("--url is for a download and cannot be joined with --osm; leave one out")
+        raise ConfigError("--url is for a download and cannot be combined with --osm; leave one out")
     _check_numbers(options)
 
     from wcsim.towns.importing.importer import import_town
@@ -144,7 +144,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
         osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
         made = import_town(_order(options, osm, box, out), _built, stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
-    print(f"traffic keeps to the {made.side}")
+    print(f"traffic drives on the {made.side}")
     report = checked(made.town, made.walkable_share, stage)
     counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
     more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
@@ -209,7 +209,7 @@ def _per_hour(text: str) -> dict[str, float]:
         except ValueError:
             rate = math.nan
         if not name or not math.isfinite(rate) or name.strip() in found:
-            raise ConfigError(f"--per-hour {word!r} is not CLASS=NUMBER, once for each class, as passenger=900")
+            raise ConfigError(f"--per-hour {word!r} is not CLASS=NUMBER, once per class, such as passenger=900")
         found[name.strip()] = rate
     return found
 
@@ -218,9 +218,11 @@ def _bbox(text: str) -> Box:
     try:
         west, south, east, north = (float(part) for part in text.split(","))
     except ValueError:
-        raise ConfigError(f"--bbox {text!r} is not west,south,east,north in degrees, as 24.9,60.1,25.0,60.2") from None
+        raise ConfigError(
+            f"--bbox {text!r} is not west,south,east,north in degrees, such as 24.9,60.1,25.0,60.2"
+        ) from None
     if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
-        raise ConfigError(f"--bbox {text!r} is empty or leaves the globe; expected west < east and south < north")
+        raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
     return west, south, east, north
 
 

@@ -21,34 +21,34 @@ from wcsim.towns.making.wishes import Wishes, check_wishes
 
 @dataclass
 class TownMakeOptions:
-    """Make a town without a map: streets, pavements, hills, buildings, furniture, parked cars and endless traffic."""
+    """Generate a town from a seed, without a map."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """The town's name."""
     seed: int = 0
-    """Seed of everything in it: another seed is another town, the same one the same bytes."""
+    """Seed of the whole town; the same seed and name give the same bytes."""
     size: float = 700.0
-    """About how many metres it is across."""
+    """Approximate width in metres."""
     kind: Literal["any", "grid", "spider", "random"] = "any"
-    """What its streets are like; any: the seed's choice."""
+    """Kind of street network; any: chosen by the seed."""
     split: Literal["train", "test"] = "train"
-    """Whether networks may be trained in it, or only tested."""
+    """Use it for training, or only for tests."""
     out: OutFolder = None
-    """Where to put it; default ./scenarios/sumo/NAME."""
+    """Folder to create; default ./scenarios/sumo/NAME."""
     traffic: float = 1.0
-    """All traffic times this; 0 for none."""
+    """Factor for all traffic; 0 for none."""
     parked: float = 0.7
-    """Share of the parking spaces that has a car in it."""
+    """Share of the parking spaces with a parked car."""
     hill: float | None = None
-    """Height in metres of its land, 0 for a level town; default: the seed's choice."""
+    """Height of its hills in metres, 0 for a level town; default: chosen by the seed."""
     replace: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Make it in place of a town that was imported, or that somebody has worked on, too: all that is lost."""
+    """Also replace an imported or edited town; it is lost."""
     json: OutFile = None
     """Write the result of the check to this file."""
 
 
 def run(options: TownMakeOptions) -> int:
-    """Make, check, and say what came out; 0 when the town has no faults, else 1."""
+    """Generate, check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
     out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
     wishes = Wishes(

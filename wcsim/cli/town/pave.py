@@ -1,4 +1,4 @@
-"""`wcsim town pave`: a copy of a scenario whose net has got pavements and crossings."""
+"""`wcsim town pave`: a copy of a scenario with pavements and crossings."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from wcsim.cli.shared.common import OutFile, check_folder, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.trial import try_town
+from wcsim.core.reading import counted
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.scenario.town import Town, find_town, open_town
 
@@ -26,16 +27,16 @@ TOLD = 5
 
 @dataclass
 class PaveOptions:
-    """Copy a scenario without pavements into a folder, add pavements and crossings, and move what lies by lane."""
+    """Copy a scenario into a folder and add pavements and crossings."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or anybody's .sumocfg; it stays as it is."""
+    """A town's name, its folder, or a .sumocfg; it is not changed."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """A new folder for the copy."""
+    """New folder for the copy."""
     max_speed: float = FASTEST_MPS
     """Streets faster than this, in m/s, get no pavement."""
     allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Copy what a .sumocfg names outside of its own folder too."""
+    """Also copy files that a .sumocfg names outside of its folder."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -51,12 +52,12 @@ def run(options: PaveOptions) -> int:
     from wcsim.towns.pave.pavements import pave_town
 
     told = stderr_console()
-    told.print(f"building pavements into {options.out}", style="dim", markup=False)
+    told.print(f"adding pavements in {options.out}", style="dim", markup=False)
     paved = pave_town(bare, options.out, options.max_speed)
     town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
-    told.print("letting SUMO run its first steps", style="dim")
+    told.print("testing the first steps in SUMO", style="dim")
     try_town(town)
-    told.print("checking it", style="dim")
+    told.print("checking the copy", style="dim")
     report = check_town(town)
     _print(paved)
     code = print_report(report)
@@ -74,14 +75,15 @@ def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
 
 def _print(paved: Paved) -> None:
     print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {shlex.quote(str(paved.sumocfg))}")
-    streets = [f"{paved.streets} streets have a pavement now"] if paved.streets or not paved.had else []
-    streets += [f"{paved.had} streets had pavements already"] if paved.had else []
+    streets = [f"{counted(paved.streets, 'street')} got a pavement"] if paved.streets or not paved.had else []
+    streets += [f"{counted(paved.had, 'street')} already had one"] if paved.had else []
     print(
-        f"{', '.join(streets)}; {paved.crossings} crossings and {paved.walkingareas} walking areas added; "
-        f"{paved.placed} stops, detectors, ... by lane were looked at, and {paved.programs} signal programs"
+        f"{', '.join(streets)}; added {counted(paved.crossings, 'crossing')} and "
+        f"{counted(paved.walkingareas, 'walking area')}; checked {counted(paved.placed, 'element')} on lanes (stops, "
+        f"detectors, ...) and {counted(paved.programs, 'signal program')}"
     )
     if paved.moved_m:
-        print(f"{len(paved.moved_m)} places gave way to a junction that has grown; the farthest, in m along the lane:")
+        print(f"{counted(len(paved.moved_m), 'position')} moved off junctions that grew; the farthest, in m:")
         for name, along_m in paved.moved_m[:TOLD]:
             print(f"  {name}: {along_m:.2f}")
     for note in paved.notes:

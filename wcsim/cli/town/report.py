@@ -1,4 +1,4 @@
-"""What `wcsim town import` and `wcsim town check` say of a town."""
+"""The report of `wcsim town import` and `wcsim town check`."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def print_report(report: TownReport) -> int:
     table.add_row("walking areas", str(report.walkingareas))
     table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
     table.add_row("classes in the demand", ", ".join(report.classes))
-    table.add_row("trips that find no way", str(report.unroutable))
-    table.add_row("places without ground, or at a wrong height", str(report.mesh_faults))
-    table.add_row("traffic keeps to the", "left" if report.lefthand else "right")
+    table.add_row("trips without a route", str(report.unroutable))
+    table.add_row("ground errors (missing, or wrong height)", str(report.mesh_faults))
+    table.add_row("traffic drives on the", "left" if report.lefthand else "right")
     console = stdout_console()
     console.print(table)
     for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):

@@ -1,4 +1,4 @@
-"""`wcsim town run`: a town's traffic as it is, or with wheelchairs that follow their users' wish."""
+"""`wcsim town run`: a town's traffic, with or without wheelchairs that obey their users."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ MAX_CHAIRS = 64
 
 @dataclass
 class RunOptions:
-    """Run a town's traffic, with or without wheelchairs, and keep what happened in a folder."""
+    """Run a town's traffic, with or without wheelchairs, and record it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg."""
     seconds: float = 600.0
     """Simulated time."""
     seed: int = 0
@@ -53,19 +53,19 @@ class RunOptions:
     out: OutFolder = None
     """Run folder; default runs/TOWN-run-SEED."""
     chairs: int = 1
-    """Wheelchairs, each doing what its user asks for; with 0 the traffic is that of plain sumo."""
+    """Number of wheelchairs, each obeying its user; with 0 the traffic is that of plain sumo."""
     outputs: str = ""
-    """More of SUMO's outputs than the scenario asks for, joined by commas: fcd, tripinfo, summary, ..."""
+    """Additional SUMO outputs, separated by commas: fcd, tripinfo, summary, ..."""
     allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Let a .sumocfg name files outside of its own folder, which SUMO then reads."""
+    """Permit a .sumocfg to name files outside of its folder."""
     hook: str = ""
-    """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around every step."""
+    """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around each step."""
     preset: str = "quick"
-    """Settings to begin with: quick, laptop, best, dqn or paper."""
+    """Settings to start with: quick, laptop, best, dqn or paper."""
     set: Repeated = ()
-    """section.key=value, laid over the preset; may be given several times."""
+    """section.key=value, overrides the preset; may be repeated."""
     verbose: Verbose = False
-    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
+    """Show a table of the SUMO options that are overridden, with reasons."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -79,7 +79,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
     check_folder("--out", out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise ConfigError(f"--out {out} exists and is not empty; choose another folder, or remove it")
+        raise ConfigError(f"--out {out} is not empty; choose another folder, or remove it")
     facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
     console = stdout_console()
     console.print(_table(town.name, facts))
@@ -170,18 +170,18 @@ def _manifest(options: RunOptions, town: Town, config: RunConfig, command: tuple
 def _table(name: str, facts: TrafficFacts) -> Table:
     table = Table(f"town {name}", "")
     table.add_row("simulated", f"{facts.ticks} ticks, to {facts.end_s:g} s of SUMO's time")
-    table.add_row("vehicles in the street", str(facts.vehicles))
-    table.add_row("persons in the street", str(facts.persons))
-    table.add_row("taken out of a jam by SUMO", _counted(facts.teleports, facts.teleports_warming))
-    table.add_row("collisions that SUMO saw among its own", _counted(facts.collisions, facts.collisions_warming))
+    table.add_row("vehicles", str(facts.vehicles))
+    table.add_row("persons", str(facts.persons))
+    table.add_row("teleports out of jams", _counted(facts.teleports, facts.teleports_warming))
+    table.add_row("collisions within SUMO's traffic", _counted(facts.collisions, facts.collisions_warming))
     if facts.episodes:
-        table.add_row("mirrored near a wheelchair", f"{facts.mirrored}, at most {facts.mirrored_most} at once")
-        table.add_row("episodes, crashes of wheelchairs", f"{facts.episodes}, {facts.crashes}")
+        table.add_row("road users near a wheelchair", f"{facts.mirrored}, at most {facts.mirrored_most} at once")
+        table.add_row("wheelchair episodes, crashes", f"{facts.episodes}, {facts.crashes}")
     return table
 
 
 def _counted(number: int, warming: int) -> str:
-    return f"{number}{f', {warming} while the traffic warmed up' if warming else ''}"
+    return f"{number}{f', {warming} during warm-up' if warming else ''}"
 
 
 def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
@@ -192,7 +192,7 @@ def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
 
 def _no_persons(town: Town) -> str:
     """What makes somebody walk; first of all pavements, in a net that nobody can walk in."""
-    told = "nobody walked: the demand has no persons, or none in this time"
+    told = "no pedestrians: the demand has none, or none in this time"
     net = read_net(town.net)
     if net.lanes(LaneKind.WALKINGAREA):
         return f"{told}; {walkers_cure(town)}"

@@ -70,7 +70,7 @@ def netconvert_s(costs: Sequence[StageCost]) -> float:
 def costs_table(costs: Sequence[StageCost]) -> Table:
     """The stages with their costs, and the sum."""
     table = Table(
-        Column("CPU time, in seconds", overflow="fold"),
+        Column("CPU time in s", overflow="fold"),
         Column("wcsim", justify="right"),
         Column("tools", justify="right"),
         box=box.SIMPLE_HEAD,

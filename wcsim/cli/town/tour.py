@@ -31,14 +31,14 @@ TOUR = (
 
 @dataclass
 class TourOptions:
-    """Drive a wheelchair over every pavement, walking area and crossing of a town, through its traffic."""
+    """Drive a wheelchair over every pavement, walking area and crossing of a town."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg."""
     speed: float = 2.8
     """Speed of the wheelchair in m/s."""
     every: int = 1
-    """Visit only every n-th of them."""
+    """Visit only every n-th one."""
     seed: int = 0
     """Seed of the traffic."""
     json: OutFile = None
@@ -54,7 +54,7 @@ def run(options: TourOptions) -> int:
     print(
         f"{report.lines} pavements, walking areas and crossings of {report.length_m / 1000:.1f} km: drove "
         f"{report.driven_m / 1000:.1f} km in {report.ticks} ticks ({time.monotonic() - started:.0f} s), "
-        f"put further on {report.put_on} times, stood on nothing in {report.on_nothing} ticks"
+        f"moved on {report.put_on} times, no ground below it in {report.on_nothing} ticks"
         + (f", first at {report.worst_W_m}" if report.worst_W_m else "")
     )
     if options.json is not None:

@@ -37,12 +37,12 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
 
     told("checking the town")
     report = check_town(town, share)
-    told("letting SUMO run its first steps")
+    told("testing the first steps in SUMO")
     try:
         try_town(town)
     except TownError as refused:
         return replace(report, faults=(*report.faults, str(refused)))
-    told(f"letting SUMO run {COLLIDING_S:g} s of its traffic")
+    told(f"testing {COLLIDING_S:g} s of traffic in SUMO")
     return replace(report, notes=(*report.notes, *collisions_note(town)))
 
 
@@ -58,15 +58,15 @@ def collisions_note(town: Town) -> tuple[str, ...]:
             run_tool("sumo", words, Path(work), _LIMITS)
             told = [(hit.get("collider", ""), hit.get("victim", ""), hit.get("lane", "")) for hit in read_root(found)]
         except (SumoError, TownError):
-            return (f"SUMO did not come through the first {COLLIDING_S:g} s of this traffic in {_LIMITS.wall_s:g} s",)
+            return (f"SUMO did not finish the first {COLLIDING_S:g} s of this traffic within {_LIMITS.wall_s:g} s",)
     hits = {frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in told}
     if not hits:
         return ()
     who = ", ".join(list(hits.values())[:_TOLD]) + " and more" * (len(hits) > _TOLD)
     return (
-        f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this "
-        f"traffic: {who}; its rules at junctions let that happen, mostly to bicycles, and they drive on through each "
-        f"other; half of the traffic collides about half as often: {traffic_alone(town)} --set world.demand_scale=0.5",
+        f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this traffic: {who}; "
+        f"its junction rules permit that, mostly for bicycles, and the vehicles pass through each other; half the "
+        f"traffic collides about half as often: {traffic_alone(town)} --set world.demand_scale=0.5",
     )
 
 

@@ -44,9 +44,9 @@ def pave_cure(town: Town) -> str:
     net = read_net(town.net)
     slowest_mps = slowest_street_mps(net)
     if slowest_mps is None:
-        return "there is no street that cars use, to lay pavements beside; choose another scenario"
+        return "no street is open to cars, so no pavement can be added; choose another scenario"
     command = pave_command(town, _copy(town), max(FASTEST_MPS, slowest_mps))
-    return f"{'add crossings and walking areas' if paved_streets(net) else 'lay pavements and crossings'}: {command}"
+    return f"{'add crossings and walking areas' if paved_streets(net) else 'add pavements and crossings'}: {command}"
 
 
 def pave_command(town: Town, out: Path, fastest_mps: float) -> str:
@@ -88,7 +88,7 @@ def netedit_cure(town: Town) -> str:
 
 def signals_cure(net: Path) -> str:
     """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
-    return f"make all programs in the net anew: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
+    return f"rebuild all programs in the net: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
 
 
 def walkers_cure(town: Town, *, paved: bool = False) -> str:
@@ -105,12 +105,13 @@ def walkers_cure(town: Town, *, paved: bool = False) -> str:
     if paved:
         own, *files = (Path(os.path.normpath(p.absolute())) for p in (town.folder, town.sumocfg, town.net))
         if town.border is None or not all(path.is_relative_to(own) for path in files):
-            return "make walkers as the check of the copy says"  # its folders are named by what it shares with others
+            return "add pedestrians as the copy's check says"  # its folders are named by what it shares with others
         sumocfg, net = (_copy(town).absolute() / path.relative_to(own) for path in files)
         town = replace(town, sumocfg=sumocfg, net=net)
     tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
     return (
-        f"make walkers.rou.xml, and add it to <route-files> in {_path(town.sumocfg)}: {tool} -n {_path(town.net)} "
+        f"create walkers.rou.xml with this command, and add it to <route-files> in {_path(town.sumocfg)}: {tool} "
+        f"-n {_path(town.net)} "
         f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
         f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"
     )
@@ -132,7 +133,7 @@ def own_time(town: Town) -> tuple[float, float]:
 def again_cure(town: Town, told: str, rebuild: str) -> str:
     """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
     work = own_work(town.folder)
-    lost = f" (what you did to {', '.join(work)} is lost then)" if work else ""
+    lost = f" (this discards your changes to {', '.join(work)})" if work else ""
     return f"{told}{lost}: cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
 
 
@@ -159,7 +160,8 @@ def larger_cure(town: Town) -> str:
 def grade_cure(town: Town) -> str:
     """The command that flattens a town's steepest streets."""
     return (
-        f"make better.net.xml, and name it in {_path(town.sumocfg)}: {_tool('netconvert')} -s {_path(town.net)} "
+        f"create better.net.xml with this command, and name it in {_path(town.sumocfg)}: "
+        f"{_tool('netconvert')} -s {_path(town.net)} "
         f"--geometry.max-grade 12 --geometry.max-grade.fix -o {_beside(town, 'better.net.xml')}"
     )
 
@@ -175,7 +177,7 @@ def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
     more = f" -a {_paths(needed)}" if needed else ""
     more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
     return (
-        f"{_before_routing(deadly, twice, name)}make {name}, and name it in {_path(town.sumocfg)}: "
+        f"{_before_routing(deadly, twice, name)}create {name} with this command, and name it in {_path(town.sumocfg)}: "
         f"{_tool('duarouter')} -n {_path(town.net)} -r {_paths(town.routes)}{more} "
         f"--ignore-errors -o {_beside(town, name)}"
     )
@@ -184,7 +186,9 @@ def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
 def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
     """What has to be done by hand to files of these names before a demand is routed into `name`."""
     first = f"move each <{DEADLY}> of {', '.join(deadly)} into a file of its own, " if deadly else ""
-    return first + (f"take the types out of {', '.join(twice)}, for {name} will have them, " if twice else "")
+    return first + (
+        f"remove the vehicle types from {', '.join(twice)}, because {name} will contain them, " if twice else ""
+    )
 
 
 def _for_routes(root: Element) -> bool:

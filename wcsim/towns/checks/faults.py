@@ -35,7 +35,7 @@ STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
 _BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
-_PROJECT = "build it again of the same files in metres, with netconvert's option --proj.utm"
+_PROJECT = "build the net again from the same files, with netconvert's option --proj.utm"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,13 +58,14 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     lines = [*_ways(town, net, found), *_demand(town, net, found), *projection_faults(town, net)]
     if found.mesh_faults > found.rays // 1000:
         lines.append(
-            f"{found.mesh_faults} of {found.rays} rays missed the ground; build the street again: wcsim cache --clear"
+            f"{found.mesh_faults} of {found.rays} vertical rays missed the ground; build the street "
+            "again: wcsim cache --clear"
         )
     lines += _foreign_polygons(town, net)
     grade = steepest_grade(net)
     if grade > STEEPEST:
         lines.append(
-            f"a lane of {town.net.name} is as steep as {grade:.2f}; expected at most {STEEPEST}: {grade_cure(town)}"
+            f"a lane of {town.net.name} has a grade of {grade:.2f}; expected at most {STEEPEST}: {grade_cure(town)}"
         )
     return tuple(lines)
 
@@ -74,7 +75,7 @@ def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str,
     changes = changes_of(town)
     notes = [f"changed since the import: {name}" for name in changes.others]
     for name in changes.net:
-        again = f"; traffic takes new ways when it is routed again: {routes_cure(town)}" if town.routes else ""
+        again = f"; to route the traffic over the new net, {routes_cure(town)}" if town.routes else ""
         notes.append(f"changed since the import: {name}{again}")
     if over:
         notes.append(_overlap(town, over))
@@ -87,13 +88,13 @@ def projection_faults(town: Town, net: Net) -> tuple[str, ...]:
     """Nets whose coordinates are no metres."""
     points_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
     size_m = np.ptp(points_m, axis=0)
-    told = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m large"
+    told = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
     if size_m.max() > LARGEST_M:
         return (f"{told}, so its projection is wrong; {_PROJECT}",)
     drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for edge in net.edges for lane in edge.lanes)
     noted_m = sum(lane.length_m for edge in net.edges for lane in edge.lanes if lane.kind is not LaneKind.WALKINGAREA)
     if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
-        return (f"{told}, so its coordinates are degrees or in another unit; {_PROJECT}",)
+        return (f"{told}, so its coordinates are in degrees or another unit; {_PROJECT}",)
     return ()
 
 
@@ -108,10 +109,10 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
     things_m = [item.points_W_m for item in read_items(files, town.file.origin_m, net)]
     if not things_m or any(((low_m <= at) & (at <= high_m)).all(axis=1).any() for at in things_m):
         return []
-    told = f"none of the {len(things_m)} things of {poly.name} lies at the streets, so it was made for another net; "
+    told = f"none of the {len(things_m)} objects of {poly.name} is near the streets, so it belongs to another net; "
     if town.file.rebuild:
-        return [told + again_cure(town, "build it for this one", town.file.rebuild)]
-    return [f"{told}build it of its map again, with polyconvert's option --net-file {town.net.name}"]
+        return [told + again_cure(town, "build it for this net", town.file.rebuild)]
+    return [f"{told}build it from its map again, with polyconvert's option --net-file {town.net.name}"]
 
 
 def _polygons(town: Town) -> Path | None:
@@ -134,12 +135,14 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     if not found.walkingareas:
         paved = paved_streets(net)
         has = f"has pavements beside {paved} streets, but" if paved else "has"
-        return [f"the net {has} no walking areas{' to join them' if paved else ''}, so nobody can walk; {paving()}"]
+        return [
+            f"the net {has} no walking areas{' to join them' if paved else ''}, so pedestrians cannot walk; {paving()}"
+        ]
     lines = []
     if _lacks_crossings(net, found):
-        lines.append(f"the net has no crossings, so nobody can cross a street; {paving()}")
+        lines.append(f"the net has no crossings, so pedestrians cannot cross a street; {paving()}")
     if found.walkable_largest_share < _ENOUGH_SHARE:
-        share = f"{found.walkable_largest_share:.1%} of the walkable ground hangs together"
+        share = f"{found.walkable_largest_share:.1%} of the walkable area is connected"
         cure = larger_cure(town) if imported else f"join the parts: {netedit_cure(town)}"
         lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
@@ -160,7 +163,7 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
     """Which parts of the walkable ground nobody can walk to."""
     told = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:_TOLD_PARTS])
     more = f" and {len(cut_off) - _TOLD_PARTS} more" if len(cut_off) > _TOLD_PARTS else ""
-    return f"cut off are the parts around {told}{more}; " if told else ""
+    return f"cut off: the parts around {told}{more}; " if told else ""
 
 
 def _demand(town: Town, net: Net, found: Findings) -> list[str]:
@@ -171,18 +174,20 @@ def _demand(town: Town, net: Net, found: Findings) -> list[str]:
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
-            cure = again_cure(town, "add some", shlex.join(words))
-        lines.append(f"nobody walks in this town: its demand has no persons on foot; {cure}")
+            cure = again_cure(town, "add them", shlex.join(words))
+        lines.append(f"the demand has no pedestrians; {cure}")
     if found.unroutable:
-        lines.append(f"{found.unroutable} trips have no way through the net; to drop or mend them, {routes_cure(town)}")
+        lines.append(
+            f"{found.unroutable} trips have no route through the net; to drop or repair them, {routes_cure(town)}"
+        )
     return lines
 
 
 def _overlap(town: Town, over: tuple[Overlap, ...]) -> str:
     total_m2, worst = sum(item.area_m2 for item in over), over[0]
     return (
-        f"{total_m2:.0f} m2 of pavement lie under the carriageway of another street, without a junction (each place of "
-        f"more than {LEAST_M2:g} m2 counts): walkers and cars of SUMO do not see each other there; the largest is "
-        f"edge {worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
+        f"{total_m2:.0f} m2 of pavement overlap the carriageway of another street without a junction (places of more "
+        f"than {LEAST_M2:g} m2): SUMO's pedestrians and cars do not see each other there; the largest: edge "
+        f"{worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
         f"{netedit_cure(town)}"
     )

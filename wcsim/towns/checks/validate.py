@@ -75,8 +75,8 @@ def require_pavement(street: Street, town: Town) -> None:
     """Raise TownError with the command that cures it when a town has nothing that a wheelchair can drive on."""
     if not street.walk.edges:
         raise TownError(
-            f"{town.net}: has no pavement, walking area or crossing, so no wheelchair can drive there (its traffic "
-            f"alone runs: {traffic_alone(town)}); {pave_cure(town)}"
+            f"{town.net}: has no pavement, walking area or crossing, so a wheelchair cannot drive there (without "
+            f"wheelchairs it runs: {traffic_alone(town)}); {pave_cure(town)}"
         )
 
 
@@ -101,13 +101,13 @@ def _refuse_degrees(root: Element, edges: list[Element], where: str) -> None:
     apart_m = _span_m([[node.get("x", "0"), node.get("y", "0")] for node in nodes]) or span_m
     if len(edges) > 1 and 0.0 < min(apart_m, span_m) < _SMALLEST_M:
         raise TownError(
-            f"{where}: reaches over {min(apart_m, span_m):.4f} m only; its coordinates look like degrees, expected "
-            "metres: build it again of the same files, with netconvert's option --proj.utm"
+            f"{where}: is only {min(apart_m, span_m):.4f} m across; its coordinates look like degrees; expected "
+            "metres: build it again from the same files, with netconvert's option --proj.utm"
         )
     if span_m > LARGEST_M:
         raise TownError(
-            f"{where}: reaches over {span_m / 1e3:.0f} km; expected at most {LARGEST_M / 1e3:.0f} km: build it "
-            "again of the same files, with netconvert's option --proj.utm"
+            f"{where}: is {span_m / 1e3:.0f} km across; expected at most {LARGEST_M / 1e3:.0f} km: build it "
+            "again from the same files, with netconvert's option --proj.utm"
         )
 
 
@@ -126,7 +126,7 @@ def _refuse_stretched(edges: list[Element], where: str) -> None:
         if drawn_m > max(_STRETCHED_M, _STRETCHED * float(lane.get("length") or 0.0)):
             raise TownError(
                 f"{where}: lane {lane.get('id')!r} is {lane.get('length')} m long and drawn over {drawn_m:.0f} m; "
-                "expected about the same: build it again with netconvert"
+                "expected similar lengths: build it again with netconvert"
             )
 
 
@@ -138,7 +138,7 @@ def _refuse_sprawling(root: Element, where: str) -> None:
         reach_m = max((math.dist(places[0], place) for place in places), default=0.0)
         if reach_m > _STRETCHED_M:
             raise TownError(
-                f"{where}: junction {junction.get('id')!r} reaches over {reach_m:.0f} m; expected at most "
+                f"{where}: junction {junction.get('id')!r} is {reach_m:.0f} m across; expected at most "
                 f"{_STRETCHED_M:.0f} m: build it again with netconvert"
             )
 

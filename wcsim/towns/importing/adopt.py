@@ -42,13 +42,13 @@ def adopt_scenario(
         TownError: a file is missing, broken, elsewhere, or of no kind of SUMO's, or `out` is in the way.
     """
     if not sumocfg.is_file():
-        raise TownError(f"{sumocfg}: there is no such file; expected somebody's .sumocfg")
+        raise TownError(f"{sumocfg}: there is no such file; expected a .sumocfg")
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
         raise TownError(f"town name {name!r}: expected 1 to 64 letters, digits, - or _")
     if name in NOT_TOWNS:
-        raise TownError(f"a town cannot be named {name!r}, for that is no town's folder; choose another name")
+        raise TownError(f"a town cannot be named {name!r}: that folder is reserved; choose another name")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise TownError(f"{out} is there already; remove it, or choose another place")
+        raise TownError(f"{out} already exists; remove it, or choose another folder")
     start = Path(os.path.normpath(sumocfg.absolute()))
     config = read_configuration(start)
     border = None if outside else start.parent
@@ -115,7 +115,7 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
             if item.option.treatment is Treatment.INPUT and item.value:
                 if item.option.reads is not Content.XML and not item.option.name.endswith("input-file"):
                     raise TownError(
-                        f"{config.path}: sets <{item.option.name}>, which no copy can hold; remove that option"
+                        f"{config.path}: sets <{item.option.name}>, which cannot be copied; remove that option"
                     )
                 for path in item.files(config.path.parent):
                     met.place_option(item.option, path, config.path)
@@ -133,7 +133,7 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
 def _net_of(config: Configuration, border: Path | None) -> Path:
     nets = config.files("net-file")
     if len(nets) != 1:
-        raise TownError(f"{config.path}: expected one <net-file value=...> that is there, got {_listed(nets)}")
+        raise TownError(f"{config.path}: expected one <net-file value=...> that exists, got {_listed(nets)}")
     require_file(nets[0], border, config.path)
     return nets[0]
 
@@ -144,7 +144,7 @@ def _town_toml(config: Configuration, name: str, told: tuple[str, str], sumocfg:
         name=name,
         split=split,
         origin_m=net_middle(_net_of(config, None)),
-        source=source or f"scenario {config.path.name} of somebody else; ask its author for the licence",
+        source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
         hashes=hashes,
     )
     return text.replace("\nsource = ", f"\nsumocfg = {_toml(sumocfg)}\nsource = ", 1)

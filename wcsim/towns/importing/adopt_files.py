@@ -67,7 +67,9 @@ def require_kind(path: Path, *, text: bool) -> None:
     if not text:
         _require_root(path)
     elif not all(line.startswith(_SELECTED) for line in read_text(path, _SELECTION).split()):
-        raise TownError(f"{path}: is no list of edges; expected lines as edge:ID: remove it, or correct its lines")
+        raise TownError(
+            f"{path}: is not a list of edges; expected lines such as edge:ID: remove it, or correct its lines"
+        )
 
 
 def _require_root(path: Path) -> None:
@@ -76,7 +78,7 @@ def _require_root(path: Path) -> None:
     scan(read_bytes(path, MAX_XML_BYTES), str(path), lambda tag, _: tags.append(tag) if not tags else None)
     if tags[0].rpartition(":")[2] not in ROOTS:
         raise TownError(
-            f"{path}: begins with <{tags[0][:40]}>, as no file of SUMO's does; expected routes, additional, ..."
+            f"{path}: begins with <{tags[0][:40]}>, which is no SUMO file; expected routes, additional, ..."
         )
 
 

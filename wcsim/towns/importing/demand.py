@@ -101,7 +101,7 @@ def check_rates(per_hour: Mapping[str, float]) -> None:
     """Raise TownError unless these are departures an hour of classes that towns know."""
     for vclass, rate in per_hour.items():
         if vclass not in CLASSES:
-            raise TownError(f"no traffic is known of class {vclass!r}; expected some of: {', '.join(CLASSES)}")
+            raise TownError(f"unknown traffic class {vclass!r}; expected some of: {', '.join(CLASSES)}")
         if not 0.0 <= rate <= _MOST_PER_HOUR:
             raise TownError(f"{rate} departures an hour of class {vclass}; expected 0 to {_MOST_PER_HOUR}")
 

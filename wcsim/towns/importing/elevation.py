@@ -216,8 +216,8 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     known = float(np.isfinite(height_m).mean())
     if known < 0.5:
         raise TownError(
-            f"--dem {path}: knows the heights of {known:.0%} of the area; it covers {_told(place)} and the town needs "
-            f"{_told(area)}: give one that covers the town"
+            f"--dem {path}: has heights for {known:.0%} of the area; it covers {_told(place)}, the town needs "
+            f"{_told(area)}: use a file that covers the town"
         )
     return Dem(height_m=_filled(height_m), box=area)
 
@@ -230,7 +230,7 @@ def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
         )
     height_m = file.read(1).astype(np.float64)
     if not (np.abs(height_m) < _HIGHEST_M).all():
-        raise TownError(f"--dem {path}: holds heights that are none; {_WANTED}")
+        raise TownError(f"--dem {path}: holds heights that are not numbers; {_WANTED}")
     return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
 
 

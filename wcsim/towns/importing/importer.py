@@ -138,7 +138,7 @@ def _build(
     built = build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
     left_out = left_out_of(mapped, built.ways)
-    stage("buildings, trees, parked cars and ways of the traffic")
+    stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:
         write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
@@ -150,7 +150,7 @@ def _build(
         path.unlink()
     _write_folder(order, extract, work, (*parking.areas, *marks.elements))
     _write_manifest(order, side, work, built, extract.box)
-    stage("building the street, and trying the traffic")
+    stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
         demand = pool.submit(_write_demand, order, work, built, ways, parking)
         if meanwhile is not None:
@@ -185,19 +185,19 @@ def _counts(
     net: Net, crossings_mapped: int, stops_mapped: int, marks: MapMarks, parking: Parking
 ) -> tuple[str, str, str]:
     crossings = (
-        f"the map has {crossings_mapped} crossings and the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
-        f"guessed; {marks.unpainted} have no paint, for they are guessed or unmarked, and not at a signal"
+        f"the map has {crossings_mapped} crossings, the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
+        f"guessed; {marks.unpainted} are unpainted (guessed or unmarked, and without a signal)"
     )
     stops = (
-        f"the map has {stops_mapped} bus stops and SUMO {marks.stops}: only those beside a lane of buses "
-        "(bus stations are service ways: --keep-service)"
+        f"the map has {stops_mapped} bus stops, the town {marks.stops}: only those beside a lane open to buses "
+        "(bus stations need --keep-service)"
     )
-    parked = f"{len(parking.vehicles)} of the vehicles are parked and never drive"
+    parked = f"{len(parking.vehicles)} parked cars never drive"
     return crossings, stops if stops_mapped or marks.stops else "", parked if parking.vehicles else ""
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
-    told = f"the extract names no bounds, so it was taken at {_size(extract.box)}, as by {bbox_option(extract.box)}"
+    told = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {bbox_option(extract.box)}"
     return () if extract.bounded else (told,)
 
 
@@ -211,9 +211,9 @@ def _notes(order: ImportOrder, built: BuiltNet, ways: tuple[Way, ...]) -> tuple[
     found = []
     if built.bridges:
         names = ", ".join(built.bridges[:8]) + " and more" * (len(built.bridges) > 8)
-        found.append(f"bridges over other streets left out, for the town has one level: {names}")
+        found.append(f"left out: bridges over other streets, because a town has one level: {names}")
     idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
-    found += [f"no traffic of class {vclass}: no street or track of this town is open to it" for vclass in idle]
+    found += [f"no traffic of class {vclass}: no street or track of this town allows it" for vclass in idle]
     return tuple(found)
 
 

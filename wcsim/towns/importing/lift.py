@@ -76,7 +76,7 @@ def _gentle(dem: Dem, relief: Heights, steepest: Callable[[Dem], float]) -> Dem:
         grade = steepest(land)
         if grade <= relief.max_grade:
             return land
-    log.warning("the land is as steep as %.2f; its heights were lowered to what streets may have", grade)
+    log.warning("the land has grades up to %.2f; its heights were scaled down to the largest grade", grade)
     return scaled(land, 0.99 * relief.max_grade / grade)
 
 
@@ -100,9 +100,7 @@ def _places(root: Element, points_m: F64, path: Path) -> F64:
     location = root.find("location")
     projection = location.get("projParameter", "!") if location is not None else "!"
     if location is None or not projection.startswith("+proj"):
-        raise TownError(
-            f"{path.name}: does not say where on the globe it lies; expected a net made of OpenStreetMap data"
-        )
+        raise TownError(f"{path.name}: has no geographic projection; expected a net made from OpenStreetMap data")
     offset_m = np.array(location.attrib["netOffset"].split(","), np.float64)
     x_m, y_m = (points_m - offset_m).T
     with own_projections():

@@ -22,7 +22,7 @@ def check_words(name: str, split: str) -> None:
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
         raise TownError(f"a town cannot be named {name!r}; expected letters, digits, - and _")
     if name in NOT_TOWNS:
-        raise TownError(f"a town cannot be named {name!r}, for that is no town's folder; choose another name")
+        raise TownError(f"a town cannot be named {name!r}: that folder is reserved; choose another name")
     if split not in ("train", "test"):
         raise TownError(f"unknown split {split!r} of town {name}; expected train or test")
 
@@ -30,14 +30,14 @@ def check_words(name: str, split: str) -> None:
 def check_place(out: Path, *, overwrite: bool) -> None:
     """Raise TownError when a folder holds something else than a town, or a town that somebody has worked on."""
     if out.exists() and not out.is_dir():
-        raise TownError(f"{out} is a file; give another folder, or remove it")
+        raise TownError(f"{out} is a file; choose another folder, or remove it")
     if out.is_dir() and any(out.iterdir()) and not (out / "town.toml").is_file():
-        raise TownError(f"{out} is not empty and not a town; give another folder, or empty it")
+        raise TownError(f"{out} is not empty and not a town; choose another folder, or empty it")
     work = own_work(out) if (out / "town.toml").is_file() and not overwrite else ()
     if work:
         raise TownError(
-            f"{out} holds what was changed or added since it was made: {', '.join(work[:5])}"
-            f"{' and more' * (len(work) > 5)}; choose another name or --out, or give --replace: all that is lost then"
+            f"{out} contains files that were changed or added later: {', '.join(work[:5])}"
+            f"{' and more' * (len(work) > 5)}; choose another name or --out, or use --replace, which discards them"
         )
 
 

@@ -64,18 +64,18 @@ def make_town(
     overwrite: bool = False,
     stage: Stage = lambda told: None,
 ) -> Town:
-    """Make a town, replacing a made one that is there if nobody has worked on it.
+    """Generate a town from a seed; it replaces a generated town in the folder that was not edited.
 
     Args:
-        folder: Where the town is to be.
-        seed: Of everything in it, 0 to MOST_SEED.
-        wishes: What is not left to the seed.
+        folder: Folder of the town.
+        seed: Seed of the whole town, 0 to MOST_SEED.
+        wishes: Properties that the seed does not choose.
         name: The town's name; by default that of its folder.
-        overwrite: Replace a town that was imported, or that somebody has worked on, too.
-        stage: Called with what begins now, before anything that takes long.
+        overwrite: Also replace an imported or edited town.
+        stage: Called with the name of each stage when it begins.
 
     Raises:
-        TownError: seed, name or wishes cannot be used, or the folder holds something else or somebody's work.
+        TownError: seed, name or wishes cannot be used, or the folder holds something else or an edited town.
         SumoError: one of SUMO's tools failed.
     """
     wishes = wishes or Wishes()
@@ -87,9 +87,9 @@ def make_town(
     if not overwrite:
         _check_made(out)
     with workplace(name, out) as work:
-        stage("drawing streets")
+        stage("drawing the streets")
         ground = _ground(name, seed, wishes, work)
-        stage("buildings, furniture, parked cars and ways of the traffic")
+        stage("adding buildings, furniture, parked cars and routes")
         _fill(name, seed, wishes, ground, work, stage)
         move_in_place(work, out)
     return open_town(folder if (folder / f"{name}.sumocfg").is_file() else out)
@@ -99,7 +99,7 @@ def _check_made(out: Path) -> None:
     """Raise TownError when a folder holds a town that was imported."""
     if (out / "town.toml").is_file() and "town make" not in read_town_file(out / "town.toml").rebuild:
         raise TownError(
-            f"{out} holds a town made of a map; choose another name or --out, or give --replace: it is lost then"
+            f"{out} contains an imported town; choose another name or --out, or use --replace, which deletes it"
         )
 
 
@@ -120,8 +120,8 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
         if share >= _GOOD_SHARE and len(net.lanes(LaneKind.CROSSING)) >= _LEAST_CROSSINGS:
             return _Ground(net=_lifted(path, seed, wishes), path=path, kind=kind)
     raise TownError(
-        f"town {name}: no {kind} streets of {wishes.size_m:g} m that hang together were found in {_ATTEMPTS} attempts; "
-        "take another seed, or a larger size"
+        f"town {name}: no connected {kind} streets of {wishes.size_m:g} m were found in {_ATTEMPTS} attempts; "
+        "use another seed, or a larger size"
     )
 
 
@@ -151,7 +151,7 @@ def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, sta
         write_gzip(work / f"{name}.{kind}.xml.gz", without_comments(source.read_bytes()))
         source.unlink()
     marks_path.unlink()
-    stage("trying the traffic")
+    stage("testing the traffic")
     write_tried(work / f"{name}.sumocfg", ways, lambda some: _flows(ground.net, some, seed, wishes, parking))
     text = town_toml_text(
         name=name,

@@ -66,7 +66,7 @@ def write_net(
     for path in (nodes, edges):
         path.unlink()
     if run.returncode:
-        raise SumoError(f"no net could be built: {run.reason()}; take another seed or size")
+        raise SumoError(f"no net could be built: {run.reason()}; use another seed or size")
     return folder / f"{name}.net.xml"
 
 

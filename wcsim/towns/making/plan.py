@@ -60,7 +60,7 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
         _LIMITS,
     )
     if run.returncode:
-        raise SumoError(f"no streets could be drawn: {run.reason()}; take another seed or size")
+        raise SumoError(f"no streets could be drawn: {run.reason()}; use another seed or size")
     plan = _read(folder)
     for path in folder.glob("plan.*"):
         path.unlink()

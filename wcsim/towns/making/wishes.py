@@ -1,4 +1,4 @@
-"""What of a made town is not left to its seed, and which seeds and wishes there are."""
+"""Properties of a generated town that the seed does not choose, and their limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_TRAFFIC = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wishes:
-    """What of a town is not left to its seed."""
+    """Properties of a generated town that the seed does not choose."""
 
     size_m: float = 700.0  # about, from edge to edge
     kind: str = ""  # of the streets, one of KINDS; "": the seed's choice
@@ -26,7 +26,7 @@ class Wishes:
 
 
 def check_wishes(seed: int, wishes: Wishes) -> None:
-    """Raise TownError for a seed that is none, or a wish that cannot be granted."""
+    """Raise TownError for a seed that is none, or a property out of its limits."""
     if not 0 <= seed <= MOST_SEED:
         raise TownError(f"seed {seed}; expected 0 to {MOST_SEED}")
     if not SIZES_M[0] <= wishes.size_m <= SIZES_M[1]:

@@ -22,8 +22,8 @@ def check_box(box: Box) -> None:
     wide_m, high_m = size_m(box)
     if max(wide_m, high_m) > LONGEST_M:
         raise TownError(
-            f"the bounding box is {wide_m / 1e3:.0f} x {high_m / 1e3:.0f} km large; expected at most "
-            f"{LONGEST_M / 1e3:.0f} km each way: choose a part of it, as its middle: {bbox_option(_core(box))}"
+            f"the bounding box is {wide_m / 1e3:.0f} x {high_m / 1e3:.0f} km; expected at most "
+            f"{LONGEST_M / 1e3:.0f} km each way: choose a part of it, such as its middle: {bbox_option(_core(box))}"
         )
 
 

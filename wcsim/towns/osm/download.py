@@ -13,7 +13,7 @@ from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES
 
 WAIT_S = 120.0
-_CURE = "try again later or with another --url, or download the area by hand and give it with --osm FILE"
+_CURE = "try again later or with another --url, or download the area by hand and pass it with --osm FILE"
 
 
 def download(box: Box, folder: Path, url: str = "", wait_s: float = WAIT_S) -> Path:
@@ -23,7 +23,7 @@ def download(box: Box, folder: Path, url: str = "", wait_s: float = WAIT_S) -> P
     """
     check_box(box)
     if url and (urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).netloc):
-        raise TownError(f"--url {url!r} is no address of a server; expected http://... or https://...")
+        raise TownError(f"--url {url!r} is not a server address; expected http://... or https://...")
     home = sumo_home()
     words = [str(home / "tools" / "osmGet.py"), f"--bbox={','.join(map(repr, box))}", "--prefix", "area"]
     words += ["--output-dir", str(folder), "--retries", "1", "--retry-delay", "1"]

@@ -60,7 +60,7 @@ def side_at(longitude_deg: float, latitude_deg: float) -> Side:
     known = zone is not None and not zone.startswith("Etc/")  # those lie at sea
     if zone == _SHARED and _in_vietnam(longitude_deg, latitude_deg):
         return Side(lefthand=False, why=f"Vietnam, in time zone {zone}")
-    return Side(lefthand=zone in _LEFT, why=f"time zone {zone}" if known else "no country is known there")
+    return Side(lefthand=zone in _LEFT, why=f"time zone {zone}" if known else "country unknown")
 
 
 def _in_vietnam(longitude_deg: float, latitude_deg: float) -> bool:

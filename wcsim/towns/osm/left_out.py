@@ -117,7 +117,7 @@ def _why_by_tags(tags: dict[str, str]) -> str:
     if tags["highway"] == "steps":
         return "steps"
     if tags.get("area") == "yes" or tags.get("type") == "multipolygon":
-        return "an area, which is open ground" if tags["highway"] == "pedestrian" else "an area"
+        return "an open area" if tags["highway"] == "pedestrian" else "an area"
     return "closed to the public" if tags.get("foot", tags.get("access")) in _CLOSED else ""
 
 
@@ -163,7 +163,7 @@ def _why(way: MapWay, made: NetWays, rest: frozenset[str]) -> str:
     if way.why or way.id in made.bridges:
         return way.why or "a bridge over another street"
     if way.id in made.drawn:
-        return "the net lets no walkers on it"
+        return "closed to pedestrians in the net"
     if way.leaves:
         return "cut by the edge of the box"
     joined = way.id in made.given and way.nodes & rest
@@ -176,9 +176,9 @@ def left_out_notes(found: LeftOut) -> tuple[str, ...]:
     if found.streets_left_out_m >= LEAST_M:
         names = ", ".join(found.names[:TOLD]) + " and more" * (len(found.names) > TOLD)
         notes.append(
-            f"left out are {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and what "
-            f"hangs together with the rest only outside of the box{' (' + names + ')' if names else ''}; a larger "
-            "--bbox, or --keep-service, may join them"
+            f"left out: {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and streets "
+            f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox or "
+            "--keep-service may connect them"
         )
     if lost := found.footways:
         told = ", ".join(
@@ -187,8 +187,8 @@ def left_out_notes(found: LeftOut) -> tuple[str, ...]:
         more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
         more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
         notes.append(
-            f"left out are {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of ways on foot in the box, by "
-            f"the map's ids: {told}{more}"
+            f"left out: {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of footways in the box, by map id: "
+            f"{told}{more}"
         )
     return tuple(notes)
 

@@ -61,7 +61,7 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
     streets = _streets(root)
     cover = _cover(places, streets)
     if cover is None:
-        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it; {EXPECTED}, of an area with some")
+        raise TownError(f"{path}: is not an OpenStreetMap extract with streets in it; {EXPECTED}, with streets")
     named = box or _bounds(root)
     try:
         box = named or cover
@@ -72,7 +72,7 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
     if not _streets(root):
         told = ",".join(f"{value:.5f}" for value in cover)
         raise TownError(
-            f"{path}: no street lies in the bounding box {box}; its streets lie in {told}: give a box there"
+            f"{path}: no street lies in the bounding box {box}; its streets are in {told}: choose a box there"
         )
     return Extract(root=root, box=box, bounded=named is not None)
 
@@ -133,7 +133,7 @@ def _require_tags(path: Path) -> None:
         while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
             if b">" not in part or b"\0" in part:
                 raise TownError(
-                    f"{shown(path)}: is no XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
+                    f"{shown(path)}: is not XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
                 )
 
 
@@ -144,7 +144,7 @@ def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
         words = ["-m", "wcsim.towns.osm.cut", str(path.resolve()), file_format, str(out), *place]
         run = run_child("osmium", [sys.executable, *words], Path(folder), os.environ, _LIMITS)
         if run.returncode:
-            cure = "" if box is not None else "; a large one needs --bbox W,S,E,N"
+            cure = "" if box is not None else "; a large extract needs --bbox W,S,E,N"
             raise TownError(f"{path}: cannot be read as an extract ({run.reason()}); {EXPECTED}{cure}")
         return out.read_bytes()
 

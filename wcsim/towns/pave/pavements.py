@@ -68,11 +68,11 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         SumoError: netconvert failed.
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise TownError(f"{out} is there already; remove it, or choose another place")
+        raise TownError(f"{out} already exists; remove it, or choose another folder")
     net = read_net(town.net, town.file.origin_m)
     if net.lanes(LaneKind.CROSSING):
         raise TownError(
-            f"{town.net}: has pavements and crossings already, and more would break them; join what is cut off: "
+            f"{town.net}: has pavements and crossings already, and more would break them; connect the parts: "
             f"{netedit_cure(town)}"
         )
     config = read_configuration(town.sumocfg)
@@ -133,23 +133,23 @@ def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str
     if fast:
         other = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
         notes.append(
-            f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; pave them "
-            f"too, into another folder: {pave_command(town, other, max(fast))}"
+            f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; to include "
+            f"them, in another folder: {pave_command(town, other, max(fast))}"
         )
     if not any(edge.function == "internal" for edge in net.edges):
-        notes.append("lanes within junctions were added, which crossings need: vehicles jumped over junctions before")
+        notes.append(
+            "lanes inside junctions were added, because crossings need them; vehicles no longer jump over junctions"
+        )
     return tuple(notes)
 
 
 def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
     told, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
     if slowest_mps is None:
-        return f"{told}it has none that cars use; choose another scenario"
+        return f"{told}none is open to cars; choose another scenario"
     if slowest_mps <= fastest_mps:
         return f"{told}netconvert guessed none; draw them in netedit"
-    return (
-        f"{told}they are faster than {fastest_mps:g} m/s; take faster ones too: {pave_command(town, out, slowest_mps)}"
-    )
+    return f"{told}all are faster than {fastest_mps:g} m/s; to include them: {pave_command(town, out, slowest_mps)}"
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
@@ -198,13 +198,13 @@ def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
     if paving.parking:
         names = ", ".join(paving.parking[:TOLD]) + " and more" * (len(paving.parking) > TOLD)
         notes.append(
-            f"parking areas beside a lane lie on its new pavement: {names}; move them in netedit where chairs must pass"
+            f"parking areas on the new pavement of their lane: {names}; if wheelchairs must pass, move them in netedit"
         )
-    notes += _never_green(paving, f"give them a phase in netedit, or {signals_cure(net)}", in_net=True)
-    notes += _never_green(paving, "give them a phase there", in_net=False)
+    notes += _never_green(paving, f"add a phase in netedit, or {signals_cure(net)}", in_net=True)
+    notes += _never_green(paving, "add a phase there", in_net=False)
     if paving.lost:
         names = ", ".join(paving.lost[:TOLD]) + " and more" * (len(paving.lost) > TOLD)
-        notes.append(f"lanes within junctions that are not there any more: {names}; what names them must be moved")
+        notes.append(f"lanes inside junctions that no longer exist: {names}; correct the elements that name them")
     return tuple(notes)
 
 
@@ -220,9 +220,9 @@ def _never_green(paving: Paving, cure: str, *, in_net: bool) -> list[str]:
     found = dict.fromkeys(f"over {item.edge} at {item.signal}" for item in items)
     told = ", ".join(list(found)[:TOLD]) + " and more" * (len(found) > TOLD)
     place = "the net" if in_net else "an additional file"
-    why = "for cars may come over them in each of its phases"
-    why += " (of which a NEMA controller shows two at once)" if any(item.rings for item in items) else ""
-    return [f"crossings that their signal's program in {place} never gives green, {why}: {told}; {cure}"]
+    why = "cars may drive over them in every phase of the signal program"
+    why += " (a NEMA controller shows two phases at once)" if any(item.rings for item in items) else ""
+    return [f"these crossings never get green: {why} in {place}: {told}; {cure}"]
 
 
 def _copy_town_toml(town: Town, work: Path, base: Path) -> None:

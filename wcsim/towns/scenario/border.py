@@ -24,10 +24,10 @@ def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
         if border is None or real.is_relative_to(os.path.realpath(border)):
             return
     except ValueError as error:  # NUL in the path
-        raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct that name") from None
+        raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct the name") from None
     raise TownError(
-        f"{shown(named_by)}: names {shown(path)}, which lies outside of its folder {shown(border)}; move it there and "
-        f"correct the name, or trust the scenario with files elsewhere: {_trust(named_by)}"
+        f"{shown(named_by)}: names {shown(path)}, which is outside of its folder {shown(border)}; move it there and "
+        f"correct the name, or permit files elsewhere: {_trust(named_by)}"
     )
 
 
@@ -48,7 +48,7 @@ def require_file(path: Path, border: Path | None, named_by: Path) -> None:
     require_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
-            f"{shown(named_by)}: names a file that is not there: {shown(path)}; restore it or correct "
+            f"{shown(named_by)}: names a file that does not exist: {shown(path)}; restore it or correct "
             f"{shown(named_by.name)}"
         )
     if "," in str(path):

@@ -61,51 +61,51 @@ RULES = (
     Rule(
         option=_ACTION_STEP,
         says="kept, unless `world.action_step_s` is set",
-        why="the run says how often drivers decide",
+        why="the run sets how often drivers decide",
     ),
-    Rule(option="seed", says="drawn from `--seed`", why="one seed for all that chance decides"),
+    Rule(option="seed", says="drawn from `--seed`", why="one seed for all random draws"),
     Rule(option="random", says="false", value="false", why="equal seeds give equal traffic"),
     Rule(
         option="scale",
-        says="the author's times `world.demand_scale`; kept while that is 1",
-        why="the run asks for more or less traffic",
+        says="the scenario's value times `world.demand_scale`; kept while that is 1",
+        why="the run sets the amount of traffic",
     ),
     Rule(
         option="time-to-teleport",
         says="kept, unless `world.jam_teleport_s` is set",
-        why="the run says when a jam ends",
+        why="the run sets when a jam ends",
     ),
     Rule(
         option="pedestrian.model",
-        says=f"kept; the people of `{JUMPING}` jump from street to street and stop for no wheelchair",
-        why="SUMO walks them",
+        says=f"kept; with `{JUMPING}` pedestrians jump between streets and ignore wheelchairs",
+        why="SUMO moves pedestrians",
     ),
-    Rule(option="no-step-log", says="true", value="true", why="the console is wcsim's"),
-    Rule(option="no-warnings", says="true", value="true", why="the console is wcsim's"),
-    Rule(option="duration-log.disable", says="true", value="true", why="the console is wcsim's"),
-    Rule(option="xml-validation", says="never", value="never", why="no schema from the network"),
-    Rule(option="xml-validation.net", says="never", value="never", why="no schema from the network"),
-    Rule(option="xml-validation.routes", says="never", value="never", why="no schema from the network"),
+    Rule(option="no-step-log", says="true", value="true", why="wcsim writes to the console"),
+    Rule(option="no-warnings", says="true", value="true", why="wcsim writes to the console"),
+    Rule(option="duration-log.disable", says="true", value="true", why="wcsim writes to the console"),
+    Rule(option="xml-validation", says="never", value="never", why="no schema is downloaded"),
+    Rule(option="xml-validation.net", says="never", value="never", why="no schema is downloaded"),
+    Rule(option="xml-validation.routes", says="never", value="never", why="no schema is downloaded"),
 )
 _FIXED = tuple((rule.option, rule.value) for rule in RULES if rule.value)
 _WHY = {rule.option: rule.why for rule in RULES}
 _FASTER = (
-    "; traffic that was calibrated with longer steps drives 10 to 20 % faster in these: world.action_step_s, 0.5 to "
-    "0.7 of its author's step, brings it near to what it was"
+    "; traffic that was calibrated for longer steps drives 10 to 20 % faster; to correct it, set world.action_step_s "
+    "to 0.5 to 0.7 of the scenario's step"
 )
-END_WHY = "kept for flows that have no end of their own; the run itself decides when it stops"
-OUTPUT_WHY = "into the run folder only"
+END_WHY = "flows without an end of their own need it; the run decides when it stops"
+OUTPUT_WHY = "outputs go to the run folder only"
 DROP_WHY = {
     "configuration": "a run writes no configurations",
     "gui_only": "there is no window",
-    "traci_server": "no other program steers this simulation",
+    "traci_server": "no other program controls this simulation",
 }
 PREFIX_WHY = "outputs keep their names"
 AGGREGATED = "elechybrid-output.aggregated"
 UNASKED_WHY = {
-    "device.ssm.file": "SUMO's own choice is the current folder",
-    "save-state.prefix": "SUMO's own choice lies beside the configuration",
-    AGGREGATED: "else the ids of vehicles would name files",
+    "device.ssm.file": "SUMO's default is the current folder",
+    "save-state.prefix": "SUMO's default is beside the configuration",
+    AGGREGATED: "otherwise vehicle ids would become file names",
 }
 
 

@@ -133,13 +133,13 @@ def notes_of(config: Configuration) -> tuple[str, ...]:
     notes = []
     if not _positive(config.value("lateral-resolution")):
         notes.append(
-            "the scenario has no sublanes (lateral-resolution), so cars and cyclists pass a wheelchair only by "
-            'changing lanes; set <lateral-resolution value="0.8"/> to let them pass within a lane'
+            "the scenario has no lateral-resolution, so vehicles pass a wheelchair only by changing lanes; to let "
+            'them pass within a lane, set <lateral-resolution value="0.8"/>'
         )
     if config.value("pedestrian.model") == JUMPING:
         notes.append(
-            f"people of pedestrian.model {JUMPING} jump from street to street and stop for no wheelchair; "
-            'set <pedestrian.model value="striping"/> to let them walk round it'
+            f"with pedestrian.model {JUMPING} pedestrians jump between streets and ignore wheelchairs; "
+            'to let them walk round it, set <pedestrian.model value="striping"/>'
         )
     return tuple(notes)
 
@@ -147,7 +147,7 @@ def notes_of(config: Configuration) -> tuple[str, ...]:
 def _refuse_mesoscopic(config: Configuration) -> None:
     """Raise TownError for a scenario whose vehicles have no positions."""
     if is_true(config.value("mesosim") or "false"):
-        raise TownError(f"{config.path}: is mesoscopic (mesosim), where vehicles have no positions; remove that option")
+        raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
 
 
 def seconds_of(text: str, where: Path) -> float:
@@ -169,7 +169,7 @@ def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise TownError(f"{folder}: cannot be made ({error.strerror}); choose another place for the run") from None
+        raise TownError(f"{folder}: cannot be created ({error.strerror}); choose another run folder") from None
 
 
 def _stays(item: GivenOption, set_here: dict[str, str]) -> bool:

@@ -69,7 +69,9 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
         TownError: no such town, or its files are missing, broken, or elsewhere.
     """
     if not name_or_path:
-        raise TownError("a town has no name; give one of: " + _known() + ", or a path to a folder with a .sumocfg")
+        raise TownError(
+            "the town name is empty; expected one of: " + _known() + ", or a path to a folder with a .sumocfg"
+        )
     for root in town_roots():
         folder = root / name_or_path
         if re.fullmatch(r"[\w-]+", name_or_path) and name_or_path not in NOT_TOWNS and _is_town(folder):
@@ -128,7 +130,7 @@ def by_name(towns: Iterable[Town]) -> dict[str, Town]:
     for town in towns:
         other = found.setdefault(town.name, town)
         if other.sumocfg.resolve() != town.sumocfg.resolve():
-            raise TownError(f"{other.address} and {town.address} are both named {town.name}; take one after the other")
+            raise TownError(f"{other.address} and {town.address} are both named {town.name}; use one at a time")
     return found
 
 

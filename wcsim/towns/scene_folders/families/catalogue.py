@@ -59,7 +59,7 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
     if seed < 0:
         raise ConfigError(f"seed {seed} cannot be used; expected 0 or more")
     if folder.exists():
-        raise ConfigError(f"{folder} is there already; choose another name, or remove it first")
+        raise ConfigError(f"{folder} already exists; choose another name, or remove it first")
     rng = seeding.generator(seed, "scene", family)
     flipped = bool(rng.integers(2))
     draft = _DRAWN[family](rng)
@@ -73,5 +73,5 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
                 (part / name).write_text(text, encoding="utf-8")
             part.rename(folder)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another place") from None
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from None
     return folder
