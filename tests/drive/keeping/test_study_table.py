@@ -59,8 +59,8 @@ def test_two_participants_who_end_at_the_same_time_lose_no_row(tmp_path: Path, m
     [
         (b"", "has other columns"),
         (b"participant;block;answer\n", "has other columns"),
-        (b"participant,block,answer\n1,a\n", "is no table of 3 columns"),
-        (b"participant,block,answer\n1,a,7", "its last line has no end"),
+        (b"participant,block,answer\n1,a\n", "is not a table with 3 columns"),
+        (b"participant,block,answer\n1,a,7", "its last line is incomplete"),
         (b"\xff\xfe", "not in UTF-8"),
     ],
 )

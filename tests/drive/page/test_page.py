@@ -170,7 +170,7 @@ DEEDS = (
     ([0, 1], [0, 0.5], "slowed"),
     ([0, 1], [-0.5, 0.5], "slowed, turned left"),
     ([0.5, 0.5], [0.75, 0.5], "turned right"),
-    ([0, 0], [0, -0.5], "moved though your stick is at rest"),
+    ([0, 0], [0, -0.5], "moved while your stick was at rest"),
     ([0, 0.5], [0, -0.5], "went back"),
 )
 

@@ -68,8 +68,8 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
         (("monaco", "--study", "assistance", "--participant", "1"), "--study with TOWN"),
         (("--study", "nothing.toml", "--participant", "1"), "there is no such study"),
         (("--study", "assistance", "--participant", "-1"), "expected 1 to 9999"),
-        (("--participant", "1"), "expected --study beside them"),
-        (("monaco", "--suite", "dev", "--seed", "5"), "--seed with --suite dev: its episodes have their own seeds"),
+        (("--participant", "1"), "expected --study with them"),
+        (("monaco", "--suite", "dev", "--seed", "5"), "--seed with --suite dev: episodes have their own seeds"),
     ],
 )
 def test_wrong_words_are_refused_in_a_line(

@@ -42,7 +42,7 @@ def test_a_host_that_is_not_this_machine_is_named_and_not_the_port(host: str) ->
 def test_a_port_that_somebody_has_is_named() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         order = ServeOrder(start=DriveOrder(start=DriveStart()), port=taken.getsockname()[1])
-        with pytest.raises(ConfigError, match=r"choose another --port, 0 takes a free one$"):
+        with pytest.raises(ConfigError, match=r"choose another --port; 0 takes a free one$"):
             serve_drive(order)
 
 

@@ -184,7 +184,7 @@ export class Panel {
   }
 
   lamps(state, before) {
-    if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "no danger seen") && state.warning) this.say("Warning: danger ahead.");
+    if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");
     const told = this.deeds.tell(state, performance.now());
     if (this.lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
     if (told.ended) this.say(`The assistance ${told.ended}.`);
@@ -203,7 +203,7 @@ export class Panel {
     const [least, most] = this.levels;
     const share = this.shareOf(level);
     if (document.activeElement !== by("level")) by("level").value = String(share);
-    const acts = share > 66 ? "acts early" : share < 34 ? "acts late" : "acts at medium range";
+    const acts = share > 66 ? "acts early" : share < 34 ? "acts late" : "medium";
     const text = least > most ? `${acts}: when danger exceeds ${level.toFixed(2)}` : `${acts}: ${level.toFixed(2)}`;
     by("level-text").textContent = text;
     by("level").setAttribute("aria-valuetext", text);

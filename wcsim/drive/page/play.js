@@ -147,7 +147,7 @@ function tellChair(now) {
   grid.move(now.stick, now.commanded);
   const asked = now.stick ? `user: ${words(now.stick)}` : "user: not known";
   put(by("stick-text"), now.commanded ? `${asked} · chair: ${words(now.commanded)}` : asked);
-  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "no danger seen") : "not known");
+  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "none") : "not known");
   const follows = now.stick && now.commanded;
   lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "corrects the stick" : "none") : "not known");
   lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
