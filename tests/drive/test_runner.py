@@ -232,7 +232,7 @@ def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk
 def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> None:
     for _ in range(10):
         desk.turn(0.5, x=0.0, away=True)
-    assert desk.runner.session is not None and "was left" in desk.runner.waiting
+    assert desk.runner.session is not None and "in the background" in desk.runner.waiting
     ticks = desk.runner.session.ticks
     for _ in range(4):
         desk.turn(0.5, x=0.0, away=True)

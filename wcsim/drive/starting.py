@@ -176,9 +176,7 @@ def _block(suite: Suite, start: DriveStart) -> BlockFile:
         raise ConfigError(f"{start.suite} has no block {start.block}; expected 0 to {len(blocks) - 1}")
     seats = len(blocks[start.block].episodes)
     if not 0 <= start.seat < seats:
-        raise ConfigError(
-            f"block {start.block} of {start.suite} has no chair {start.seat}; expected --seat 0 to {seats - 1}"
-        )
+        raise ConfigError(f"block {start.block} of {start.suite} has no chair {start.seat}; expected 0 to {seats - 1}")
     return blocks[start.block]
 
 

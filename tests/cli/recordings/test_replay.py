@@ -130,18 +130,21 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     for words, told in (
         (("empty", "--verify"), ("empty: has no trace and no journal", "run folder")),
         (("empty", "--fcd", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
-        (("nowhere", "--verify"), ("nowhere: is not there", "a trace or a journal")),
-        (("trace", "--verify"), ("trace: is no journal",)),
-        (("notes", "--verify"), ("notes: is no journal",)),
+        (("nowhere", "--verify"), ("nowhere: is not there", "a run folder")),
+        (("trace", "--verify"), ("trace: is neither a journal nor a recorded drive",)),
+        (("notes", "--verify"), ("notes: is neither a journal",)),
         (("notes", "--mcap", "x.mcap"), ("not a trace",)),
         (("trace", "--mcap", "x.bag"), ("expected a file name that ends in .mcap",)),
         (("notes", "--fcd", "x.xml"), ("not a trace",)),
         (("trace", "--fcd", "x.xml", "--hook", "own:Step"), ("--hook is for journals",)),
-        ((journaled, "--page", "--json", "told.json"), ("--json is the result of a comparison", "leave it out with --page")),
+        (
+            (journaled, "--page", "--json", "told.json"),
+            ("--json is the result of a comparison", "leave it out with --page"),
+        ),
         (("trace", journaled, "--first-difference"), ("is a trace and", "expected two of a kind")),
         ((journaled, "--verify", "--epoch", 5), ("no epoch 5", "[0, 1]")),
         ((journaled, "--fcd", "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),
-        ((journaled, "--verify", "--epoch", 1, "--from", 61), ("no tick there",)),
+        ((journaled, "--verify", "--epoch", 1, "--from", 61), ("no tick in that range",)),
     ):
         refused(wcsim("replay", *words), *told)
     assert sorted(Path().iterdir()) == before

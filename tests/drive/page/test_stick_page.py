@@ -26,7 +26,9 @@ def leave(stage: Stage) -> None:
 
 def crash(stage: Stage) -> None:
     stage.state(crash="hit a car")
-    assert stage.text("#live") == stage.text("#big") == "The chair hit a car. You start again a little before that place."
+    assert (
+        stage.text("#live") == stage.text("#big") == "The chair hit a car. You start again a little before that place."
+    )
     stage.state(tick=2)
 
 

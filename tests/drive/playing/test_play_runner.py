@@ -109,7 +109,7 @@ def test_a_film_begins_without_the_marks_of_the_one_before(desk: Desk) -> None:
 
 def test_no_message_of_a_page_ends_the_film(desk: Desk) -> None:
     desk.say("openepisode", policy="\U0001f9bd" * 400, block=0, seat=0, more="x" * 5000)
-    assert "a message of" in desk.said("notice")["told"]
+    assert "a message has" in desk.said("notice")["told"]
     desk.state()
 
 
@@ -118,7 +118,7 @@ def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
     desk = Desk(FilmSource(kind="journal", path=tmp_path / "journal"))
     told = desk.said("notice")
     assert told["kind"] == "bad" and "is not a journal" in told["told"]
-    assert desk.said("busy")["told"] == "There is no more of it."
+    assert desk.said("busy")["told"] == "The recording ends here."
     desk.close()
 
 

@@ -60,7 +60,7 @@ class Options:
     seat: int | None = None
     """For --page: chair to follow."""
     town: str = ""
-    """For --page: town of a trace, if not found: its name, its folder, or a .sumocfg of your own."""
+    """For --page: where a trace was recorded, if not found: a town's name, its folder, or anybody's .sumocfg."""
     port: int = 8080
     """Port of --page; 0 takes a free one."""
     host: str = "127.0.0.1"
@@ -94,7 +94,7 @@ def _check(options: Options) -> None:
     for path in options.runs:
         if not is_folder(path) and not is_file(path):
             raise ConfigError(
-                f"{shown(path)}: does not exist; expected a run folder, a trace, a journal or a recorded drive"
+                f"{shown(path)}: is not there; expected a run folder, a trace, a journal or a recorded drive"
             )
     task = _task(options)
     runs = 2 if options.first_difference else 1
@@ -149,7 +149,7 @@ def _find(run: Path, preferred: Kind, expected: str) -> Recording:
             return found[0]
         raise ConfigError(f"{shown(run)}: has no trace and no journal; expected {expected}")
     if not is_file(run):
-        raise ConfigError(f"{shown(run)}: does not exist; expected {expected}")
+        raise ConfigError(f"{shown(run)}: is not there; expected {expected}")
     return Recording(path=run, kind=_kind(run))
 
 

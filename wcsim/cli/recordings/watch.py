@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
 def _check(options: Options) -> None:
     """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
-        raise ConfigError(f"{shown(options.run)}: does not exist; expected the folder of a wcsim train --clients run")
+        raise ConfigError(f"{shown(options.run)}: is not there; expected the folder of a wcsim train --clients run")
     from wcsim.server.journal.journal import JOURNAL, read_header
     from wcsim.server.journal.parts import part_files
     from wcsim.server.journal.replay import journal_worlds

@@ -78,7 +78,7 @@ def test_it_shows_all_ticks_as_they_come_and_nothing_twice(whole: bytes, tmp_pat
     names = [said.names for said in watched.said if isinstance(said, FilmNames)]
     assert names[-1] == {0: "c0", 1: "c1"}
     told = watched.told()
-    assert told[0] == "The run has not begun yet."
+    assert told[0] == "The run has not started yet."
     assert "live" in told
     assert told[-1].startswith("No process runs this world now")
     assert watched.told("bad") == []
