@@ -111,7 +111,7 @@ def test_three_switches_ask_for_help_overrule_and_pause(stage: Stage) -> None:
         for key in ("1", "3"):
             keyboard.down(key)
         assert stage.sticks() == {REST}
-        stage.page.wait_for_selector("#board button:has-text('Drive on')")
+        stage.page.wait_for_selector("#board button:has-text('Back to driving')")
         for key in ("1", "3"):
             keyboard.up(key)
         stage.said.clear()

@@ -171,7 +171,7 @@ def test_a_page_that_was_left_lets_time_stand_still_till_it_is_back(running: Ser
     with FakePage(running[0]) as page:
         page.state(lambda state: not state["waiting"])
         page.away = True
-        left = page.state(lambda state: "was left" in state["waiting"])  # a slow machine may hear nothing before
+        left = page.state(lambda state: "in the background" in state["waiting"])  # a slow machine may hear nothing before
         page.say("help")  # is answered with a state
         assert page.state()["tick"] == left["tick"]
         page.away = False
@@ -211,7 +211,7 @@ def test_a_second_page_looks_on_until_it_takes_over(running: Served) -> None:
         first.role(drives=True)
         with FakePage(running[0]) as second:
             told = second.role(drives=False)
-            assert told["taken"] and "Another page drives" in told["told"]
+            assert told["taken"] and "Another page is driving" in told["told"]
             second.say("pause", on=True)
             assert not first.state()["paused"], "who looks on changes nothing"
             second.say("takeover")
@@ -220,7 +220,7 @@ def test_a_second_page_looks_on_until_it_takes_over(running: Served) -> None:
             second.drive_off()
         first.state()
         told = first.until(lambda message: message["say"] == "role" and not message["taken"])
-        assert told["told"] == "Nobody drives."
+        assert told["told"] == "No page is driving."
         first.say("takeover")
         first.role(drives=True)
 
@@ -243,7 +243,7 @@ def test_garbage_is_refused_in_a_line_and_ends_the_connection(running: Served) -
     with FakePage(running[0]) as page:
         page.socket.send('{"say":"stick","x":9,"y":0}')
         told = page.until(lambda message: message["say"] == "notice")["told"]
-        assert "no message of a page" in told and "\n" not in told
+        assert "got a message that this server does not know" in told and "\n" not in told
         with pytest.raises(ConnectionClosed):
             for _ in range(40):
                 page.socket.send("garbage")
