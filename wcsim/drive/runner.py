@@ -116,7 +116,7 @@ class DriveRunner:
             told = (
                 f"{session.place.told}: {session.time_s / 60.0:.1f} min, {tally.way_m:.0f} m, "
                 f"{counted(tally.arrivals, 'arrival')}, {counted(tally.crashes, 'crash')}; pictures took "
-                f"{100.0 * self._share():.0f} % of the processor's time"
+                f"{100.0 * self._share():.0f} % of the CPU time"
             )
             session.close()
             with suppress(BrokenPipeError, OSError):
