@@ -188,7 +188,9 @@ def test_leaving_the_page_lets_the_stick_go(page: Any) -> None:
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.2")
     page.evaluate("window.dispatchEvent(new Event('blur'))")
-    wait(page, f"{SPEED} < 0.05 || document.getElementById('big').textContent.includes('in the background')")  # time stands then
+    wait(
+        page, f"{SPEED} < 0.05 || document.getElementById('big').textContent.includes('in the background')"
+    )  # time stands then
     page.evaluate("window.dispatchEvent(new Event('focus'))")
     at_rest(page)
     began = int(page.evaluate("document.body.dataset.tick"))

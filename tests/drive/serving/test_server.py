@@ -171,7 +171,9 @@ def test_a_page_that_was_left_lets_time_stand_still_till_it_is_back(running: Ser
     with FakePage(running[0]) as page:
         page.state(lambda state: not state["waiting"])
         page.away = True
-        left = page.state(lambda state: "in the background" in state["waiting"])  # a slow machine may hear nothing before
+        left = page.state(
+            lambda state: "in the background" in state["waiting"]
+        )  # a slow machine may hear nothing before
         page.say("help")  # is answered with a state
         assert page.state()["tick"] == left["tick"]
         page.away = False
