@@ -161,7 +161,7 @@ OPTIONS = {
     "replay": ("got none", "exactly one of --page, --fcd FILE.xml, --mcap FILE.mcap, --verify"),
     "replay --verify": ("--verify got 0 runs", "expected 1"),
     "replay a --verify": ("a: is not there", "journal"),
-    "replay a --fcd x.xml": ("a: is not there", "a run folder, a trace or a journal"),
+    "replay a --fcd x.xml": ("a: is not there", "a run folder, a trace, a journal"),
     "replay nofolder": ("nofolder: is not there",),
     "replay nofolder --verify --fcd x.xml": ("nofolder: is not there",),
     "demo --episodes 0": ("--episodes 0",),
@@ -187,7 +187,7 @@ REPLAYS = {
     "watch nowhere": ("nowhere: is not there", "wcsim train --clients"),
     "watch . --port -1": ("--port -1", "0 to 65535"),
     "replay a --page": ("a: has no trace and no journal", "a drive"),
-    "replay a --verify --block 3": ("--block", "of --page"),
+    "replay a --verify --block 3": ("--block", "for --page"),
     "replay a --page --port 99999": ("--port 99999", "0 to 65535"),
     "replay a --verify --epoch -1": ("--epoch -1", "0 or more"),
 }

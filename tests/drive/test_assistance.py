@@ -58,7 +58,7 @@ def test_levels_are_those_of_the_policy() -> None:
     with_levels.set_level(0.5)
     assert (with_levels.level, with_levels.levels, with_levels.tells_unsafe) == (0.5, (0.0, 2.0), True)
     assert (without.level, without.levels, without.tells_unsafe) == (None, None, False)
-    with pytest.raises(PolicyError, match="no levels of assistance"):
+    with pytest.raises(PolicyError, match="no adjustable level"):
         without.set_level(1.0)
 
 

@@ -76,7 +76,7 @@ def test_the_chair_faces_its_way_when_it_stands_in_its_street_and_the_terminal_h
     bearings = [json.loads(data)["bearing_deg"] for kind, data in heard if kind == JSON and b'"say":"state"' in data]
     assert abs(bearings[0]) < 45
     lines = [data.decode() for kind, data in heard if kind == LINE]
-    assert lines[0].endswith(", seed 4: the chair stands in its street")
+    assert lines[0].endswith(", seed 4: ready to drive")
 
 
 @pytest.fixture
@@ -201,7 +201,7 @@ def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(de
     desk.turn(x=0.0)
     desk.say("pause", on=True)
     assert desk.turn(0.1)[-1]["paused"]
-    assert "No page holds the stick" in desk.turn(10.0)[-1]["waiting"]
+    assert "No page is driving" in desk.turn(10.0)[-1]["waiting"]
     assert desk.turn(0.1) == [], "said once"
     assert [state["waiting"] for state in desk.turn(0.1, x=0.0)] == [""]
 
@@ -209,7 +209,7 @@ def test_who_comes_back_while_time_is_paused_is_not_told_that_nobody_is_there(de
 def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk: Desk) -> None:
     desk.turn(x=0.0)
     desk.say("pause", on=True)
-    assert "No page holds the stick" in desk.turn(10.0)[-1]["waiting"]
+    assert "No page is driving" in desk.turn(10.0)[-1]["waiting"]
     enough = threading.Event()
 
     def hold() -> None:
@@ -232,7 +232,7 @@ def test_a_page_that_says_its_stick_all_the_time_keeps_nothing_else_waiting(desk
 def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> None:
     for _ in range(10):
         desk.turn(0.5, x=0.0, away=True)
-    assert desk.runner.session is not None and "was left" in desk.runner.waiting
+    assert desk.runner.session is not None and "in the background" in desk.runner.waiting
     ticks = desk.runner.session.ticks
     for _ in range(4):
         desk.turn(0.5, x=0.0, away=True)
@@ -247,7 +247,7 @@ def test_a_page_that_was_left_lets_a_persons_time_stand_still(desk: Desk) -> Non
         desk.turn(20.0)
     assert desk.runner.waiting == "" and desk.runner.session.ticks == ticks + 3, "hidden pages say little"
     desk.say("gone")
-    assert "No page holds the stick" in desk.turn(0.1)[-1]["waiting"]
+    assert "No page is driving" in desk.turn(0.1)[-1]["waiting"]
 
 
 def test_help_that_is_asked_for_while_time_is_paused_is_counted_at_once(desk: Desk) -> None:
@@ -306,7 +306,7 @@ def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
     while desk.server.poll():
         data = desk.server.recv_bytes()
         told += [json.loads(data[1:])["told"]] if data.startswith(JSON + b'{"say":"notice"') else []
-    assert "none of those that the page offers" in told[0] and "no message of a page" in told[1]
+    assert "is not one that the page offers" in told[0] and "got a message that this server does not know" in told[1]
     desk.turn(0.1, x=0.0)
     assert desk.runner.session is not None and desk.runner.session.ticks > 0, "the drive goes on"
 

@@ -159,7 +159,7 @@ def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
     said: list[m.Notice] = []
     session.look_on(PageTeller(said.append))
     session.tick(Wish())
-    assert [notice.told for notice in said] == ["No place before the crash is free. You begin elsewhere."]
+    assert [notice.told for notice in said] == ["No place before the crash is free. You start somewhere else."]
 
 
 def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:

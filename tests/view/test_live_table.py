@@ -57,11 +57,11 @@ def test_a_row_a_client_and_a_line_for_the_world():
         client("dead", 4, standing="down", reason="killed by SIGKILL"),
     )
     lines = shown(table_of(state(seen=late, clients=clients)))
-    for text in ("epoch 1, tick 70", "9.5 ticks/s", "collect", "waits for gru (3.2 s)", "310 MB"):
+    for text in ("world 1, tick 70", "9.5 ticks/s", "collect", "waiting for gru (3.2 s)", "310 MB"):
         assert text in lines[0]
-    assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "-", "waits", "2"]
+    assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "-", "waiting", "2"]
     assert row(lines, "stack")[:2] == ["stack", "*"]
-    assert row(lines, "gru")[-2] == "thinks"
+    assert row(lines, "gru")[-2] == "computing"
     assert row(lines, "new") == ["new", "3", "-", "-", "-", "-", "-", "-", "starting", "0"]
     assert "down: killed by SIGKILL" in next(line for line in lines if line.startswith("dead"))
 
@@ -80,7 +80,7 @@ def test_the_world_that_is_not_there():
 def test_who_is_waited_for_now():
     assert waits_of(world()) == ""
     assert waits_of(world(late=("gru",), late_s=0.1)) == ""
-    assert waits_of(world(late=("gru", "fig6"), late_s=2.0)) == "waits for gru, fig6 (2.0 s)"
+    assert waits_of(world(late=("gru", "fig6"), late_s=2.0)) == "waiting for gru, fig6 (2.0 s)"
     assert waits_of(world(late=NAMES, late_s=2.0)) == ""  # nobody has acted, so nobody waits
 
 
@@ -88,10 +88,10 @@ def test_who_is_slow_in_the_mean():
     def held(*seconds):
         return tuple(Held(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
 
-    assert waits_of(world(held=held(1.0, 2.0, 7.0))) == "waits mostly for gru (70% of 10.0 s)"
+    assert waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client gru (70% of 10.0 s waiting)"
     assert waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
     assert waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
-    assert waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waits for fig6")
+    assert waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waiting for fig6")
     assert waits_of(world(held=(Held(name="sole", seconds=9.0),))) == ""
 
 

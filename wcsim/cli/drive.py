@@ -1,4 +1,4 @@
-"""`wcsim drive TOWN`: a page on which a person drives, with or without a policy beside."""
+"""`wcsim drive TOWN`: a page on which a person drives, with or without assistance."""
 
 from __future__ import annotations
 
@@ -26,45 +26,45 @@ _SET_BY_STUDY = ("--profile", "--seed", "--suite", "--block", "--seat", "--recor
 class Options:
     """Drive a wheelchair yourself: a page in your browser, with keys, pointer, gamepad or switches.
 
-    The policy helps as it would help its user; it can be switched off, set to a level, and overruled. docs/drive.md
+    A policy assists you; on the page you can switch it off, change its level and overrule it. docs/drive.md
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name, its folder, or anybody's .sumocfg."""
     policy: str = "dwa"
-    """Who assists: a run, shipped, a baseline, module:Class of your own; follow gives the stick as it is."""
+    """The policy that assists: a run, shipped, a baseline, or your own module:Class; follow does not assist."""
     network: str = ""
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = "competent"
-    """The simulated user who drives where the page says so."""
+    """The simulated user, who drives when you select it on the page."""
     seed: int = 21
-    """Seed of the traffic and of the chair's place."""
+    """Seed of the traffic and of the chair's start."""
     suite: str = ""
-    """Begin with an episode of a suite instead: dev, validation, v1, or a list; the town is then the list's."""
+    """Start with an episode of a suite instead: dev, validation, v1, or a list file, which sets the town."""
     block: int = 0
-    """Which block of it."""
+    """Block of the suite."""
     seat: int = 0
-    """Which seat of the block."""
+    """Chair of the block."""
     record: OutFile = None
-    """Keep the drive in this file, a new one; another town or world goes on in FILE-2, FILE-3."""
+    """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
     study: Annotated[str, tyro.conf.arg(metavar="FILE.toml")] = ""
-    """Lead a participant through a study instead: assistance (shipped), or a file of your own. docs/studies.md"""
+    """Run a study with a participant instead: assistance (shipped), or a file of your own. docs/studies.md"""
     participant: int | None = None
-    """In a study: the number of who takes part, which gives the order; again, it goes on where it was left."""
+    """In a study: the participant's number, which sets the order; the same number again resumes."""
     out: OutFolder = None
-    """In a study: where its table and recordings go; studies/NAME where it is not said."""
+    """In a study: folder of the table and recordings, studies/NAME by default."""
     port: int = 8080
-    """Where the page is served; 0 takes a free one."""
+    """Port of the page; 0 takes a free one."""
     host: str = "127.0.0.1"
-    """The machine's name or address; any other than the loopback asks for the token in the printed address."""
+    """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     if says(words, "--set"):
         raise ConfigError(
-            "--set is no option of drive, which takes its settings, the chair among them, from the policy; expected "
-            "--policy RUN, a run that was trained with yours: wcsim train --set ... --out RUN"
+            "drive has no option --set: settings and chair come from the policy; expected --policy RUN, a run that was "
+            "trained with your settings: wcsim train --set ... --out RUN"
         )
     options = parse(Options, words, "drive")
     in_bounds("--port", options.port, 0, 65535)
@@ -94,18 +94,18 @@ def run(words: list[str]) -> int:
 def _require_place(options: Options, words: list[str]) -> None:
     """Refuse what is not there before the simulators are loaded."""
     if options.out is not None or options.participant is not None:
-        raise ConfigError("--participant and --out are for a study; expected --study beside them")
+        raise ConfigError("--participant and --out are for a study; expected --study with them")
     if options.record is not None:
         require_new(options.record, "--record")
     require_driver(options.policy, options.network)
     require_user(options.profile)
     if options.suite:
         if says(words, "--seed"):
-            raise ConfigError(f"--seed with --suite {options.suite}: its episodes have their own seeds; leave it out")
+            raise ConfigError(f"--seed with --suite {options.suite}: episodes have their own seeds; leave --seed out")
         in_bounds("--block", options.block, 0, 1 << 30)
         in_bounds("--seat", options.seat, 0, 1 << 30)
     elif options.block or options.seat:
-        raise ConfigError("--block and --seat name an episode of a suite; expected --suite beside them")
+        raise ConfigError("--block and --seat name an episode of a suite; expected --suite with them")
     else:
         find_town(options.town)
 
@@ -114,7 +114,7 @@ def _require_alone(options: Options, words: list[str]) -> None:
     given = [word for word in _SET_BY_STUDY if says(words, word)]
     given += ["TOWN"] if options.town != Options.town else []
     if given:
-        raise ConfigError(f"--study with {', '.join(given)}; expected it alone: its file says who drives where")
+        raise ConfigError(f"--study with {', '.join(given)}; the study file sets these; leave them out")
 
 
 def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | None]:
@@ -139,7 +139,7 @@ def _studied(options: Options, words: list[str]) -> tuple[DriveStart, OpenStudy]
     from wcsim.drive.keeping.open_study import open_study, start_of
 
     if options.participant is None:
-        raise ConfigError("--study without --participant; expected a number from 1 on, another one for each person")
+        raise ConfigError("--study without --participant; expected a number from 1, a different one for each person")
     named = options.policy if says(words, "--policy") else ""
     study = open_study(options.study, options.participant, options.out, named, options.network)
     return start_of(study.file, study.file.places[0], study.network), study

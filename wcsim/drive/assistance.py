@@ -71,7 +71,7 @@ class Assistance:
     def set_level(self, level: float) -> None:
         """Assist so from now on. Raises PolicyError for a policy without levels, or a level out of bounds."""
         if not isinstance(self._policy, Levelled):
-            raise PolicyError(f"policy {self.name!r} has no levels of assistance; expected dwa or a danger network")
+            raise PolicyError(f"policy {self.name!r} has no adjustable level; expected dwa or a danger network")
         try:
             self._policy.set_level(level)
         except WcsimError:

@@ -182,11 +182,13 @@ def passed_on(decoder: msgspec.json.Decoder, data: bytes) -> PageMessage:  # typ
 def decoded(decoder: msgspec.json.Decoder, data: str | bytes, most_bytes: int = MOST_BYTES) -> PageMessage:  # type: ignore[type-arg]
     """A page's message as a decoder reads it. Raises ProtocolError for what is none, in a line."""
     if len(data) > most_bytes:
-        raise ProtocolError(f"a message of {len(data)} bytes; expected at most {most_bytes}")
+        raise ProtocolError(f"a message has {len(data)} bytes; expected at most {most_bytes}")
     try:
         message: PageMessage = decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ProtocolError(f"no message of a page: {shown(str(error), 200)}; reload the page") from None
+        raise ProtocolError(
+            f"got a message that this server does not know: {shown(str(error), 200)}; reload the page"
+        ) from None
     return message
 
 

@@ -88,7 +88,7 @@ class DriveRunner:
             m.Pace: self._set_pace,
             m.Pause: self._pause,
             m.NewPlace: lambda _: self._begin_anew(self._open_session().new_place),
-            m.Again: lambda _: self._begin_anew(self._open_session().again, "The street begins again ..."),
+            m.Again: lambda _: self._begin_anew(self._open_session().again, "Restarting the street ..."),
             m.SetUser: self._set_user,
             m.Open: self._open_other,
             m.GoOn: lambda said: self._leads().go_on(said.step),
@@ -116,7 +116,7 @@ class DriveRunner:
             told = (
                 f"{session.place.told}: {session.time_s / 60.0:.1f} min, {tally.way_m:.0f} m, "
                 f"{counted(tally.arrivals, 'arrival')}, {counted(tally.crashes, 'crash')}; pictures took "
-                f"{100.0 * self._share():.0f} % of the processor's time"
+                f"{100.0 * self._share():.0f} % of the CPU time"
             )
             session.close()
             with suppress(BrokenPipeError, OSError):
@@ -135,8 +135,8 @@ class DriveRunner:
         if not self._stands_still(now_s) or now_s - self._opened_s <= STANDS_STILL_S:
             return ""
         if self._watch.silent(now_s):
-            return "No page holds the stick. Time stands still."
-        return "The page that drives was left. Time stands still."
+            return "No page is driving. Time is paused."
+        return "The driving page is in the background. Time is paused."
 
     @property
     def must_rest(self) -> bool:
@@ -250,7 +250,7 @@ class DriveRunner:
 
     def _open_session(self) -> DriveSession:
         if self.session is None:
-            raise WcsimError("no street is open; expected one to be chosen: choose a town")
+            raise WcsimError("no street is open; choose a town")
         return self.session
 
     def _stick(self, said: m.Stick) -> None:
@@ -348,7 +348,7 @@ class DriveRunner:
         self._held_s, self.paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
         self._say(about_of(session))
         self._state()
-        self._log(f"{session.place.told}: the chair stands in its street")
+        self._log(f"{session.place.told}: ready to drive")
         return session
 
     # --- a study ---
@@ -384,13 +384,13 @@ class DriveRunner:
 
     def _leads(self) -> StudyLead:
         if self._lead is None:
-            raise WcsimError("this drive is no study; expected one: start it with --study")
+            raise WcsimError("this drive is not a study; start one with --study")
         return self._lead
 
     def _refuse_in_study(self, message: m.PageMessage) -> None:
         """What a study sets, nobody changes."""
         if self._lead is not None and isinstance(message, _SET_BY_STUDY):
-            raise WcsimError("the study sets this; expected nobody to change it while it goes")
+            raise WcsimError("the study sets this; it cannot be changed while the study runs")
 
     def _log(self, told: str) -> None:
         self._pipe.send_bytes(LINE + told.encode())

@@ -96,7 +96,7 @@ def require_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
     )
     for what, wanted, own, names in offered:
         if wanted and wanted != own and wanted not in names():
-            raise ConfigError(f"{what} {shown(wanted, 80)!r} is none of those that the page offers; choose one of them")
+            raise ConfigError(f"{what} {shown(wanted, 80)!r} is not one that the page offers; choose one of its list")
     return start
 
 
@@ -104,7 +104,7 @@ def require_kept(start: DriveStart) -> DriveStart:
     """The same start. Raises ConfigError for one whose drive could not be made again from a file."""
     if start.profile.startswith(RECORDED):
         raise ConfigError(
-            f"a drive beside {shown(start.profile, 80)} cannot be kept, as that file may be gone; expected a profile: "
+            f"the recorded user {shown(start.profile, 80)} cannot be part of a recorded drive; expected a profile: "
             "choose another user"
         )
     return start
@@ -176,7 +176,7 @@ def _block(suite: Suite, start: DriveStart) -> BlockFile:
         raise ConfigError(f"{start.suite} has no block {start.block}; expected 0 to {len(blocks) - 1}")
     seats = len(blocks[start.block].episodes)
     if not 0 <= start.seat < seats:
-        raise ConfigError(f"block {start.block} of {start.suite} has no seat {start.seat}; expected 0 to {seats - 1}")
+        raise ConfigError(f"block {start.block} of {start.suite} has no chair {start.seat}; expected 0 to {seats - 1}")
     return blocks[start.block]
 
 
@@ -188,7 +188,7 @@ def _town_of(suite: Suite, block: BlockFile) -> Town:
     got = content_hash(town)
     if got != wanted.sha256:
         raise TownError(
-            f"town {wanted.name} hashes to {got[:12]}; expected {wanted.sha256[:12]}, the one that the list was made "
-            "for: choose another episode, or install the towns of this wcsim again"
+            f"town {wanted.name} has checksum {got[:12]}; expected {wanted.sha256[:12]}, that of the list: "
+            "choose another episode, or reinstall wcsim"
         )
     return town

@@ -16,9 +16,9 @@ from wcsim.users.profiles import profile_names
 
 _TOLD: Final = {
     EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
-    EventKind.GAVE_UP: ("note", "The simulated user gave up this way. A new destination is set."),
-    EventKind.STEP_LIMIT: ("note", "The time of this episode is over. It begins again."),
-    EventKind.HELP: ("note", "You asked for help. It is written down."),
+    EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
+    EventKind.STEP_LIMIT: ("note", "This episode has reached its time limit. It starts again."),
+    EventKind.HELP: ("note", "Your call for help is counted. It alerts nobody."),
 }
 
 
@@ -142,7 +142,7 @@ class PageTeller:
     def event(self, event: DriveEvent) -> None:
         """Those that a person wants to hear of; a crash is in the state."""
         if event.told == ELSEWHERE:
-            self._say(m.Notice(kind="note", told="No place before the crash is free. You begin elsewhere."))
+            self._say(m.Notice(kind="note", told="No place before the crash is free. You start somewhere else."))
         elif event.kind in _TOLD:
             kind, told = _TOLD[event.kind]
             self._say(m.Notice(kind=kind, told=told))

@@ -1,4 +1,4 @@
-"""A running world and its clients, on one screen: who is how far, and who is waited for."""
+"""A running world and its clients, on one screen: progress of each, and the client that delays it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class LiveTable:
 def table_of(state: LaunchState) -> RenderableType:
     """A head line and a row for each client."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for title in ("client", "seat", "step", "phase", "episodes", "crashes", "KPI 1", PAYS, "state", "restarts"):
+    for title in ("client", "chair", "step", "phase", "episodes", "crashes", "KPI 1", PAYS, "state", "restarts"):
         table.add_column(title, justify="left" if title in ("client", "state") else "right", no_wrap=True)
     for client in state.clients:
         table.add_row(*_row(client, state.world))
@@ -83,7 +83,7 @@ def head_of(state: LaunchState) -> str:
         is_so = "loading" if state.world_standing == "starting" else state.world_standing
         return f"the world is {is_so}{again}"
     parts = [
-        f"epoch {world.epoch}, tick {world.tick}",
+        f"world {world.epoch}, tick {world.tick}",
         f"{world.ticks_per_s:.1f} ticks/s",
         f"{world.step_ms:.1f} ms a tick",
         "ending" if state.stopping else world.stage,
@@ -96,12 +96,12 @@ def head_of(state: LaunchState) -> str:
 def waits_of(world: WorldStatus) -> str:
     """For whom everybody waits: now when that is long, else in the mean when one stands out; "" else."""
     if world.late and world.late_s >= _WAITS_S and len(world.late) < max(2, len(world.members)):
-        return f"waits for {', '.join(world.late)} ({world.late_s:.1f} s)"
+        return f"waiting for {', '.join(world.late)} ({world.late_s:.1f} s)"
     slowest = max(world.held, key=lambda held: held.seconds, default=None)
     all_s = sum(held.seconds for held in world.held)
     if slowest is None or len(world.held) < 2 or all_s < _ENOUGH_S or slowest.seconds < _SLOW_SHARE * all_s:
         return ""
-    return f"waits mostly for {slowest.name} ({slowest.seconds / all_s:.0%} of {all_s:.1f} s)"
+    return f"slowest client {slowest.name} ({slowest.seconds / all_s:.0%} of {all_s:.1f} s waiting)"
 
 
 def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
@@ -137,7 +137,7 @@ def _standing(client: ClientState, world: WorldStatus | None) -> str:
     if client.standing == "running" and world is not None:
         if client.name not in world.members:
             return "joining"
-        return "thinks" if client.name in world.late else "waits"
+        return "computing" if client.name in world.late else "waiting"
     return f"down: {client.reason}" if client.standing == "down" else client.standing
 
 

@@ -61,7 +61,7 @@ def test_a_journal_of_other_versions_says_so(wcsim, folder, journaled):
     Path("journal").write_bytes(chained([header_bytes(replace(header, fingerprint="numpy-0")), *records]))
     result = wcsim("replay", "journal", "--verify", "--to", 1, "--epoch", 1)
     assert result.code == 0
-    assert "other versions, hashes may differ: numpy-0" in result.err
+    assert "other versions, so results may differ: numpy-0" in result.err
 
 
 def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
@@ -113,12 +113,12 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     assert told == {"ticks": 30, "mismatches": 0, "first_tick": None, "farthest_m": 0.0}
     told = wcsim("replay", "a.drive", "--mcap", "a.mcap").out
     assert "151 messages on /joy, /joy_command, /joy_intent, /odom" in told
-    refused(wcsim("replay", "a.drive", "--fcd", "a.xml"), "is a drive, which knows no traffic")
+    refused(wcsim("replay", "a.drive", "--fcd", "a.xml"), "is a drive, which holds no traffic")
     refused(wcsim("replay", "a.drive", "--verify", "--epoch", 0), "are for journals")
     refused(wcsim("replay", "a.drive", "a.drive", "--first-difference"), "not drives")
     for task in (("--page",), ("--mcap", "b.mcap")):
         for more in (("--epoch", 1), ("--hook", "own:Step")):
-            refused(wcsim("replay", "a.drive", *task, *more), "are for journals; expected a drive without them")
+            refused(wcsim("replay", "a.drive", *task, *more), "are for journals; leave them out with a drive")
     assert not Path("b.mcap").exists()
 
 
@@ -130,18 +130,21 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     for words, told in (
         (("empty", "--verify"), ("empty: has no trace and no journal", "run folder")),
         (("empty", "--fcd", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
-        (("nowhere", "--verify"), ("nowhere: is not there", "a trace or a journal")),
-        (("trace", "--verify"), ("trace: is no journal",)),
-        (("notes", "--verify"), ("notes: is no journal",)),
+        (("nowhere", "--verify"), ("nowhere: is not there", "a run folder")),
+        (("trace", "--verify"), ("trace: is neither a journal nor a recorded drive",)),
+        (("notes", "--verify"), ("notes: is neither a journal",)),
         (("notes", "--mcap", "x.mcap"), ("not a trace",)),
         (("trace", "--mcap", "x.bag"), ("expected a file name that ends in .mcap",)),
         (("notes", "--fcd", "x.xml"), ("not a trace",)),
-        (("trace", "--fcd", "x.xml", "--hook", "own:Step"), ("--hook is what a journal was made with",)),
-        ((journaled, "--page", "--json", "told.json"), ("--json is what a comparison", "no such option with --page")),
+        (("trace", "--fcd", "x.xml", "--hook", "own:Step"), ("--hook is for journals",)),
+        (
+            (journaled, "--page", "--json", "told.json"),
+            ("--json is the result of a comparison", "leave it out with --page"),
+        ),
         (("trace", journaled, "--first-difference"), ("is a trace and", "expected two of a kind")),
         ((journaled, "--verify", "--epoch", 5), ("no epoch 5", "[0, 1]")),
         ((journaled, "--fcd", "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),
-        ((journaled, "--verify", "--epoch", 1, "--from", 61), ("no tick there",)),
+        ((journaled, "--verify", "--epoch", 1, "--from", 61), ("no tick in that range",)),
     ):
         refused(wcsim("replay", *words), *told)
     assert sorted(Path().iterdir()) == before

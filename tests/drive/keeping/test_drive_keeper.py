@@ -192,7 +192,7 @@ def test_a_full_disk_ends_the_file_and_never_the_drive(
     with monkeypatch.context() as full:
         full.setattr(DriveRecorder, "_put", lambda *_: (_ for _ in ()).throw(DiskFullError("a.drive: make room")))
         kept.drive(5)
-    assert not kept.news[-1].on and "Nothing is kept from here on" in kept.news[-1].told
+    assert not kept.news[-1].on and "Recording has stopped" in kept.news[-1].told
     kept.drive(5)
     assert kept.session.ticks == 20
     kept.session.again()
@@ -206,7 +206,7 @@ def test_a_drive_beside_a_recorded_user_is_not_kept_and_says_so(kept: Kept, tmp_
     kept.drive(10)
     kept.session.again()
     kept.session.change_user(f"recorded:{tmp_path / 'a.drive'}")
-    assert not kept.news[-1].on and "a recorded user" in kept.news[-1].told
+    assert not kept.news[-1].on and "is a recording" in kept.news[-1].told
     kept.drive(3)
     kept.session.close()
     assert kept.files() == [tmp_path / "a.drive"]
@@ -232,7 +232,7 @@ def test_files_are_new_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_cannot_be_made_again_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"a drive beside recorded:a\.csv cannot be kept"):
+    with pytest.raises(ConfigError, match=r"the recorded user recorded:a\.csv cannot be part of a recorded drive"):
         require_kept(DriveStart(profile="recorded:a.csv"))
     assert require_kept(DriveStart(suite="dev", block=TIGHT_BLOCK, profile="")).block == TIGHT_BLOCK
 

@@ -43,8 +43,8 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     study = opened(corner, tmp_path)
     assert study.order == "more>alone"
     person = begin(study)
-    assert (person.view.kind, person.view.title, person.view.button) == (StepKind.WELCOME, "A tiny study", "Go on")
-    assert "Your name is not asked for" in person.view.told[-1]
+    assert (person.view.kind, person.view.title, person.view.button) == (StepKind.WELCOME, "A tiny study", "Continue")
+    assert "Your name is not saved" in person.view.told[-1]
     assert "order more>alone" in person.said[0]
     person.press()
     assert (person.view.kind, person.view.where, person.view.ready) == (StepKind.READ, "Practice", True)
@@ -61,7 +61,7 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     for wrong in ((1,), (7, 0), (0, 2)):
         with pytest.raises(WcsimError, match="reload the page"):
             person.answer(*wrong)
-    with pytest.raises(WcsimError, match="questions come first"):
+    with pytest.raises(WcsimError, match="questions are not answered"):
         person.press()
     person.answer(6, -1)
     assert (person.view.kind, person.view.wait_s) == (StepKind.REST, 5.0)
@@ -264,9 +264,9 @@ def test_a_study_that_is_not_there_or_another_one_is_refused(corner: Path, tmp_p
     person = begin(opened(corner, tmp_path))
     person.until(StepKind.ASK)
     person.close()
-    with pytest.raises(ConfigError, match="begun with another study file"):
+    with pytest.raises(ConfigError, match="belongs to another study file"):
         opened(corner, tmp_path, 3, STUDY.replace("Thanks.", "Thank you."))
-    with pytest.raises(ConfigError, match="other columns than this study"):
+    with pytest.raises(ConfigError, match="its columns are not those of this study"):
         opened(corner, tmp_path, 3, STUDY.replace('name = "effort"', 'name = "work"'))
 
 
@@ -276,9 +276,9 @@ def test_a_class_that_a_study_names_is_loaded_only_when_it_is_named_again(
     (tmp_path / "stranger.py").write_text("raise RuntimeError('loaded')\n")
     monkeypatch.chdir(tmp_path)
     path = str(write_study(tmp_path, corner, STUDY.replace("pause_s = 5", 'pause_s = 5\npolicy = "stranger:Own"')))
-    with pytest.raises(ConfigError, match="loading it runs its code; expected that you name it"):
+    with pytest.raises(ConfigError, match="loading it runs its code; if you trust it, name it"):
         open_study(path, 1, tmp_path / "out")
-    with pytest.raises(ConfigError, match="says policy = 'stranger:Own'; leave it out"):
+    with pytest.raises(ConfigError, match="says policy = 'stranger:Own'; leave --policy out"):
         open_study(path, 1, tmp_path / "out", "follow")
     with pytest.raises(Exception, match="loaded"):
         open_study(path, 1, tmp_path / "out", "stranger:Own")

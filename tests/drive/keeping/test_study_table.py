@@ -57,10 +57,10 @@ def test_two_participants_who_end_at_the_same_time_lose_no_row(tmp_path: Path, m
 @pytest.mark.parametrize(
     ("data", "told"),
     [
-        (b"", "has other columns"),
-        (b"participant;block;answer\n", "has other columns"),
-        (b"participant,block,answer\n1,a\n", "is no table of 3 columns"),
-        (b"participant,block,answer\n1,a,7", "its last line has no end"),
+        (b"", "its columns are not"),
+        (b"participant;block;answer\n", "its columns are not"),
+        (b"participant,block,answer\n1,a\n", "is not a table with 3 columns"),
+        (b"participant,block,answer\n1,a,7", "its last line is incomplete"),
         (b"\xff\xfe", "not in UTF-8"),
     ],
 )
@@ -76,8 +76,8 @@ def test_a_full_disk_leaves_the_table_as_it_was(tmp_path: Path, monkeypatch: pyt
     append_row(path, COLUMNS, {"participant": "1"})
     before, write = path.read_bytes(), os.pwrite
     monkeypatch.setattr(os, "pwrite", lambda handle, data, end: write(handle, data[:2], end))
-    with pytest.raises(DiskFullError, match="make room"):
+    with pytest.raises(DiskFullError, match="free some disk space"):
         append_row(path, COLUMNS, {"participant": "2"})
     assert path.read_bytes() == before
-    with pytest.raises(ConfigError, match="cannot be written on"):
+    with pytest.raises(ConfigError, match="cannot be written"):
         append_row(tmp_path, COLUMNS, {})

@@ -107,7 +107,7 @@ class Stage(PageAlone):
         self.state()
 
     def role(self, *, drives: bool) -> None:
-        self.hear(m.PageRole(drives=drives, taken=not drives, told="" if drives else "Another page drives."))
+        self.hear(m.PageRole(drives=drives, taken=not drives, told="" if drives else "Another page is driving."))
         self.page.wait_for_selector(f"body[data-drives={str(drives).lower()}]")
 
     def state(self, **changes: object) -> None:

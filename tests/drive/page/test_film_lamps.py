@@ -20,7 +20,7 @@ pytestmark = [
 ]
 DECIDES = (
     (Flag(0), "policy"),
-    (Flag.UNAIDED, "user, no assistance"),
+    (Flag.UNAIDED, "user, not assisted"),
     (Flag.UNAIDED | Flag.ALONE, "user alone"),
     (Flag.OVERRULED, "user overrules"),
 )

@@ -170,7 +170,7 @@ DEEDS = (
     ([0, 1], [0, 0.5], "slowed"),
     ([0, 1], [-0.5, 0.5], "slowed, turned left"),
     ([0.5, 0.5], [0.75, 0.5], "turned right"),
-    ([0, 0], [0, -0.5], "moved though your stick is at rest"),
+    ([0, 0], [0, -0.5], "moved while your stick was at rest"),
     ([0, 0.5], [0, -0.5], "went back"),
 )
 
@@ -188,7 +188,9 @@ def test_leaving_the_page_lets_the_stick_go(page: Any) -> None:
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.2")
     page.evaluate("window.dispatchEvent(new Event('blur'))")
-    wait(page, f"{SPEED} < 0.05 || document.getElementById('big').textContent.includes('was left')")  # time stands then
+    wait(
+        page, f"{SPEED} < 0.05 || document.getElementById('big').textContent.includes('in the background')"
+    )  # time stands then
     page.evaluate("window.dispatchEvent(new Event('focus'))")
     at_rest(page)
     began = int(page.evaluate("document.body.dataset.tick"))
@@ -236,12 +238,12 @@ def test_assistance_help_and_overruling_are_on_the_page(page: Any) -> None:
 def test_a_second_page_looks_on_and_takes_over(page: Any, running: Served) -> None:
     other = open_page(page.context, running[0])
     wait(other, "!document.getElementById('banner').hidden")
-    assert "Another page drives" in other.inner_text("#banner-text")
+    assert "Another page is driving" in other.inner_text("#banner-text")
     other.click("#take-over")
     wait(other, "document.body.dataset.drives === 'true'")
     wait(page, "document.body.dataset.drives === 'false'")
     other.close()
-    wait(page, "document.getElementById('banner-text').textContent === 'Nobody drives.'")
+    wait(page, "document.getElementById('banner-text').textContent === 'No page is driving.'")
     page.click("#take-over")
     wait(page, "document.body.dataset.drives === 'true'")
 

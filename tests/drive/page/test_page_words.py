@@ -52,7 +52,7 @@ def test_the_hint_goes_when_the_chair_drives_or_is_in_danger(stage: Stage) -> No
 
 def test_what_the_assistance_did_is_not_told_while_it_is_overruled(stage: Stage) -> None:
     stage.state(intervening=True, stick=(0.0, 1.0), commanded=(0.0, 0.5))
-    assert stage.text("#did") == "By the assistance, the chair slowed …"
+    assert stage.text("#did") == "Assistance: slowed …"
     stage.state(overruled=True, stick=(0.0, 1.0), commanded=(0.0, 1.0))
     assert stage.text("#did") == ""
     stage.state()
@@ -60,7 +60,7 @@ def test_what_the_assistance_did_is_not_told_while_it_is_overruled(stage: Stage)
 
 
 def test_a_lamp_says_that_the_chair_is_on_the_road(stage: Stage) -> None:
-    assert stage.text("#lamp-road span") == "you are off it"
+    assert stage.text("#lamp-road span") == "you are not on it"
     stage.state(on_road=True)
     assert stage.text("#lamp-road span") == "you are on the road"
     assert stage.text("#live") == "You are on the road."

@@ -26,7 +26,9 @@ def leave(stage: Stage) -> None:
 
 def crash(stage: Stage) -> None:
     stage.state(crash="hit a car")
-    assert stage.text("#live") == stage.text("#big") == "The chair hit a car. You begin again before that place."
+    assert (
+        stage.text("#live") == stage.text("#big") == "The chair hit a car. You start again a little before that place."
+    )
     stage.state(tick=2)
 
 
@@ -49,7 +51,7 @@ def test_a_held_key_counts_only_once_it_has_been_let_go_of(stage: Stage, how: st
         assert stage.sticks() == STILL
     if how != "left":
         stage.state(tick=3)
-        assert stage.text("#big") == stage.text("#live") == "Let go of the stick once."
+        assert stage.text("#big") == stage.text("#live") == "Release the stick first."
     keyboard.up("ArrowUp")
     assert stage.sticks() == STILL
     keyboard.down("ArrowUp")
@@ -194,15 +196,15 @@ def test_a_call_for_help_that_nobody_hears_is_not_told_as_one(stage: Stage) -> N
     assert stage.text("#live") == "You asked for help." and len(stage.heard("help")) == 1
     stage.role(drives=False)
     stage.page.keyboard.press("h")
-    assert stage.text("#live") == stage.text("#notice") == "Help was not sent: this page does not drive."
+    assert stage.text("#live") == stage.text("#notice") == "Help was not sent: this page only watches."
     assert stage.heard("help") == []
 
 
 def test_why_the_chair_does_not_go_is_said_aloud(stage: Stage) -> None:
     for changes, told in (
         ({"paused": True}, "Paused"),
-        ({}, "Time goes on."),
-        ({"waiting": "No page holds the stick. Time stands still."}, "No page holds the stick. Time stands still."),
+        ({}, "Resumed."),
+        ({"waiting": "No page is driving. Time is paused."}, "No page is driving. Time is paused."),
     ):
         stage.state(**changes)
         assert stage.text("#live") == told

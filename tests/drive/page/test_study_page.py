@@ -52,18 +52,18 @@ def is_clean(page: Any) -> None:
 
 
 def test_a_study_by_keyboard_and_one_switch(page: Any, tmp_path: Path) -> None:
-    until_button(page, "Go on")
+    until_button(page, "Continue")
     is_clean(page)
     page.focus("#study-go")
     page.keyboard.press("Enter")
-    until_button(page, "Begin to drive")
+    until_button(page, "Start driving")
     page.focus("#study-go")
     page.keyboard.press("Enter")
     wait(page, "!document.getElementById('study').open")
     assert page.inner_text("#study-part") == "Part 1 of 1: Alone"
     assert page.locator("#assist").is_hidden() and page.locator("#pause").is_visible()
     page.keyboard.down("ArrowUp")
-    until_button(page, "Save and go on")
+    until_button(page, "Save and continue")
     page.keyboard.up("ArrowUp")
     is_clean(page)
     page.focus("#study-go")
@@ -75,7 +75,7 @@ def test_a_study_by_keyboard_and_one_switch(page: Any, tmp_path: Path) -> None:
     page.keyboard.press("Space")
     page.focus("#study-go")
     page.keyboard.press("Enter")
-    wait(page, "document.getElementById('study-title').textContent === 'To end with'")
+    wait(page, "document.getElementById('study-title').textContent === 'Last questions'")
 
     for name, value in (("scan-s", "0.4"), ("study-steer", "1")):  # the last question by one switch
         page.evaluate(

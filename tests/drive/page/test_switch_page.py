@@ -111,7 +111,7 @@ def test_three_switches_ask_for_help_overrule_and_pause(stage: Stage) -> None:
         for key in ("1", "3"):
             keyboard.down(key)
         assert stage.sticks() == {REST}
-        stage.page.wait_for_selector("#board button:has-text('Drive on')")
+        stage.page.wait_for_selector("#board button:has-text('Back to driving')")
         for key in ("1", "3"):
             keyboard.up(key)
         stage.said.clear()
@@ -138,7 +138,7 @@ def test_one_switch_drives_again_after_the_page_was_opened_again(stage: Stage) -
 
 def test_what_one_participant_of_a_study_steers_with_is_not_the_next_ones(stage: Stage) -> None:
     def meet(participant: int) -> str:
-        view = StudyView(step=0, kind=StepKind.READ, participant=participant, title="Alone", button="Begin to drive")
+        view = StudyView(step=0, kind=StepKind.READ, participant=participant, title="Alone", button="Start driving")
         stage.hear(m.Study(view=view))
         stage.catch_up()
         assert stage.text("#study-number") == f"Participant {participant}"
@@ -159,7 +159,7 @@ def test_what_one_participant_of_a_study_steers_with_is_not_the_next_ones(stage:
 def test_switches_take_over_from_another_page(stage: Stage, count: int, key: str) -> None:
     switches(stage, count)
     stage.role(drives=False)
-    assert highlighted(stage) == ("Take over the stick", "here")
+    assert highlighted(stage) == ("Take control", "here")
     stage.page.keyboard.press(key)
     assert stage.heard("takeover")
     stage.role(drives=True)
@@ -170,7 +170,7 @@ def test_switches_take_over_from_another_page(stage: Stage, count: int, key: str
 def test_two_switches_pause_and_go_on(stage: Stage) -> None:
     switches(stage, 2)
     for on in (True, False):
-        move_to(stage, "Pause, go on")
+        move_to(stage, "Pause / resume")
         stage.page.keyboard.press("Enter")
         assert [said["on"] for said in stage.heard("pause")] == [on]
         stage.state(paused=on)

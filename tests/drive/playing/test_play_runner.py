@@ -77,7 +77,7 @@ def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
     about = desk.said("about")
     assert (about["ticks"], about["live"], len(about["points"])) == (150, False, 81)
     whole = desk.state(lambda state: not state["reading"])
-    assert (whole["count"], whole["ended"]) == (150, "That is the whole journal.")
+    assert (whole["count"], whole["ended"]) == (150, "The whole journal is loaded.")
     desk.say("pause", on=True)
     desk.say("seek", to=100)
     there = desk.state(lambda state: state["at"] == 100)
@@ -109,7 +109,7 @@ def test_a_film_begins_without_the_marks_of_the_one_before(desk: Desk) -> None:
 
 def test_no_message_of_a_page_ends_the_film(desk: Desk) -> None:
     desk.say("openepisode", policy="\U0001f9bd" * 400, block=0, seat=0, more="x" * 5000)
-    assert "a message of" in desk.said("notice")["told"]
+    assert "a message has" in desk.said("notice")["told"]
     desk.state()
 
 
@@ -118,7 +118,7 @@ def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
     desk = Desk(FilmSource(kind="journal", path=tmp_path / "journal"))
     told = desk.said("notice")
     assert told["kind"] == "bad" and "is not a journal" in told["told"]
-    assert desk.said("busy")["told"] == "There is no more of it."
+    assert desk.said("busy")["told"] == "The recording ends here."
     desk.close()
 
 
@@ -129,4 +129,4 @@ def test_who_waits_for_a_run_is_told_why_it_may_take_long(monkeypatch: pytest.Mo
         source = FilmSource(kind="run", path=Path("run"))
         PlayRunner(theirs, PlayStart(source=source, gives_way=gives_way))._open(source)
         said = json.loads(ours.recv_bytes()[1:])
-        assert (said["say"], "it waits while the training uses the cores" in said["told"]) == ("busy", gives_way)
+        assert (said["say"], "it takes longer while the training uses the CPU" in said["told"]) == ("busy", gives_way)

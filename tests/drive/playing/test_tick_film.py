@@ -33,7 +33,7 @@ def test_any_frame_is_there_at_once_whatever_was_looked_at_before() -> None:
         assert moment.signals[0].colours == "Gr"
     assert film.moment(5, 7, jumped=False) is None
     for at in (-1, 700):
-        with pytest.raises(ProtocolError, match="no frame"):
+        with pytest.raises(ProtocolError, match="no step"):
             film.shot(at)
 
 

@@ -39,7 +39,7 @@ def test_a_page_names_no_file_and_does_not_hear_whether_it_is_there(tmp_path: Pa
     (tmp_path / "there.toml").write_text("")
     told = []
     for name in (file, str(tmp_path / "there.toml"), str(tmp_path / "not-there.toml")):
-        with pytest.raises(ConfigError, match="none of those that the page offers") as caught:
+        with pytest.raises(ConfigError, match="is not one that the page offers") as caught:
             require_offered(replace(DriveStart(), **{key: name}), DriveStart())
         told.append(str(caught.value).replace(name, "NAME"))
-    assert told[1].split("is none")[1] == told[2].split("is none")[1]
+    assert told[1].split("is not one")[1] == told[2].split("is not one")[1]

@@ -49,7 +49,7 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
                 assert step(late, "end")["participant"] == 3, "who comes later is told too"
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=120)
-    assert "order alone" in said and "alone is in " in said and "Traceback" not in said
+    assert "order alone" in said and "alone saved in " in said and "Traceback" not in said
     rows = rows_of(open_study(str(path), 3, out))
     assert [(row["block"], row["answer_effort"], row["answer_best"]) for row in rows] == [
         ("alone", "3", ""),
@@ -63,13 +63,13 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
     ("words", "told"),
     [
         (("--study", "assistance"), "--study without --participant"),
-        (("--study", "assistance", "--participant", "1", "--policy", "follow"), "leave it out"),
+        (("--study", "assistance", "--participant", "1", "--policy", "follow"), "leave --policy out"),
         (("--study", "assistance", "--participant", "1", "--seed", "4"), "--study with --seed"),
         (("monaco", "--study", "assistance", "--participant", "1"), "--study with TOWN"),
         (("--study", "nothing.toml", "--participant", "1"), "there is no such study"),
         (("--study", "assistance", "--participant", "-1"), "expected 1 to 9999"),
-        (("--participant", "1"), "expected --study beside them"),
-        (("monaco", "--suite", "dev", "--seed", "5"), "--seed with --suite dev: its episodes have their own seeds"),
+        (("--participant", "1"), "expected --study with them"),
+        (("monaco", "--suite", "dev", "--seed", "5"), "--seed with --suite dev: episodes have their own seeds"),
     ],
 )
 def test_wrong_words_are_refused_in_a_line(

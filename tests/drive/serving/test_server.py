@@ -42,7 +42,7 @@ def test_a_host_that_is_not_this_machine_is_named_and_not_the_port(host: str) ->
 def test_a_port_that_somebody_has_is_named() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         order = ServeOrder(start=DriveOrder(start=DriveStart()), port=taken.getsockname()[1])
-        with pytest.raises(ConfigError, match=r"choose another --port, 0 takes a free one$"):
+        with pytest.raises(ConfigError, match=r"choose another --port; 0 takes a free one$"):
             serve_drive(order)
 
 
@@ -171,7 +171,9 @@ def test_a_page_that_was_left_lets_time_stand_still_till_it_is_back(running: Ser
     with FakePage(running[0]) as page:
         page.state(lambda state: not state["waiting"])
         page.away = True
-        left = page.state(lambda state: "was left" in state["waiting"])  # a slow machine may hear nothing before
+        left = page.state(
+            lambda state: "in the background" in state["waiting"]
+        )  # a slow machine may hear nothing before
         page.say("help")  # is answered with a state
         assert page.state()["tick"] == left["tick"]
         page.away = False
@@ -211,7 +213,7 @@ def test_a_second_page_looks_on_until_it_takes_over(running: Served) -> None:
         first.role(drives=True)
         with FakePage(running[0]) as second:
             told = second.role(drives=False)
-            assert told["taken"] and "Another page drives" in told["told"]
+            assert told["taken"] and "Another page is driving" in told["told"]
             second.say("pause", on=True)
             assert not first.state()["paused"], "who looks on changes nothing"
             second.say("takeover")
@@ -220,7 +222,7 @@ def test_a_second_page_looks_on_until_it_takes_over(running: Served) -> None:
             second.drive_off()
         first.state()
         told = first.until(lambda message: message["say"] == "role" and not message["taken"])
-        assert told["told"] == "Nobody drives."
+        assert told["told"] == "No page is driving."
         first.say("takeover")
         first.role(drives=True)
 
@@ -243,7 +245,7 @@ def test_garbage_is_refused_in_a_line_and_ends_the_connection(running: Served) -
     with FakePage(running[0]) as page:
         page.socket.send('{"say":"stick","x":9,"y":0}')
         told = page.until(lambda message: message["say"] == "notice")["told"]
-        assert "no message of a page" in told and "\n" not in told
+        assert "got a message that this server does not know" in told and "\n" not in told
         with pytest.raises(ConnectionClosed):
             for _ in range(40):
                 page.socket.send("garbage")

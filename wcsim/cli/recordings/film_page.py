@@ -107,13 +107,13 @@ def _check(order: FilmOrder) -> None:
     """Refuse what cannot be played here, before a page is served for it."""
     where = shown(order.path)
     if order.kind != "episode" and (order.block is not None or order.policy or order.network):
-        raise ConfigError(f"--policy, --network and --block are of a test; {where} is a {order.kind}: leave them out")
+        raise ConfigError(f"--policy, --network and --block are for a test; {where} is a {order.kind}: leave them out")
     if order.kind == "episode" and order.epoch is not None:
-        raise ConfigError(f"--epoch is of journals and traces; {where} is a test: say --block and --seat")
+        raise ConfigError(f"--epoch is for journals and traces; {where} is a test: use --block and --seat")
     if order.kind == "episode" and order.hook:
-        raise ConfigError(f"--hook is what a journal was made with; {where} is a test: leave it out")
+        raise ConfigError(f"--hook is for journals; {where} is a test: leave it out")
     if order.town and order.kind != "trace":
-        raise ConfigError(f"--town says where a trace was recorded; {where} is a {order.kind} and says so itself")
+        raise ConfigError(f"--town is for traces; {where} is a {order.kind}, which holds its town: leave it out")
     if order.kind == "journal":
         from wcsim.server.journal.journal import read_header
         from wcsim.server.journal.replay import journal_worlds

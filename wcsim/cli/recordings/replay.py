@@ -1,4 +1,4 @@
-"""`wcsim replay`: what a run recorded, on a page, for other programs, made again and compared, or two side by side."""
+"""`wcsim replay`: plays a recording on a page, converts it, verifies it, or compares two."""
 
 from __future__ import annotations
 
@@ -26,46 +26,45 @@ _SHOW_EVERY = 1000  # ticks
 
 @dataclass
 class Options:
-    """Work with recorded runs: play one on a page, write it for other programs, make it again and compare, compare two.
+    """Replay a recording on a page, convert it, verify it, or compare two.
 
-    docs/watching.md is about the page.
+    docs/watching.md describes the page, docs/recordings.md the files.
     """
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN]")] = ()
-    """A run folder that holds a trace (`wcsim town run`) or a journal (a server), one of these files, a drive, or, for
-    --page, the folder of a test on a suite."""
+    """A run folder, a trace, a journal, a recorded drive, or, for --page, the folder of a suite's test."""
     page: Flag = False
-    """Play it on a page in your browser: pause, speed, step, jump to crashes and interventions."""
+    """Play it in your browser: pause, speed, single steps, jumps to crashes and interventions."""
     fcd: Annotated[Path | None, tyro.conf.arg(metavar="FILE.xml")] = None
-    """Write traffic and wheelchairs as SUMO's floating car data, which SUMO's tools and sumo-gui read."""
+    """Write traffic and wheelchairs as SUMO floating car data (FCD)."""
     mcap: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mcap")] = None
-    """Write what the wheelchairs did, were told and sensed as messages of ROS 2 (needs the extra wcsim[bag])."""
+    """Write motion, commands and sensor data of the wheelchairs as ROS 2 messages (needs the extra wcsim[bag])."""
     verify: Flag = False
-    """Make the world of a journal, or a drive, again and compare it tick by tick."""
+    """Simulate a journal or a drive again and compare it tick by tick."""
     first_difference: Flag = False
-    """Say where two traces, or two journals, begin to differ."""
+    """Print where two traces, or two journals, first differ."""
     epoch: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Which epoch of the world; default 0 for --fcd and --mcap, all of them for --verify and --page."""
+    """Number of the world in the run; default 0 for --fcd and --mcap, all for --verify and --page."""
     first: Annotated[int | None, tyro.conf.arg(name="from", metavar="TICK")] = None
-    """The first tick of each epoch that --verify compares."""
+    """First tick of each world that --verify compares."""
     last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
-    """The last one."""
+    """Last tick of each world that --verify compares."""
     hook: str = ""
-    """Your own step hook, module:Class, that a journal was made with: code, which the journal alone does not load."""
+    """Your own step hook, module:Class, that a journal was made with; its code runs only when you name it."""
     policy: str = ""
-    """Of --page: whose episode of a test; without it that of the worst failure. Code of your own runs when named."""
+    """For --page: policy of a test; by default that of the worst failure. Your own code runs only when you name it."""
     network: str = ""
-    """Of --page: your own network as module:Class, for an episode of a run that was trained with it."""
+    """For --page: your own network as module:Class, for an episode of a run that was trained with it."""
     block: int | None = None
-    """Of --page: which block of the test."""
+    """For --page: block of the test."""
     seat: int | None = None
-    """Of --page: which chair to follow."""
+    """For --page: chair to follow."""
     town: str = ""
-    """Of --page: where a trace was recorded, if not found: a town's name, its folder, or anybody's .sumocfg."""
+    """For --page: where a trace was recorded, if not found: a town's name, its folder, or anybody's .sumocfg."""
     port: int = 8080
-    """Where --page is served; 0 takes a free one."""
+    """Port of --page; 0 takes a free one."""
     host: str = "127.0.0.1"
-    """The machine's name or address; any other than the loopback asks for the token in the printed address."""
+    """Address to serve at; any but the loopback needs the token in the printed address."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -95,7 +94,7 @@ def _check(options: Options) -> None:
     for path in options.runs:
         if not is_folder(path) and not is_file(path):
             raise ConfigError(
-                f"{shown(path)}: is not there; expected a run folder, a trace or a journal, or a recorded drive"
+                f"{shown(path)}: is not there; expected a run folder, a trace, a journal or a recorded drive"
             )
     task = _task(options)
     runs = 2 if options.first_difference else 1
@@ -103,11 +102,9 @@ def _check(options: Options) -> None:
         raise ConfigError(f"{task} got {len(options.runs)} runs; expected {runs}: a run folder, trace or journal")
     _check_ticks(options, task)
     if options.page and options.json is not None:
-        raise ConfigError("--json is what a comparison or a file came to; expected no such option with --page")
+        raise ConfigError("--json is the result of a comparison or conversion; leave it out with --page")
     if not options.page and _is_of_page(options):
-        raise ConfigError(
-            f"--policy, --network, --block, --seat and --town are of --page; expected no such option with {task}"
-        )
+        raise ConfigError(f"--policy, --network, --block, --seat and --town are for --page; leave them out with {task}")
     check_output("--fcd", options.fcd)
     check_output("--mcap", options.mcap, ".mcap")
 
@@ -134,9 +131,9 @@ def _task(options: Options) -> str:
 
 def _check_ticks(options: Options, task: str) -> None:
     if not options.verify and (options.first is not None or options.last is not None):
-        raise ConfigError(f"--from and --to say what --verify compares; expected no such option with {task}")
+        raise ConfigError(f"--from and --to are for --verify; leave them out with {task}")
     if options.first_difference and options.epoch is not None:
-        raise ConfigError("--epoch says what --verify, --fcd or --mcap works on; expected no such option")
+        raise ConfigError("--epoch is for --verify, --fcd, --mcap and --page; leave it out with --first-difference")
     for option, number in (("--epoch", options.epoch), ("--from", options.first), ("--to", options.last)):
         in_bounds(option, number or 0, 0, float("inf"))
     if options.last is not None:
@@ -177,9 +174,9 @@ def _is_journal(path: Path) -> bool:
 def _require_heard(found: Recording, options: Options) -> None:
     """Refuse what this kind of recording would not heed. Raises ConfigError."""
     if found.kind == DRIVE and (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
-        raise ConfigError("--epoch, --from, --to and --hook are for journals; expected a drive without them")
+        raise ConfigError("--epoch, --from, --to and --hook are for journals; leave them out with a drive")
     if found.kind == TRACE and options.hook:
-        raise ConfigError(f"--hook is what a journal was made with; {shown(found.path)} is a trace: leave it out")
+        raise ConfigError(f"--hook is for journals; {shown(found.path)} is a trace: leave it out")
 
 
 def _page(options: Options) -> int:
@@ -209,7 +206,7 @@ def _fcd(options: Options) -> int:
     what = "a folder that `wcsim town run` or a server made, a trace, or a journal"
     found = _find(options.runs[0], TRACE, what)
     if found.kind == DRIVE:
-        raise ConfigError(f"{found.path}: is a drive, which knows no traffic; expected a trace or a journal")
+        raise ConfigError(f"{found.path}: is a drive, which holds no traffic; expected a trace or a journal")
     _require_heard(found, options)
     fcd = options.fcd or Path()
     steps = 0
@@ -237,7 +234,7 @@ def _mcap(options: Options, mcap: Path) -> int:
     found = _find(options.runs[0], JOURNAL, "a run folder of a server or of `wcsim town run`, or a recorded drive")
     _require_heard(found, options)
     if find_spec("rosbags") is None:
-        raise ConfigError("--mcap needs rosbags, which is not installed; expected the extra: pip install 'wcsim[bag]'")
+        raise ConfigError("--mcap needs rosbags, which is not installed; install it: pip install 'wcsim[bag]'")
     counts: dict[str, int] = {}
 
     def fill(part: Path) -> None:
@@ -266,7 +263,7 @@ def _bagged(found: Recording, out: Path, options: Options) -> dict[str, int]:
     header, records = read_trace(found.path)
     chosen = [record for record in records if record.epoch == (options.epoch or 0) and len(record.plants)]
     if not chosen:
-        raise ConfigError(f"{found.path}: has no wheelchair in epoch {options.epoch or 0}; expected a run with some")
+        raise ConfigError(f"{found.path}: has no wheelchair in world {options.epoch or 0}; expected a run with some")
     return trace_bag(header.tick_s, chosen, out)
 
 
@@ -277,7 +274,7 @@ def _verify(options: Options) -> int:
         return _verify_drive(found.path, options)
     if found.kind != JOURNAL:
         raise ConfigError(
-            f"{shown(found.path)}: is no journal and no recorded drive, and nothing else can be verified; expected a "
+            f"{shown(found.path)}: is neither a journal nor a recorded drive; expected a "
             "run folder of a server, its journal, or a file of `wcsim drive --record` or `wcsim users record`"
         )
     from wcsim.server.journal.journal import read_header
@@ -288,7 +285,7 @@ def _verify(options: Options) -> int:
     result = verify(found.path, options.epoch, options.first or 0, options.last, _show, options.hook)
     rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
     if not result.ticks and (options.epoch, options.first, options.last) != (None, None, None):
-        raise ConfigError(f"{found.path}: has no tick there; expected --epoch, --from and --to that leave some")
+        raise ConfigError(f"{found.path}: has no tick in that range; change --epoch, --from or --to")
     first = None if result.first is None else {"epoch": result.first.epoch, "tick": result.first.tick}
     told = "all equal" if first is None else f"{result.mismatches} differ, first {first}"
     print(f"{found.path}: {result.ticks} ticks compared, {told} ({rate:.0f} ticks/s)")
@@ -323,7 +320,7 @@ def _note_versions(what: str, made_by: str) -> None:
 
     here = fingerprint()
     if made_by != here:
-        told = f"the {what} was made by other versions, hashes may differ: {shown(made_by)}; here: {here}"
+        told = f"the {what} was made with other versions, so results may differ: {shown(made_by)}; here: {here}"
         print(told, file=sys.stderr)
 
 

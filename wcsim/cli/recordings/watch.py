@@ -1,4 +1,4 @@
-"""`wcsim watch RUN`: the world of a run that goes on, live on a page."""
+"""`wcsim watch RUN`: the world of a running training, live on a page."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _MANIFEST: Final = "manifest.json"
 
 @dataclass
 class Options:
-    """Watch a run live: its street, its chairs, their sticks and KPIs, on a page in your browser.
+    """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
 
-    For runs with a journal: `wcsim train --clients`, `wcsim serve --run`. The run is not touched. docs/watching.md
+    For runs with a journal: `wcsim train --clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
     """
 
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """The folder of the run; it may begin later."""
+    """The run folder; the run may start later."""
     seat: int | None = None
-    """Which chair to follow first."""
+    """The chair to follow first."""
     hook: str = ""
-    """Your own step hook, module:Class, that the run was started with: code, which the journal alone does not load."""
+    """Your own step hook, module:Class, that the run was started with; its code runs only when you name it."""
     port: int = 8080
-    """Where the page is served; 0 takes a free one."""
+    """Port of the page; 0 takes a free one."""
     host: str = "127.0.0.1"
-    """The machine's name or address; any other than the loopback asks for the token in the printed address."""
+    """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
 def run(words: list[str]) -> int:
@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
 def _check(options: Options) -> None:
     """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
-        raise ConfigError(f"{shown(options.run)}: is not there; expected the folder of a run of wcsim train --clients")
+        raise ConfigError(f"{shown(options.run)}: is not there; expected the folder of a wcsim train --clients run")
     from wcsim.server.journal.journal import JOURNAL, read_header
     from wcsim.server.journal.parts import part_files
     from wcsim.server.journal.replay import journal_worlds
@@ -61,8 +61,8 @@ def _check(options: Options) -> None:
         journal_worlds(read_header(options.run / JOURNAL), options.hook)
     elif is_file(options.run / _MANIFEST) and not _has_clients(options.run):
         raise ConfigError(
-            f"{shown(options.run)}: is a run of one network, which keeps no journal and cannot be watched; expected "
-            "one of wcsim train --clients NETWORK (one client is enough), or of wcsim serve --run"
+            f"{shown(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim train "
+            "--clients NETWORK (one client is enough), or of wcsim serve --run"
         )
 
 

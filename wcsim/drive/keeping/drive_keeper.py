@@ -15,8 +15,8 @@ from wcsim.users.profile_file import profile_json
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 
-_NO_NAME = "no name is left for another file; expected fewer worlds in one drive: start wcsim drive again"
-_RECORDED = "a recorded user sits beside the person, and its file may be gone; choose one of the profiles"
+_NO_NAME = "all names for a further file are taken; start wcsim drive again"
+_RECORDED = "the simulated user is a recording, which a drive cannot be replayed with; choose a profile"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +97,7 @@ class DriveKeeper:
             self._note_first(EventKind.ASSISTANCE, "off")
         if session.driver is DriverKind.SIMULATED:
             self._note_first(EventKind.DRIVER, session.driver.value)
-        self._tell(KeptNews(on=True, told="Kept from the first tick on."))
+        self._tell(KeptNews(on=True, told="Recording starts when you drive."))
 
     def _sits_in_scene(self) -> bool:
         """Whether the recorded user beside the person is the one of a generated scene, which is made again with it."""
@@ -139,8 +139,8 @@ class DriveKeeper:
     def _stop(self, why: str) -> None:
         """Nothing more is kept of this world; what was, is."""
         self._end()
-        told = "Nothing is kept from here on" if self._file else "This drive is not kept"
-        self._tell(KeptNews(on=False, file=self._file, told=f"{told}: {why}", log=f"nothing is kept: {why}"))
+        told = "Recording has stopped" if self._file else "This drive is not recorded"
+        self._tell(KeptNews(on=False, file=self._file, told=f"{told}: {why}", log=f"not recording: {why}"))
 
     def _end(self) -> None:
         self._header = None

@@ -96,8 +96,8 @@ def rows_of(study: OpenStudy) -> tuple[dict[str, str], ...]:
     other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
     if other is not None:
         raise ConfigError(
-            f"{shown(study.table)}: was begun with another study file ({shown(other['study_sha256'], 12)}, this is "
-            f"{study.sha256[:12]}); expected the same: restore it, or name another folder with --out"
+            f"{shown(study.table)}: belongs to another study file ({shown(other['study_sha256'], 12)}, this is "
+            f"{study.sha256[:12]}); expected the same file: restore it, or name another folder with --out"
         )
     return tuple(row for row in rows if row["participant"] == str(study.participant))
 
@@ -114,11 +114,11 @@ def _require_named(policy: str, named: str, where: str) -> None:
     """Raise ConfigError for another policy than the file's, or a class that is loaded without being named again."""
     if named and named != policy:
         told = f"{where} says policy = {shown(policy)!r}"
-        raise ConfigError(f"--policy {shown(named)} beside --study: {told}; leave it out")
+        raise ConfigError(f"--policy {shown(named)} with --study: {told}; leave --policy out")
     if is_own_class(policy) and not named:
         raise ConfigError(
-            f"{where}: its policy is the class {shown(policy)}, and loading it runs its code; expected that you name "
-            f"it, if you trust it: --policy {shlex.quote(shown(policy))}"
+            f"{where}: its policy is the class {shown(policy)}, and loading it runs its code; if you "
+            f"trust it, name it: --policy {shlex.quote(shown(policy))}"
         )
 
 
@@ -134,8 +134,8 @@ def _require_levels(study: OpenStudy, where: str) -> None:
             if levels is None or not min(levels) <= level <= max(levels):
                 told = "no levels" if levels is None else f"levels of {min(levels):g} to {max(levels):g}"
                 raise ConfigError(
-                    f"{where}: block {name} has level {level:g}, but policy {policy.name} has {told}; expected one of "
-                    "these: change the level, or the policy"
+                    f"{where}: block {name} has level {level:g}, but policy {policy.name} has {told}; change "
+                    "the level or the policy"
                 )
     finally:
         close = getattr(policy, "close", None)

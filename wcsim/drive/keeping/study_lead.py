@@ -81,9 +81,9 @@ class StudyLead:
         if step != self._at or self.step.kind is StepKind.END:
             return
         if self.step.kind is StepKind.ASK:
-            raise WcsimError("the questions come first; expected answers")
+            raise WcsimError("the questions are not answered yet; answer them first")
         if self.step.kind is StepKind.REST and self._hands.clock() < self._rested_s:
-            raise WcsimError("the rest is not over; expected to wait for it")
+            raise WcsimError("the rest is not over yet; wait until it is")
         if self.step.kind is StepKind.READ and self._session is None:
             self._prepare()
             return
@@ -103,11 +103,13 @@ class StudyLead:
         asked = questions_of(self._study.file, self.step)
         told: dict[str, str] = {}
         if len(answers) != len(asked):
-            raise WcsimError(f"{len(answers)} answers to {len(asked)} questions; expected one each: reload the page")
+            raise WcsimError(f"got {len(answers)} answers; expected {len(asked)}: reload the page")
         for question, number in zip(asked, answers, strict=True):
             words = answers_of(question)
             if not NO_ANSWER <= number < len(words):
-                raise WcsimError(f"answer {number} to {question.name}; expected 0 to {len(words) - 1}: reload the page")
+                raise WcsimError(
+                    f"got answer {number} to question {question.name}; expected 0 to {len(words) - 1}: reload the page"
+                )
             told[answer_column(question)] = "" if number == NO_ANSWER else words[number]
         part = self.step.part
         self._write(end_row(self._study) if part is None else self._rows[part.block.name], told)
@@ -164,7 +166,9 @@ class StudyLead:
         path = next(file_names(self._study.folder / name), None)
         try:
             if path is None:
-                raise WcsimError(f"{shown(self._study.folder / name)}: no name is left; expected fewer attempts")
+                raise WcsimError(
+                    f"{shown(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
+                )
             session = self._hands.open(start_of(self._study.file, part.place, self._study.network), path)
             if part.block.level is not None:
                 session.set_level(part.block.level)
@@ -192,7 +196,7 @@ class StudyLead:
             else:
                 self._write(row, {})
         except WcsimError as error:
-            self._hands.say(f"{error}; the figures: {', '.join(map(str, row.values()))}")
+            self._hands.say(f"{error}; the results of this part: {', '.join(map(str, row.values()))}")
         self._next()
 
     def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
@@ -201,7 +205,7 @@ class StudyLead:
         rows = read_rows(path, columns_of(self._study.file))
         found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
         if found:
-            self._hands.say(f"{part.block.name} was driven before, its questions are asked: {shown(path)}")
+            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {shown(path)}")
         return found
 
     def _forget(self, part: StudyPart) -> None:
@@ -210,14 +214,16 @@ class StudyLead:
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
-            self._hands.say(f"{shown(path)}: cannot be removed ({error.strerror}); its row is in the table: remove it")
+            self._hands.say(
+                f"{shown(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
+            )
 
     def _result(self, part: StudyPart) -> Path:
         return self._study.folder / f"{part.number}-{part.block.name}.csv"
 
     def _write(self, row: Row, answers: Row) -> None:
         append_row(self._study.table, columns_of(self._study.file), {**row, **answers})
-        self._hands.say(f"participant {self._study.participant}: {row['block']} is in {shown(self._study.table)}")
+        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {shown(self._study.table)}")
 
     # --- what is shown ---
 

@@ -62,18 +62,18 @@ def read_rows(path: Path, columns: Sequence[str]) -> tuple[dict[str, str], ...]:
         return ()
     text = read_text(path, _TABLE)
     if text and not text.endswith("\n"):
-        raise ConfigError(f"{shown(path)}: its last line has no end; expected a whole one: complete it, or remove it")
+        raise ConfigError(f"{shown(path)}: its last line is incomplete; complete it, or remove it")
     try:
         lines = [line for line in csv.reader(io.StringIO(text, newline=""), strict=True) if line]
     except csv.Error:
         lines = []
     if not lines or tuple(lines[0]) != tuple(columns):
         raise ConfigError(
-            f"{shown(path)}: has other columns than this study; expected the table that the same study file made: "
+            f"{shown(path)}: its columns are not those of this study; expected the table of the same study file: "
             "name another folder with --out"
         )
     if len(lines) > _MOST_ROWS or any(len(line) != len(columns) for line in lines):
-        raise ConfigError(f"{shown(path)}: is no table of {len(columns)} columns; expected one that wcsim wrote")
+        raise ConfigError(f"{shown(path)}: is not a table with {len(columns)} columns; expected one that wcsim wrote")
     return tuple(dict(zip(columns, line, strict=True)) for line in lines[1:])
 
 
@@ -88,7 +88,7 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
     except OSError as error:
-        raise ConfigError(f"{shown(path)}: cannot be written on ({error.strerror}); choose another --out") from None
+        raise ConfigError(f"{shown(path)}: cannot be written ({error.strerror}); choose another --out") from None
     try:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(handle, fcntl.LOCK_EX)  # another participant's drive may write on it at the same time
@@ -102,7 +102,9 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
             reason = str(error.strerror)
         if reason:
             os.ftruncate(handle, end)
-            raise DiskFullError(f"{shown(path)}: a row could not be written ({reason}); make room, and press again")
+            raise DiskFullError(
+                f"{shown(path)}: a row could not be written ({reason}); free some disk space, and press again"
+            )
         os.fsync(handle)
     finally:
         os.close(handle)

@@ -10,8 +10,8 @@ from wcsim.drive.keeping.study_plan import StepKind, StudyStep, questions_of
 from wcsim.drive.keeping.study_table import answers_of
 
 _KEPT = (
-    "What is kept: how the stick was moved, where the chair drove, what the assistance did, and your answers, under a "
-    "number. Your name is not asked for, and no picture or sound of you is taken."
+    "Saved under a number: how you moved the stick, where the chair drove, what the assistance did, and your answers. "
+    "Your name is not saved, and no picture or sound of you is recorded."
 )
 
 
@@ -52,16 +52,16 @@ def view_of(study: StudyFile, step: StudyStep, number: int, participant: int) ->
     told: tuple[str, ...] = ()
     title, button = study.title, ""
     if step.kind is StepKind.WELCOME:
-        told, button = (*study.told, _KEPT), "Go on"
+        told, button = (*study.told, _KEPT), "Continue"
     elif step.kind is StepKind.READ and part is not None:
-        title, told, button = part.block.title, (*part.block.told, _how_long(step)), "Begin to drive"
+        title, told, button = part.block.title, (*part.block.told, _how_long(step)), "Start driving"
     elif step.kind is StepKind.DRIVE and part is not None:
         title = part.block.title
     elif step.kind is StepKind.ASK:
-        title, button = "How was it?" if part is not None else "To end with", "Save and go on"
-        told = ("There is no right or wrong answer. You may leave a question out.",)
+        title, button = "How was it?" if part is not None else "Last questions", "Save and continue"
+        told = ("There are no right or wrong answers. You may skip a question.",)
     elif step.kind is StepKind.REST:
-        title, button = "Take a rest", "Go on"
+        title, button = "Take a rest", "Continue"
         told = ("Your answers are saved. Rest as long as you like.",)
     else:
         title, told = "This is the end", (*study.thanks, "Everything is saved.")
@@ -84,9 +84,9 @@ def _how_long(step: StudyStep) -> str:
     block = step.part.block
     minutes = f"{block.minutes:g} minute{'' if block.minutes == 1.0 else 's'}"
     if block.arrivals is None:
-        return f"You drive for {minutes}. You can pause at any time; time stands still then."
+        return f"You drive for {minutes}. You can pause at any time; pauses do not count."
     places = counted(block.arrivals, "place")
-    return f"You drive until you have arrived at {places}, for {minutes} at the most. You can pause at any time."
+    return f"You drive until you have arrived at {places}, for at most {minutes}. You can pause at any time."
 
 
 def _question(question: StudyQuestion) -> QuestionView:

@@ -15,7 +15,7 @@ function make(name, more, parent) {
 }
 
 export class Grid {
-  constructor(home, stick, told = "Joystick. Push the disc with pointer or finger; the stick’s position is told in words below.") {
+  constructor(home, stick, told = "Joystick. Push the disc with pointer or finger; the stick’s position is described in words below.") {
     this.stick = stick; // null where there is nothing to push
     const svg = make("svg", { viewBox: "-118 -132 236 264", role: "img", "aria-labelledby": "stick-title" }, home);
     make("title", { id: "stick-title" }, svg).textContent = told;

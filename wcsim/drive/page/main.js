@@ -11,7 +11,7 @@ import { Study } from "./study.js";
 
 const SEND_MS = 33;
 const SAID_MS = 5000;
-const LINES = { open: ["connected", "good"], lost: ["connection lost – the chair stops", "bad"] };
+const LINES = { open: ["connected", "good"], lost: ["connection lost: the chair stops", "bad"] };
 
 let drives = false;
 let overrules = false;
@@ -69,7 +69,7 @@ const link = new Link({
     if (state.crash || (state.let_go && scan.driving)) rest();
     tellStanding(state);
     hint.tell(state, drives && !busy && !standing, Number(by("steer-by").value) || 0);
-    big(busy || (state.crash ? crashed(state) : standing || (state.alone ? "The simulated user drives till the handover" : "")));
+    big(busy || (state.crash ? crashed(state) : standing || (state.alone ? "The simulated user drives until the handover" : "")));
   },
 });
 
@@ -99,13 +99,13 @@ function tellStanding(state) {
   const before = standing;
   const holds = drives && !state.crash && (state.let_go || stick.stopped); // of a crash something else is said
   const pushed = holds && state.driver === "person" && Math.hypot(...stick.raw()) > 0.1;
-  standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Let go of the stick once." : "");
+  standing = state.waiting || (state.paused ? "Paused" : state.tick === 0 ? "Getting ready …" : pushed ? "Release the stick first." : "");
   if (standing === before) return;
   if (standing) say(standing);
-  else if (before === "Paused") say("Time goes on.");
+  else if (before === "Paused") say("Resumed.");
 }
 
-const crashed = (state) => `The chair ${state.crash}. You begin again before that place.`;
+const crashed = (state) => `The chair ${state.crash}. You start again a little before that place.`;
 
 function setBusy(told, counts) {
   busy = told;
@@ -113,7 +113,7 @@ function setBusy(told, counts) {
 }
 
 function askForHelp() {
-  const why = !link.there ? "the connection is lost" : !drives ? "this page does not drive" : busy ? "the street is not open" : "";
+  const why = !link.there ? "the connection is lost" : !drives ? "this page only watches" : busy ? "the street is not open" : "";
   if (!why) { link.say("help"); say("You asked for help."); return; }
   note("bad", `Help was not sent: ${why}.`);
   say(`Help was not sent: ${why}.`);

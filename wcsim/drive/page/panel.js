@@ -10,9 +10,9 @@ const KPIS = [
   ["time", "Time", (k) => `${Math.floor(k.time_s / 60)}:${String(Math.floor(k.time_s % 60)).padStart(2, "0")}`],
   ["arrivals", "Arrivals", (k) => k.arrivals], ["crashes", "Crashes", (k) => k.crashes],
   ["warnings", "Warnings", (k) => k.warnings], ["interventions", "Interventions", (k) => k.interventions],
-  ["helps", "Help calls", (k) => k.helps], ["overrules", "Overruled", (k) => k.overrules],
-  ["kpi1", "Mean distance from your stick (KPI 1)", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
-  ["kpi2", "Steps survived (KPI 2)", (k) => k.kpi2.toFixed(0)],
+  ["helps", "Calls for help", (k) => k.helps], ["overrules", "Overruled", (k) => k.overrules],
+  ["kpi1", "Mean difference from your stick", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
+  ["kpi2", "Mean steps without a crash", (k) => k.kpi2.toFixed(0)],
 ];
 
 const FOLLOWS = 0.06; // farther, and the diamond is visibly beside the point: positions lie 0.25 apart
@@ -20,17 +20,17 @@ const STANDS_MPS = 0.05;
 const CALM_MS = 1200; // so long without an intervention ends it
 const TOLD_MS = 6000;
 
-// What the chair does otherwise than the stick, in words. Why is not known here, so it is not said.
+// What the chair does differently from the stick, in words. The reason is not known here.
 export function deed(stick, commanded) {
   const [asked, given] = [Math.hypot(...stick), Math.hypot(...commanded)];
   if (given < 0.15) return "braked";
-  if (asked < 0.15) return "moved though your stick is at rest";
+  if (asked < 0.15) return "moved while your stick was at rest";
   const told = [];
-  if (stick[1] * commanded[1] < 0 && Math.min(Math.abs(stick[1]), Math.abs(commanded[1])) > 0.1) told.push(commanded[1] > 0 ? "went ahead" : "went back");
+  if (stick[1] * commanded[1] < 0 && Math.min(Math.abs(stick[1]), Math.abs(commanded[1])) > 0.1) told.push(commanded[1] > 0 ? "went forward" : "went back");
   else if (Math.abs(commanded[1]) < Math.abs(stick[1]) - 0.12) told.push("slowed");
-  else if (Math.abs(commanded[1]) > Math.abs(stick[1]) + 0.12) told.push("went faster");
+  else if (Math.abs(commanded[1]) > Math.abs(stick[1]) + 0.12) told.push("sped up");
   if (Math.abs(commanded[0] - stick[0]) > 0.12) told.push(commanded[0] > stick[0] ? "turned right" : "turned left");
-  return told.join(", ") || "steered a little otherwise";
+  return told.join(", ") || "steered slightly differently";
 }
 
 // One intervention after another: several with short gaps are one, of which the farthest from the stick is told.
@@ -57,10 +57,10 @@ class Deeds {
       this.now = "";
       this.until_ms = now_ms + TOLD_MS;
     }
-    const near = !state.assisted ? "assistance is off" : state.overruled ? "overruled" : far < FOLLOWS ? "follows the stick" : "nearly follows";
-    const lamp = state.intervening ? "steers otherwise" : near;
+    const near = !state.assisted ? "assistance is off" : state.overruled ? "overruled" : far < FOLLOWS ? "none" : "slight correction";
+    const lamp = state.intervening ? "corrects your stick" : near;
     const done = this.now || (now_ms < this.until_ms ? this.done : "");
-    return { begins, ended, lamp, line: done ? `By the assistance, the chair ${done}${this.now ? " …" : "."}` : "" };
+    return { begins, ended, lamp, line: done ? `Assistance: ${done}${this.now ? " …" : "."}` : "" };
   }
 }
 
@@ -147,7 +147,7 @@ export class Panel {
     mark.textContent = "▲";
     mark.style.left = `calc(8px + (100% - 16px) * ${share / 100})`;
     const words = document.createElement("b");
-    words.textContent = `its own: ${level.toFixed(2)}`;
+    words.textContent = `original: ${level.toFixed(2)}`;
     by("own-level").replaceChildren(mark, words);
     by("own-level").dataset.side = share >= 50 ? "left" : "right";
   }
@@ -171,27 +171,27 @@ export class Panel {
     by("driver").value = state.driver;
     by("pace").value = String(state.pace);
     by("user").value = state.profile;
-    by("rate").textContent = state.rate ? `${state.rate.toFixed(1)} ticks/s` : "";
+    by("rate").textContent = state.rate ? `${state.rate.toFixed(1)} steps per second` : "";
     this.tellLevel(state.level);
     by("level").disabled = !this.levels || !state.assisted;
     by("levels").dataset.on = String(state.assisted);
     const who = state.alone || state.driver === "simulated" ? "simulated user" : "you";
     put(by("legend-you"), who);
-    put(this.numbers.cells.kpi1.previousSibling, `Mean distance from ${who === "you" ? "your" : "the user’s"} stick (KPI 1)`);
+    put(this.numbers.cells.kpi1.previousSibling, `Mean difference from ${who === "you" ? "your" : "the user’s"} stick`);
     const same = Math.hypot(state.stick[0] - state.commanded[0], state.stick[1] - state.commanded[1]) < 0.2;
     by("stick-text").textContent = same ? `${who}: ${words(state.stick)}` : `${who}: ${words(state.stick)} · chair: ${words(state.commanded)}`;
     document.body.dataset.tick = String(state.tick);
   }
 
   lamps(state, before) {
-    if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "clear") && state.warning) this.say("Warning: danger ahead.");
+    if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");
     const told = this.deeds.tell(state, performance.now());
     if (this.lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
-    if (told.ended) this.say(`By the assistance, the chair ${told.ended}.`);
+    if (told.ended) this.say(`The assistance ${told.ended}.`);
     put(by("did"), told.line);
     this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : state.assisted ? "on" : "off");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
-    if (this.lamp("lamp-road", state.on_road, state.on_road ? "you are on the road" : "you are off it") && state.on_road) this.say("You are on the road.");
+    if (this.lamp("lamp-road", state.on_road, state.on_road ? "you are on the road" : "you are not on it") && state.on_road) this.say("You are on the road.");
     const turn = state.bearing_deg;
     const side = Math.abs(turn) > 150 ? "behind you" : Math.abs(turn) < 20 ? "ahead" : `${Math.round(Math.abs(turn) / 10) * 10}° to the ${turn > 0 ? "left" : "right"}`;
     this.lamp("lamp-way", false, side);
@@ -199,12 +199,12 @@ export class Panel {
   }
 
   tellLevel(level) {
-    if (level === null || !this.levels) { by("level-text").textContent = "this policy has none"; return; }
+    if (level === null || !this.levels) { by("level-text").textContent = "fixed for this policy"; return; }
     const [least, most] = this.levels;
     const share = this.shareOf(level);
     if (document.activeElement !== by("level")) by("level").value = String(share);
-    const acts = share > 66 ? "acts early" : share < 34 ? "acts late" : "acts in between";
-    const text = least > most ? `${acts}: at dangers above ${level.toFixed(2)}` : `${acts}: ${level.toFixed(2)}`;
+    const acts = share > 66 ? "acts early" : share < 34 ? "acts late" : "medium";
+    const text = least > most ? `${acts}: when danger exceeds ${level.toFixed(2)}` : `${acts}: ${level.toFixed(2)}`;
     by("level-text").textContent = text;
     by("level").setAttribute("aria-valuetext", text);
   }
@@ -215,7 +215,7 @@ export function tellKeeping(message) {
   const lamp = by("keeping");
   const name = message.file.split("/").pop();
   const word = message.on ? "Recording" : "Not recording";
-  const where = message.on ? (name ? `to ${name}` : "from the first tick on") : message.told || (name ? `${name} is whole` : "");
+  const where = message.on ? (name ? `to ${name}` : "starts when you drive") : message.told || (name ? `${name} is complete` : "");
   const said = `${word} ${where}`;
   const before = lamp.hidden ? "" : lamp.textContent.trim().replace(/\s+/g, " ");
   lamp.hidden = false;
@@ -254,7 +254,7 @@ export class Hint {
     const mine = may && state.driver === "person" && !state.alone && !state.crash && !state.let_go;
     const drives = Math.abs(state.speed_mps) > STANDS_MPS && !behind;
     if (this.done || !mine || drives || state.warning || state.intervening) { this.show(""); return; }
-    if (behind) { this.show("The way is behind you: turn with left or right first."); return; }
+    if (behind) { this.show("The route is behind you: turn left or right first."); return; }
     const push = matchMedia("(pointer: coarse)").matches ? "Push the disc ahead" : "Press ↑ (up arrow), or push the disc";
     this.show(`${switches ? SWITCHES[switches] : push}; follow the green dots.`);
   }

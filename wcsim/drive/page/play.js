@@ -10,13 +10,13 @@ const LEAD_S = 3;
 const CRASHES = ["crash", "drop"];
 const LINES = { open: ["connected", "good"], lost: ["connection lost", "bad"] };
 const KPIS = [
-  ["kpi1", "KPI 1, distance", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
-  ["kpi2", "KPI 2, steps", (k) => (k.kpi2 === null ? "–" : k.kpi2.toFixed(0))],
-  ["ticks", "Ticks", (k) => k.ticks], ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
+  ["kpi1", "Stick difference (KPI 1)", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
+  ["kpi2", "Steps per episode (KPI 2)", (k) => (k.kpi2 === null ? "–" : k.kpi2.toFixed(0))],
+  ["ticks", "Steps driven", (k) => k.ticks], ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
   ["speed", "Speed", (k, c) => `${Math.abs(c.speed_mps).toFixed(2)} m/s`],
-  ["step", "Step of episode", (k, c) => (c.step < 0 ? "–" : c.step)],
+  ["step", "Step of this episode", (k, c) => (c.step < 0 ? "–" : c.step)],
   ["left", "To go", (k, c, s) => (s.left_m === null ? "–" : `${s.left_m.toFixed(0)} m`)],
-  ["crashes", "Crashes", (k) => k.crashes ?? "–"], ["drops", "of them falls", (k) => k.drops ?? "–"],
+  ["crashes", "Crashes", (k) => k.crashes ?? "–"], ["drops", "Falls off a kerb", (k) => k.drops ?? "–"],
   ["arrivals", "Arrivals", (k) => k.arrivals ?? "–"], ["warnings", "Warnings", (k) => k.warnings ?? "–"],
   ["interventions", "Interventions", (k) => k.interventions ?? "–"],
 ];
@@ -45,7 +45,7 @@ const link = new Link({
   marks(message) { timeline.setMarks(message.marks); choose(); },
   role(role) {
     by("banner").hidden = role.drives || !role.told;
-    by("banner-text").textContent = role.taken ? "Another page holds the film. You look on." : "Nobody holds the film.";
+    by("banner-text").textContent = role.taken ? "Another page controls the film. You are watching." : "No page controls the film.";
     document.body.dataset.drives = String(role.drives);
     if (role.drives) scene.tell();
   },
@@ -53,7 +53,7 @@ const link = new Link({
 });
 
 const scene = new Scene(link);
-const grid = new Grid(by("stick"), null, "Joystick: the user’s stick and what the chair was given; told in words below.");
+const grid = new Grid(by("stick"), null, "Joystick: the user’s stick and the chair’s command, described in words below.");
 const timeline = new Timeline(by("marks"), by("at"), by("legend"), seek);
 
 function seek(to) {
@@ -74,8 +74,8 @@ function jump(kinds, forward) {
   const mark = forward ? timeline.next(kinds, from) : timeline.before(kinds, from);
   const name = kinds === CRASHES ? "crash" : "intervention";
   if (!mark) {
-    const none = state.crash && kinds === CRASHES ? `This is the ${forward ? "last" : "first"} crash` : `There is no ${name} ${forward ? "after" : "before"} here`;
-    note("note", `${none}${state.reading ? ", as far as it was read" : ""}.`);
+    const none = state.crash && kinds === CRASHES ? `This is the ${forward ? "last" : "first"} crash` : `There is no ${forward ? "later" : "earlier"} ${name}`;
+    note("note", `${none}${state.reading ? " in the part read so far" : ""}.`);
     return;
   }
   if (mark[1] >= 0 && mark[1] !== state.seat) link.say("followseat", { seat: mark[1] });
@@ -91,7 +91,7 @@ function tellAbout(told) {
   by("legend-unsafe").hidden = !told.tells_unsafe;
   by("camera-figure").hidden = !told.camera;
   by("live").hidden = !told.live;
-  by("unknown").replaceChildren(...(told.unknown.length ? told.unknown : ["Nothing that it could."]).map((line) => { const item = document.createElement("li"); item.textContent = line; return item; }));
+  by("unknown").replaceChildren(...(told.unknown.length ? told.unknown : ["Everything this page can show is in it."]).map((line) => { const item = document.createElement("li"); item.textContent = line; return item; }));
   by("failed-part").hidden = !told.failed.length;
   by("failed").replaceChildren(...told.failed.map((one) => {
     const item = document.createElement("li");
@@ -126,14 +126,14 @@ function tellState(now) {
   if (!dragging) by("at").value = String(now.at);
   by("at").setAttribute("aria-valuetext", `${clock(now.at)} of ${clock(last)}`);
   if (!before || before.seat !== now.seat) choose();
-  const read = now.reading && about.ticks > now.count ? `, ${Math.floor(100 * now.count / about.ticks)} % read` : "";
-  put(by("clock"), `${clock(now.at)} / ${clock(last)}${read} · epoch ${now.epoch}, tick ${now.tick}`);
+  const read = now.reading && about.ticks > now.count ? `, ${Math.floor(100 * now.count / about.ticks)} % loaded` : "";
+  put(by("clock"), `${clock(now.at)} / ${clock(last)}${read} · world ${now.epoch}, step ${now.tick}`);
   put(by("told"), now.ended || now.told);
   put(by("play"), now.paused ? "Play" : "Pause");
   by("play").setAttribute("aria-pressed", String(!now.paused));
   by("live").setAttribute("aria-pressed", String(now.live));
   by("pace").value = String(now.pace);
-  put(by("size"), `${counted(now.count - now.first, "tick")}, ${now.size_mb} MB${now.first ? `; those before ${clock(now.first)} were let go` : ""}`);
+  put(by("size"), `${counted(now.count - now.first, "step")}, ${now.size_mb} MB${now.first ? `; steps before ${clock(now.first)} were dropped` : ""}`);
   tellChair(now);
   tellChairs(now);
   document.body.dataset.at = String(now.at);
@@ -147,20 +147,20 @@ function tellChair(now) {
   grid.move(now.stick, now.commanded);
   const asked = now.stick ? `user: ${words(now.stick)}` : "user: not known";
   put(by("stick-text"), now.commanded ? `${asked} · chair: ${words(now.commanded)}` : asked);
-  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "clear") : "not known");
+  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "none") : "not known");
   const follows = now.stick && now.commanded;
-  lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "steers otherwise" : "follows the stick") : "not known");
+  lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "corrects the stick" : "none") : "not known");
   lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
   lamp("lamp-who", false, about.tells_who ? decides(now) : "not known");
   if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
   crash = now.crash;
-  big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street here.");
+  big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street at this moment.");
 }
 
 function decides(now) {
   if (now.alone) return "user alone";
   if (now.overruled) return "user overrules";
-  return now.unaided ? "user, no assistance" : "policy";
+  return now.unaided ? "user, not assisted" : "policy";
 }
 
 function tellChairs(now) {
@@ -174,9 +174,9 @@ function tellChairs(now) {
     button.setAttribute("aria-pressed", String(chair.seat === now.seat));
     const [name, signs, more] = button.children;
     put(name, chair.name);
-    put(signs, !chair.here ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warns" : chair.intervening ? "▬ intervenes" : "follows");
+    put(signs, !chair.here ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warning" : chair.intervening ? "▬ intervention" : "follows the user");
     const k = chair.kpis;
-    put(more, `${counted(k.ticks, "tick")} · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes === null ? "– crashes" : counted(k.crashes, "crash", "crashes")}`);
+    put(more, `${counted(k.ticks, "step")} · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes === null ? "– crashes" : counted(k.crashes, "crash", "crashes")}`);
   });
 }
 

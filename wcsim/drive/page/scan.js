@@ -5,7 +5,7 @@
 import { wireHold } from "./shared.js";
 
 const ACTS = [
-  { name: "Ask for help", act: "help" }, { name: "Overrule", act: "overrule" }, { name: "Pause, go on", act: "pause" },
+  { name: "Ask for help", act: "help" }, { name: "Overrule", act: "overrule" }, { name: "Pause / resume", act: "pause" },
 ];
 const CHOICES = [
   { name: "Ahead", stick: [0, 1] }, { name: "Slowly ahead", stick: [0, 0.5] },
@@ -13,8 +13,8 @@ const CHOICES = [
   { name: "Turn left", stick: [-0.5, 0] }, { name: "Turn right", stick: [0.5, 0] },
   { name: "Back", stick: [0, -0.5] }, ...ACTS,
 ];
-const MORE = [...ACTS, { name: "Drive on", act: "" }];
-const ELSEWHERE = [{ name: "Take over the stick", act: "takeOver" }];
+const MORE = [...ACTS, { name: "Back to driving", act: "" }];
+const ELSEWHERE = [{ name: "Take control", act: "takeOver" }];
 const HELD = { Digit1: [-0.5, 0], Digit2: [0, 1], Digit3: [0.5, 0], Digit4: [0, -0.5] };
 const NAMES = { Digit1: "Left", Digit2: "Ahead", Digit3: "Right", Digit4: "Back" };
 const MORE_MS = 1000;

@@ -3,7 +3,7 @@
 import { by } from "./shared.js";
 
 const STOP_MS = 5000;
-const OF_OTHERS = { welcome: "is reading the first page", read: "is reading what comes next", ask: "is answering questions", rest: "is resting", end: "is at the end" };
+const OF_OTHERS = { welcome: "is reading the first page", read: "is reading about the next part", ask: "is answering questions", rest: "is resting", end: "has finished" };
 
 function element(name, text = "", more = {}) {
   const made = document.createElement(name);
@@ -100,7 +100,7 @@ export class Study {
     const view = this.view;
     if (!view || !by("study").open) return;
     const wait_s = Math.ceil((this.opens_ms - Date.now()) / 1000);
-    const text = !view.ready ? "The street is being prepared …" : wait_s > 0 ? `${view.button} (in ${wait_s} s)` : view.button;
+    const text = !view.ready ? "Preparing the street …" : wait_s > 0 ? `${view.button} (in ${wait_s} s)` : view.button;
     const go = by("study-go");
     go.hidden = !text;
     if (go.textContent !== text) go.textContent = text;
@@ -110,7 +110,7 @@ export class Study {
   press() {
     const view = this.view;
     if (by("study-go").getAttribute("aria-disabled") === "true") return;
-    if (!this.link.there) { this.notice("The connection is lost. It is tried again; then press once more."); return; }
+    if (!this.link.there) { this.notice("The connection is lost. Press again when the page has reconnected."); return; }
     if (view.kind !== "ask") { this.link.say("goon", { step: view.step }); return; }
     const answers = view.questions.map((_, at) => { const on = document.querySelector(`input[name="question-${at}"]:checked`); return on ? Number(on.value) : -1; });
     const left = answers.filter((answer) => answer < 0).length;
@@ -144,7 +144,7 @@ function leftWords(view) {
   const left = Math.ceil(view.left_s ?? 0);
   const time = `${Math.floor(left / 60)}:${String(left % 60).padStart(2, "0")} left`;
   if (view.arrivals_left === null) return time;
-  return `${view.arrivals_left} ${view.arrivals_left === 1 ? "arrival" : "arrivals"} to go, ${time}`;
+  return `${view.arrivals_left} ${view.arrivals_left === 1 ? "arrival" : "arrivals"} left, ${time}`;
 }
 
 function question(asked, at) {

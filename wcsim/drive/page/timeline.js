@@ -4,8 +4,8 @@ import { counted } from "./shared.js";
 
 const KINDS = { // one, several
   crash: ["crash", "crashes", "--bad", "✕"], drop: ["fall off a kerb", "falls off kerbs", "--bad", "▼"], intervention: ["intervention", "interventions", "--do", "▬"],
-  warning: ["warning", "warnings", "--warned", "▲"], arrival: ["arrival", "arrivals", "--good", "●"], "gave-up": ["given up", "given up", "--soft", "○"],
-  help: ["call for help", "calls for help", "--you", "◆"], gap: ["new beginning", "new beginnings", "--ink", "┃"],
+  warning: ["warning", "warnings", "--warned", "▲"], arrival: ["arrival", "arrivals", "--good", "●"], "gave-up": ["route given up", "routes given up", "--soft", "○"],
+  help: ["call for help", "calls for help", "--you", "◆"], gap: ["new world", "new worlds", "--ink", "┃"],
 };
 const ROWS = { crash: 0, drop: 0, warning: 1, intervention: 2, arrival: 3, "gave-up": 3, help: 3, gap: -1 };
 const ROW_PX = 11;

@@ -175,7 +175,7 @@ class PlayRunner:
             self._source.close()
         self._source = None
         if not self._ended:
-            self._ended = "The process that made this film has ended; its messages in the terminal say why."
+            self._ended = "The process that loads this film has ended; the terminal shows why."
             self._say(m.Notice(kind="bad", told=self._ended))
         self._changed = True
         if self._film is None or not self._film.count:
@@ -254,7 +254,7 @@ class PlayRunner:
     def _open_episode(self, said: pm.OpenEpisode) -> None:
         source = self._start.source
         if source.kind != "episode":
-            raise WcsimError("this film is of no suite; expected a result of wcsim test --suite")
+            raise WcsimError("this film is not of a suite; expected a result of wcsim test --suite")
         if not any((one.policy, one.block) == (said.policy, said.block) for one in self._start.failed):
             raise WcsimError(f"{said.policy} has no failed episode in block {said.block}; expected one of the list")
         self.close()
@@ -265,7 +265,7 @@ class PlayRunner:
 
     def _open(self, source: FilmSource) -> None:
         """Start the process of a source."""
-        waits = "; it waits while the training uses the cores" if self._start.gives_way else ""
+        waits = "; it takes longer while the training uses the CPU" if self._start.gives_way else ""
         self._say(m.Busy(told=f"Opening the street{waits} ..."))
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source

@@ -112,7 +112,7 @@ class TickFilm:
     def shot(self, at: int) -> FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
         if not self.first <= at < self.count:
-            raise ProtocolError(f"the film has no frame {at}; expected {self.first} to {self.count - 1}")
+            raise ProtocolError(f"the film has no step {at}; expected {self.first} to {self.count - 1}")
         block, row = divmod(at, _BLOCK)
         if block == self.count // _BLOCK:
             return self._newest[row]

@@ -16,7 +16,7 @@ from wcsim.drive import messages as m
 _MOST_WAITING: Final = 64  # lines to a page; of a page that reads too slowly the oldest are lost
 _NUMBER = struct.Struct("<I")
 _STATE: Final = b'{"say":"state"'
-_TAKEN: Final = "Another page drives. You look on."
+_TAKEN: Final = "Another page is driving. You are watching."
 
 
 class PageLine:
@@ -146,5 +146,5 @@ class Audience:
         for page in self._pages:
             drives = page is self.driver
             taken = not drives and self.driver is not None
-            told = "" if drives else _TAKEN if taken else "Nobody drives."
+            told = "" if drives else _TAKEN if taken else "No page is driving."
             page.put(m.spoken(m.PageRole(drives=drives, taken=taken, told=told)))

@@ -42,14 +42,14 @@ class Door:
         """
         found = _HOST.fullmatch(host or "")
         if found is None or not self._is_ours(found["name"].strip("[]").lower()):
-            return "this name is not served here; open the address that was printed"
+            return "this host name is not served here; open the printed address"
         if socket and origin is None:
-            return "a page has to say where it comes from"
+            return "the Origin header is missing; open the printed address"
         if origin is not None and origin.lower() != f"http://{host}".lower():
             return "a page of another site may not connect"
         asks = socket or urlsplit(path).path == "/"
         if self.token and asks and not self._knows(path):
-            return "the address has no token, or another one; open the address that was printed"
+            return "the token is missing or wrong; open the printed address"
         return ""
 
     def _is_ours(self, name: str) -> bool:

@@ -30,14 +30,14 @@ DRIVE: Final = PageKind(
     page="index.html",
     of_page=m.of_page,
     run=run_drive,
-    begins="the simulator starts, then the street is opened; the page says how long it takes",
-    ended="The drive's process has ended. Start wcsim drive again.",
+    begins="starting the simulator, then the street; the page shows the progress",
+    ended="The drive has ended. Start wcsim drive again.",
 )
 PLAY: Final = PageKind(
     word="film",
     page="play.html",
     of_page=of_play_page,
     run=run_play,
-    begins="the player starts, then the recording is read",
-    ended="The player's process has ended. Start the command again.",
+    begins="starting the player, then loading the recording",
+    ended="The player has ended. Start the command again.",
 )

@@ -164,7 +164,7 @@ class DriveServer:
         except OSError as error:
             raise _not_served(self._order, error) from None
         try:
-            self._order.say(f"{self._order.kind.word} at {self._address(server)}  (Ctrl-C ends it)")
+            self._order.say(f"{self._order.kind.word} at {self._address(server)}  (Ctrl-C to stop)")
             self._order.say(self._order.kind.begins)
             self._process = _Process(
                 self._order,
@@ -177,7 +177,7 @@ class DriveServer:
             await asyncio.to_thread(self._close)
         if self._died:
             what = f"the {self._order.kind.word}'s process"
-            raise WorkersError(f"{what} has ended; its messages above say why, start it again")
+            raise WorkersError(f"{what} has ended; the messages above say why: start it again")
 
     def _close(self) -> None:
         if self._process is not None:
@@ -200,7 +200,7 @@ class DriveServer:
         try:
             answer = self._answer(connection, request)
         except ValueError:  # of a path that is no address, such as //[
-            answer = connection.respond(HTTPStatus.BAD_REQUEST, "this is no address of a page\n")
+            answer = connection.respond(HTTPStatus.BAD_REQUEST, "this is not the address of a page\n")
         if answer is not None and request.method == "HEAD":
             answer.body = b""
         return answer
@@ -253,7 +253,7 @@ class DriveServer:
                 refused += 1
                 line.put(m.spoken(m.Notice(kind="refused", told=str(error))))
                 if refused >= _MOST_REFUSED:
-                    await connection.close(1008, "no page of wcsim")
+                    await connection.close(1008, "not a page of wcsim")
                     return
                 continue
             self._obey(line, message)
@@ -303,9 +303,9 @@ def _not_served(order: ServeOrder, error: OSError) -> ConfigError:
     """What is wrong with an address: the host is no name or address of this machine, or the port cannot be had."""
     of_host = isinstance(error, socket.gaierror) or error.errno in (None, errno.EADDRNOTAVAIL)  # None: tried several
     cure = (
-        "expected --host with a name or address of this machine, or 0.0.0.0 for all that it has"
+        "expected --host with a name or address of this machine, or 0.0.0.0 for all of them"
         if of_host
-        else "choose another --port, 0 takes a free one"
+        else "choose another --port; 0 takes a free one"
     )
     return ConfigError(f"{order.host}:{order.port}: cannot be served ({error.strerror or error}); {cure}")
 

@@ -78,9 +78,9 @@ def test_it_shows_all_ticks_as_they_come_and_nothing_twice(whole: bytes, tmp_pat
     names = [said.names for said in watched.said if isinstance(said, FilmNames)]
     assert names[-1] == {0: "c0", 1: "c1"}
     told = watched.told()
-    assert told[0] == "The run has not begun yet."
+    assert told[0] == "The run has not started yet."
     assert "live" in told
-    assert told[-1].startswith("Nobody drives this world now")
+    assert told[-1].startswith("No process runs this world now")
     assert watched.told("bad") == []
     assert (tmp_path / "journal").read_bytes() == whole, "the run is not touched"
     assert not world_in_this_process()
@@ -93,7 +93,7 @@ def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
     (tmp_path / "journal").write_bytes(whole)
     watched = Watched(tmp_path, iter([None])).follow()
     assert watched.ticks == [(1, tick) for tick in range(1, 31)]
-    assert "30 ticks were passed over for the newest epoch." in watched.told("mark")
+    assert "30 ticks were skipped to reach the newest world." in watched.told("mark")
     assert any(line.endswith("ticks behind the run") for line in watched.told())
     (step, *_) = [said for said in watched.said if isinstance(said, FilmStep)]
     assert [chair.seat for chair in step.frame.chairs] == [0, 1], "who sat there before sits there still"
@@ -125,9 +125,9 @@ def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Pat
     watched = Watched(tmp_path, script()).follow()
     assert len(watched.ticks) == 60
     told = watched.told()
-    assert "The epoch is over; a fresh world is being started." in told
+    assert "This world has ended; the next one is starting." in told
     assert any(line.startswith("No tick for") and "waits for a client" in line for line in told)
-    assert told[-1] == "The run has ended (asked to end). It goes on here when it is resumed."
+    assert told[-1] == "The run has ended (asked to end). This page continues when the run is resumed."
 
 
 def test_damage_and_garbage_end_it_in_a_line(whole: bytes, tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
         places = np.array([chair.p_WB_m for chair in frame.chairs]).reshape(-1, 3)
         assert np.allclose(places, record.plants[:, :3], atol=1e-4)
     assert shown.names == {0: "c0", 1: "c1", 2: "c2"}
-    assert [line.told for line in shown.lines][-1] == "That is the whole journal."
+    assert [line.told for line in shown.lines][-1] == "The whole journal is loaded."
     assert shown.film.about.ticks == len(ticked) and not shown.film.about.tells_who
     moment = shown.film.moment(100, 0, jumped=False)
     assert moment is not None and moment.route is not None and moment.actors
@@ -158,7 +158,7 @@ def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
         (chair,) = frame.chairs
         assert np.allclose(chair.p_WB_m, tick.p_WB_m, atol=1e-4)
         assert chair.stick == (round(tick.stick.x, 4), round(tick.stick.y, 4))
-    assert shown.lines[-1].told == "That is the whole drive."
+    assert shown.lines[-1].told == "The whole drive is loaded."
     assert json.loads(shown.film.about.camera)["name"] == config.cameras[0].name
 
 
@@ -239,7 +239,7 @@ def test_an_own_network_goes_with_the_episodes_of_a_test(tested: Path) -> None:
     start = play_start(FilmOrder(**asked, policy="stop", network="own_file:Own"))
     assert start.source.own == ("stop", "own_file:Own")
     order = FilmOrder(**{**asked, "kind": "drive"}, policy="", network="own_file:Own")
-    with pytest.raises(ConfigError, match="--network and --block are of a test"):
+    with pytest.raises(ConfigError, match="--network and --block are for a test"):
         play_start(order)
 
 

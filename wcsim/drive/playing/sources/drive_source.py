@@ -19,8 +19,8 @@ from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_types import DriveRecording, RecordedEvent, RecordedTick
 
 NOT_IN_DRIVES: Final = (
-    "Unsafe positions: a drive says what its policy chose, and not why.",
-    "The camera's errors: its picture is drawn from where everybody was.",
+    "Unsafe positions: a drive records what the policy chose, not why.",
+    "Sensor errors of the camera: its picture is drawn without them.",
 )
 _SAYS: Final = (
     (Flag.WARNING, "warning"),
@@ -40,9 +40,9 @@ def drive_film(path: Path) -> Iterator[Said]:
     """
     drive = read_drive(path)
     header, worlds = drive.header, list[World]()
-    policy = f", {header.policy} beside" if header.policy else ""
+    policy = f", assisted by {header.policy}" if header.policy else ""
     yield FilmAbout(
-        title=f"{header.profile} in {header.town}{policy}",
+        title=f"drive in {header.town}: {header.profile}{policy}",
         town=town_of_drive(header).address,
         tick_s=header.tick_s,
         camera=config_of_drive(header).cameras[0].model_dump_json(),
@@ -63,9 +63,9 @@ def drive_film(path: Path) -> Iterator[Said]:
         for tick, _, after in steps:
             differs += tuple(after.plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
             yield maker.step_of(worlds[0], {0: _said(tick, decides.flags(tick))})
-    told = "That is the whole drive."
+    told = "The whole drive is loaded."
     if differs:
-        told += f" {differs} ticks came out elsewhere than recorded: other versions, or another machine, made it."
+        told += f" {differs} ticks differ from the recording: it was made with other versions or on another machine."
     yield FilmLine(kind="end", told=told)
 
 

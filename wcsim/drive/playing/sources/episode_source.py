@@ -26,7 +26,7 @@ from wcsim.errors import ConfigError
 from wcsim.view.report.failures import FailedEpisode, failures_of, fate
 from wcsim.view.report.illustrate import order_of
 
-NOT_IN_EPISODES: Final = ("The camera's errors: its picture is drawn from where everybody was.",)
+NOT_IN_EPISODES: Final = ("Sensor errors of the camera: its picture is drawn without them.",)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ def episode_film(choice: EpisodeChoice, say: Callable[[Said], object]) -> None:
     records = [record_of(record) for record in drive_piece(piece, watch)]
     watch.flush()
     kept = {(one.record.block, one.record.seat): one for one in result.episodes[policy]}
-    told = [f"seat {record.seat}: {fate(record)}" for record in records]
+    told = [f"chair {record.seat}: {fate(record)}" for record in records]
     for record in records:
         twin = kept.get((record.block, record.seat))
         if twin is None:
@@ -81,7 +81,9 @@ def _found(result: KeptResult, choice: EpisodeChoice) -> tuple[str, int]:
     if policy not in result.episodes:
         raise ConfigError(f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}")
     if is_own_class(policy) and policy not in choice.own:
-        raise ConfigError(f"{policy} is code of its own, which runs when you name it: --policy {shlex.quote(policy)}")
+        raise ConfigError(
+            f"{policy} is your own code, which runs only when you name it: --policy {shlex.quote(policy)}"
+        )
     block = choice.block if choice.block >= 0 else (worst.key[0] if worst is not None else 0)
     blocks = sorted({episode.record.block for episode in result.episodes[policy]})
     if block not in blocks:

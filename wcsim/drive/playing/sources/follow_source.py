@@ -52,7 +52,7 @@ def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone,
     with JournalTail(run / JOURNAL) as tail:
         first = tail.read()
         while tail.header is None:
-            say(FilmLine(kind="now", told="The run has not begun yet."))
+            say(FilmLine(kind="now", told="The run has not started yet."))
             if gone(_TOLD_S):
                 return
             first = tail.read()
@@ -94,7 +94,7 @@ class _Following:
         if left > SKIPS_TICKS:
             for _ in range(begun[-1]):
                 self._player.seats.note(self._queue.popleft())
-            self._say(FilmLine(kind="mark", told=f"{left} ticks were passed over for the newest epoch."))
+            self._say(FilmLine(kind="mark", told=f"{left} ticks were skipped to reach the newest world."))
 
     def turn(self, tail: JournalTail, gone: Gone, clock: Clock) -> bool:
         """Do the next record again, or wait for one; False when nobody listens any more."""
@@ -126,7 +126,7 @@ class _Following:
             self._say(said)
         if self._scene.differs and not self._differed:
             self._differed = True
-            self._say(FilmLine(kind="bad", told="What is shown differs from the run: another version, or machine."))
+            self._say(FilmLine(kind="bad", told="The film differs from the run: its version or machine is another."))
 
     def _status(self, tail: JournalTail, now_s: float) -> str:
         """What goes on with the run."""
@@ -134,14 +134,14 @@ class _Following:
         if behind > _BEHIND:
             return f"{behind} ticks behind the run"
         if self._ended.startswith(EPOCH_OVER):
-            return "The epoch is over; a fresh world is being started."
+            return "This world has ended; the next one is starting."
         if self._ended:
-            return f"The run has ended ({self._ended}). It goes on here when it is resumed."
+            return f"The run has ended ({self._ended}). This page continues when the run is resumed."
         quiet_s = now_s - self._heard_s
         if quiet_s < _QUIET_S:
             return "live"
         if tail.is_written() is False:
-            return "Nobody drives this world now: the run was killed, or its world is being started again."
+            return "No process runs this world now: the run was killed, or its world is restarting."
         return f"No tick for {quiet_s:.0f} s: the world waits for a client."
 
     def _tell(self, told: str) -> None:

@@ -16,8 +16,8 @@ from wcsim.server.journal.replay import count_ticks, replayed
 from wcsim.types import Joystick
 
 NOT_IN_JOURNALS = (
-    "Warnings, unsafe positions and who decides: a journal knows what chairs were given, and no policy's thoughts.",
-    "The cameras' errors: pictures are drawn from where everybody was.",
+    "Warnings, unsafe positions and who is in control: a journal records the commands of the chairs only.",
+    "Sensor errors of the cameras: pictures are drawn without them.",
 )
 
 
@@ -49,7 +49,7 @@ def journal_film(path: Path, epoch: int | None, hook: str) -> Iterator[Said]:
     with closing(replayed(path, epoch, None, hook, scene.before)) as steps:
         for world, record in steps:
             yield from scene.said(world, record)
-    yield FilmLine(kind="end", told=scene.told("That is the whole journal."))
+    yield FilmLine(kind="end", told=scene.told("The whole journal is loaded."))
 
 
 class RecordScene:
@@ -72,7 +72,7 @@ class RecordScene:
         match record:
             case EpochBegun():
                 world.go_blind()
-                yield FilmLine(kind="mark", told=f"Epoch {record.epoch} begins: a fresh world.")
+                yield FilmLine(kind="mark", told=f"World {record.epoch} starts.")
             case Admitted():
                 if self._names.get(record.seat) != record.name:
                     self._names[record.seat] = record.name
@@ -87,7 +87,9 @@ class RecordScene:
         """A line, with what went another way."""
         if not self.differs:
             return told
-        return f"{told} {self.differs} ticks differ from the run: other versions, or another machine, made it."
+        return (
+            f"{told} {self.differs} ticks differ from the run: it was made with other versions or on another machine."
+        )
 
     def _step(self, world: World, record: Ticked) -> FilmStep:
         said = {}

@@ -46,7 +46,7 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
             _film(source, say, pipe)
         except WcsimError as error:
             say(FilmLine(kind="bad", told=str(error)))
-            say(FilmLine(kind="end", told="There is no more of it."))
+            say(FilmLine(kind="end", told="The recording ends here."))
 
 
 def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:

@@ -21,10 +21,10 @@ from wcsim.types import F64, ActorState
 from wcsim.view.filming import SIGHT_M
 
 NOT_IN_TRACES: Final = (
-    "Senses: a trace holds places alone, so there is no camera of the chair.",
-    "The user's stick, so neither KPI 1 nor interventions.",
-    "Crashes, arrivals and ways; a chair that jumps has begun another episode.",
-    "Signals, brake lights and the looks of vehicles.",
+    "Sensors: a trace holds positions only, so there is no picture of the chair's camera.",
+    "The user's stick, so there is no KPI 1 and no intervention.",
+    "Crashes, arrivals and routes. A chair that jumps has started another episode.",
+    "Traffic signals, brake lights and vehicle models.",
 )
 
 
@@ -44,7 +44,7 @@ def trace_film(path: Path, epoch: int | None, town: str) -> Iterator[Said]:
     header, records = read_trace(path)
     chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
     if not chosen:
-        raise ConfigError(f"{shown(path)}: has no wheelchair to follow there; expected a run with --chairs")
+        raise ConfigError(f"{shown(path)}: has no wheelchair to follow; expected a run with --chairs")
     place = _town(header, town)
     yield FilmAbout(
         title=f"trace of {place.name}, seed {header.seed}",
@@ -58,7 +58,7 @@ def trace_film(path: Path, epoch: int | None, town: str) -> Iterator[Said]:
         chairs = _chairs(record, outline)
         places_W_m = record.plants[:, :2]
         yield maker.step(record.epoch, record.tick, record.time_s, _near(record, places_W_m), chairs)
-    yield FilmLine(kind="end", told="That is the whole trace.")
+    yield FilmLine(kind="end", told="The whole trace is loaded.")
 
 
 def _town(header: TraceHeader, name: str) -> Town:
