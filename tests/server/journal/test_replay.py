@@ -209,7 +209,7 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
     assert against() == ""
     assert against(head=replace(header, name="other", fingerprint="x")) == ""
     assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
-    assert "ends after Ticked (epoch 1, tick 59), the other one goes on with Ticked (epoch 1, tick 60)" in against(
+    assert "ends after Ticked (epoch 1, tick 59), the other one continues with Ticked (epoch 1, tick 60)" in against(
         kept=records[:-1]
     )
     assert against({last: replace(records[last], state_hash="ff")}).startswith("Ticked (epoch 1, tick 60): state_hash")

@@ -17,12 +17,12 @@ if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
 
 @dataclass
 class BarrierOptions:
-    """Several client processes in one world without simulators or networks, beside a bare echo of their messages."""
+    """Time of a tick with several client processes but no simulators or networks, compared with a bare echo."""
 
     clients: int = 6
-    """Client processes."""
+    """Number of client processes."""
     ticks: int = 2000
-    """Ticks to measure for each way of transport."""
+    """Ticks to measure for each transport."""
     width: int = 320
     """Camera width in pixels; the height is three quarters of it."""
     json: OutFile = None

@@ -23,22 +23,22 @@ MANY = 10_000_000
 
 @dataclass
 class MemoryOptions:
-    """What a world holds in memory while its wheelchairs roam a whole town, through its traffic."""
+    """Memory of a world while its wheelchairs roam a whole town with traffic."""
 
     town: str = "monaco"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
     chairs: int = 3
     """Number of wheelchairs."""
     ticks: int = 20_000
-    """How long."""
+    """Duration in ticks."""
     every: int = 1_000
-    """Ticks from one row to the next, at most half of --ticks."""
+    """Ticks between two rows, at most half of --ticks."""
     width: int = 64
     """Camera width in pixels; the height is three quarters of it."""
     demand_scale: float = 1.0
     """Share of the town's traffic."""
     seed: int = 0
-    """Seed of the world and of the places that are visited."""
+    """Seed of the world and of the visited places."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -50,7 +50,7 @@ def run(options: MemoryOptions) -> int:
     if not 1 <= options.every <= options.ticks // 2:
         raise ConfigError(
             f"--every {options.every}: expected 1 to {options.ticks // 2}, half of --ticks {options.ticks}, as growth "
-            "is told of the second half"
+            "is that of the second half"
         )
     in_bounds("--width", options.width, 16, 2048)
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)

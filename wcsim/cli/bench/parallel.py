@@ -37,24 +37,24 @@ MODELLED_CORES = (1, 2, 4, 8, 16)
 
 @dataclass
 class ParallelOptions:
-    """Train several networks in one world together and one after the other, and say what sharing saves."""
+    """Train several networks together in one world and one after the other, and print the time saved."""
 
     clients: str = "fig6,stack,gru"
-    """Networks, joined by commas."""
+    """Networks, separated by commas."""
     sizes: str = ""
-    """How many of them together, counted from the first one, joined by commas, as 3,6. (default: all of them)"""
+    """Sizes of the groups, such as 3,6: the first 3 and the first 6 networks. (default: all of them)"""
     cores: str = ""
-    """Cores that each run of several may use, joined by commas, as 2,1. (default: all of this machine)"""
+    """Numbers of cores for each group, such as 2,1. (default: all cores)"""
     steps: int = 3000
-    """Steps of each."""
+    """Steps of each network."""
     town: str = "helsinki"
     """Where to train: a town's name, its folder, or anybody's .sumocfg."""
     preset: str = "dqn"
-    """Settings to begin with."""
+    """Preset with the settings."""
     set: Repeated = ()
-    """section.key=value, laid over the preset; may be given several times."""
+    """section.key=value, which replaces the preset's; repeatable."""
     seed: int = 0
-    """Of all runs."""
+    """Seed of all runs."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -99,12 +99,12 @@ def run(options: ParallelOptions) -> int:
 
 
 def _numbers(option: str, text: str, most: int) -> tuple[int, ...]:
-    """Whole numbers from 1 on, joined by commas; none for an empty text."""
+    """Whole numbers from 1 on, separated by commas; none for an empty text."""
     if not text:
         return ()
     words = some_words(option, text)
     if not all(word.isdecimal() and 1 <= int(word) <= most for word in words):
-        raise ConfigError(f"{option} {text[:80]!r}: expected whole numbers from 1 to {most}, joined by commas")
+        raise ConfigError(f"{option} {text[:80]!r}: expected whole numbers from 1 to {most}, separated by commas")
     return tuple(int(word) for word in words)
 
 
@@ -151,7 +151,7 @@ def _print_group(
             summed = shares | {"overlap_s": -shares["overlap_s"]}  # so the parts of a row sum to all
             table.add_row(client, run_name, *(f"{summed[share]:.1f}" for share in _SHARES), f"{start_s:.1f}")
     console.print(table)
-    console.print("overlap: learning while waiting, which counts in learn and in world or barrier as well")
+    console.print("overlap: learning while waiting, which is also part of learn and of world or barrier")
     same = alone[: len(group.waited)]
     sequential_s = sum(one.wall_s for one in same)
     world_s = {1: _mean_world_s(same, options.steps), len(group.waited): _mean_world_s([group], options.steps)}
@@ -160,7 +160,7 @@ def _print_group(
     console.print(
         f"{len(group.waited)} clients on {group.cores} cores: together {group.wall_s:.1f} s, one after the other "
         f"{sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. Saved: {by.world_s:.1f} s by one "
-        f"world, {by.start_s:.1f} s by one start, {by.rest_s:.1f} s by cores that would be idle",
+        f"world, {by.start_s:.1f} s by one start, {by.rest_s:.1f} s by otherwise idle cores",
         soft_wrap=True,
     )
     return {
