@@ -171,7 +171,7 @@ def usage() -> str:
             "",
             *lines,
             "",
-            "Exit codes: 0 done, 1 failed on the way, 2 refused: change the command or a file,",
-            "3 stopped: --resume goes on, 130 or 143 stopped by a signal with nothing to save.",
+            "Exit codes: 0 done, 1 failed on the way, 2 refused: change the command,",
+            "3 stopped: --resume goes on, 130 or 143 stopped by a signal, nothing to save.",
         ]
     )

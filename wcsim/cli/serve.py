@@ -50,11 +50,11 @@ class Options:
     expected: int = 1
     """Number of clients that the first tick waits for."""
     preset: str = "quick"
-    """Settings to start from: quick, laptop, best, dqn or paper."""
+    """Preset to start from: quick, laptop, best, dqn or paper."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that replace those of the preset."""
+    """TOML file with settings that override the preset."""
     set: Repeated = ()
-    """section.key=value, which replaces both; repeatable."""
+    """Setting as section.key=value; overrides preset and file."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     listen: Annotated[str, tyro.conf.arg(metavar="tcp://HOST:PORT")] = ""
@@ -66,13 +66,13 @@ class Options:
     run: OutFolder = None
     """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
     recovery: Recovery = "new_epoch"
-    """What to do with a journal: start a new epoch, or recompute the same world step by step."""
+    """How a world continues after a restart: as a new generation (epoch), or recomputed from its journal."""
     lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
     max_think: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Seconds that a client may take for an action before it is dropped; unlimited by default."""
     seed: int = 0
-    """Seed of the world."""
+    """Random seed of the world."""
     verbose: Verbose = False
     """Show a table of the town's SUMO options that wcsim overrides, with the reasons."""
 

@@ -23,7 +23,7 @@ class BridgeOptions:
     demand_scale: float = 0.6
     """Share of the town's traffic; 0.6 of Helsinki's is about 175 vehicles and people."""
     seed: int = 4
-    """Seed of the world."""
+    """Random seed of the world."""
     json: OutFile = None
     """Write the result to this file."""
 

@@ -58,7 +58,7 @@ class ChairOptions:
     pictures: OutFolder = None
     """Draw each chair into this folder instead."""
     set: Repeated = ()
-    """A setting of [chair] or [imu], such as chair.v_max_mps=1.2; repeatable."""
+    """A setting of [chair] or [imu], such as chair.v_max_mps=1.2."""
     json: OutFile = None
     """Write the result to this file."""
 

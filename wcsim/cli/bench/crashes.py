@@ -59,7 +59,7 @@ class CrashesOptions:
     preset: str = "quick"
     """Preset with the settings."""
     set: Repeated = ()
-    """section.key=value, which replaces the preset's; repeatable."""
+    """Setting as section.key=value; overrides the preset."""
     seed: int = 0
     """Seed of the worlds."""
     out: OutFolder = None

@@ -52,7 +52,7 @@ class ParallelOptions:
     preset: str = "dqn"
     """Preset with the settings."""
     set: Repeated = ()
-    """section.key=value, which replaces the preset's; repeatable."""
+    """Setting as section.key=value; overrides the preset."""
     seed: int = 0
     """Seed of all runs."""
     json: OutFile = None

@@ -37,7 +37,7 @@ class ReplayOptions:
     states: int = 600
     """Number of states, without and with noise."""
     seed: int = 4
-    """Seed of the world."""
+    """Random seed of the world."""
     json: OutFile = None
     """Write the result to this file."""
 

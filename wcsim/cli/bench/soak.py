@@ -35,7 +35,7 @@ class SoakOptions:
     """Kill and stop clients, the master and the world at random; then compare ledgers and journal."""
 
     minutes: float | None = None
-    """Duration. (default: 30; with --networks until --steps are done)"""
+    """Duration in minutes. (default: 30; with --networks until --steps are done)"""
     clients: int | None = None
     """Number of clients without a learner, a process each. (default: 3)"""
     networks: str = ""
@@ -51,11 +51,11 @@ class SoakOptions:
     twice: bool = False
     """Run the learners twice without faults: both runs must have the same journal hash."""
     set: Repeated = ()
-    """section.key=value for the learners; repeatable."""
+    """Setting of the learners as section.key=value."""
     town: str = ""
     """Where: a town's name, its folder, or anybody's .sumocfg. (default: monaco; with --networks helsinki)"""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
-    """What a restarted world does: start a new epoch, or recompute the old one."""
+    """What a restarted world does: start a new world generation (epoch), or recompute the old one."""
     lease: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Seconds without progress after which a client is dropped. (default: 3; with --networks 10)"""
     seed: int = 0

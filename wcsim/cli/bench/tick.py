@@ -41,7 +41,7 @@ class TickOptions:
     naive: bool = True
     """Compare with a naive loop of SUMO and PyBullet."""
     seed: int = 4
-    """Seed of the world."""
+    """Random seed of the world."""
     profile: bool = False
     """Print the twenty most expensive functions of a tick instead, native ones included."""
     json: OutFile = None

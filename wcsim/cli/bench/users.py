@@ -46,7 +46,7 @@ class UsersOptions:
     pictures: OutFolder = None
     """Draw 30 seconds of each profile's joystick into this folder, as users.png."""
     set: Repeated = ()
-    """section.key=value, which replaces the preset's; repeatable."""
+    """Setting as section.key=value; overrides the preset."""
     seed: int = 0
     """Seed of towns, starts and users."""
     json: OutFile = None
