@@ -127,7 +127,9 @@ class Yard:
     def links(self) -> dict[str, int]:
         """Link indices by name."""
         count = pybullet.getNumJoints(self.body, physicsClientId=self.client)
-        return {pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)}
+        return {
+            pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)
+        }
 
     def drive(
         self,

@@ -47,7 +47,9 @@ class NaiveLoop:
         names = {pybullet.getJointInfo(self.chairs[0], i, physicsClientId=self.client)[1].decode(): i for i in joints}
         self.wheels = (names["wheel_l"], names["wheel_r"])
 
-    def tick(self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]) -> list[tuple[F32, I32]]:
+    def tick(
+        self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]
+    ) -> list[tuple[F32, I32]]:
         """One tick; for each chair depth in metres and body numbers, both (H, W)."""
         for actor in actors:
             if actor.id not in self.actors:
