@@ -365,7 +365,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
-    assert "the last 4 bytes were no whole record" in err
+    assert "the last 4 bytes were an incomplete record" in err
     assert (tmp_path / "run" / "journal.torn").read_bytes() == b"torn"
     child = start(tmp_path, *words, "--resume", "--json", "again.json")
     child.communicate(timeout=120)
