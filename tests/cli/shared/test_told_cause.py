@@ -33,7 +33,7 @@ def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
     ("words", "told"),
     [
         ("$0 -m wcsim --help >&-", "standard output is closed"),
-        ("mkdir gone && cd gone && rmdir ../gone && $0 -m wcsim town list", "the working folder does not exist any more"),
+        ("mkdir gone && cd gone && rmdir ../gone && $0 -m wcsim town list", "the working folder does not exist"),
         ("$0 -m wcsim town run helsinki --out $'r\\xff'", "argument 'r\\udcff' is not valid UTF-8"),
     ],
 )

@@ -229,7 +229,7 @@ def test_clients_of_other_machines_need_a_key_that_the_server_knows(tmp_path):
             with open_seat(replace(far, keys=str(folder))) as link, pytest.raises(AccessError, match=told) as refused:
                 link.join()
             assert f"{folder}" in str(refused.value) and "code" not in str(refused.value)
-        with open_seat(far) as link, pytest.raises(AccessError, match="needs a key; .*--keys FOLDER"):
+        with open_seat(far) as link, pytest.raises(AccessError, match=r"needs a key; .*--keys FOLDER"):
             link.join()  # no keys at all
         with open_seat(replace(far, keys=str(keys))) as far_link, open_seat(server.seat("near")) as near:
             frames = driven([far_link, near], 5)

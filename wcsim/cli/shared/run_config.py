@@ -265,8 +265,8 @@ def require_trained_users(config: RunConfig) -> None:
         for name in names:
             if name in HELD_OUT:
                 raise ConfigError(
-                    f"profile {name} is reserved for tests, so that they can show how a network does with a user it "
-                    f"has never met; expected another {key}"
+                    f"profile {name} is held out of training: tests use it as a user that a network has never met; "
+                    f"expected another {key}"
                 )
 
 
