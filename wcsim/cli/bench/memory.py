@@ -11,6 +11,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
@@ -64,7 +65,7 @@ def run(options: MemoryOptions) -> int:
     from wcsim.bench.memory.roam import RoamingWorld, growth_mb, roam
 
     with RoamingWorld(town, config, specs, options.seed) as world, Progress(console=stderr_console()) as bar:
-        task = bar.add_task(f"{options.chairs} chairs in {town.name}", total=options.ticks)
+        task = bar.add_task(f"{counted(options.chairs, 'chair')} in {town.name}", total=options.ticks)
 
         def seen(row: MemoryRow) -> None:
             bar.update(task, completed=row.tick)

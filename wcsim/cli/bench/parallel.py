@@ -26,6 +26,7 @@ from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, wr
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.clients import client_names
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def run(options: ParallelOptions) -> int:
         groups = []
         for size in sizes:
             for count in cores:
-                console.print(f"{size} clients together, {count} cores ...")
+                console.print(f"{size} clients together, {counted(count, 'core')} ...")
                 groups.append(_trained(options, networks[:size], Path(work) / f"together-{size}-{count}", count))
     apart = {name: next(iter(one.waited.values())) for name, one in zip(names, alone, strict=True)}
     told = [_print_group(console, options, group, alone, apart) for group in groups]
@@ -143,7 +144,7 @@ def _print_group(
     """Where the time of clients went together and alone, and what sharing has saved; returns the keys of the result."""
     from wcsim.bench.barrier.sharing_model import SharingParts, saved
 
-    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "all", "start")
+    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "total", "start")
     table.box, table.pad_edge, table.padding = box.SIMPLE_HEAD, False, (0, 0)  # no word is cut at 80 columns
     for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
         for (client, shares), one in zip(waited.items(), alone, strict=False):
@@ -158,9 +159,10 @@ def _print_group(
     parts = SharingParts(clients=(), world_s=world_s, barrier_s=0.0, start_s=0.0, start_cores=1)
     by = saved(parts, options.steps, [(o.wall_s, o.start_s) for o in same], (group.wall_s, group.start_s))
     console.print(
-        f"{len(group.waited)} clients on {group.cores} cores: together {group.wall_s:.1f} s, one after the other "
-        f"{sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. Saved: {by.world_s:.1f} s by one "
-        f"world, {by.start_s:.1f} s by one start, {by.rest_s:.1f} s by otherwise idle cores",
+        f"{len(group.waited)} clients on {counted(group.cores, 'core')}: together {group.wall_s:.1f} s, "
+        f"one after the other {sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. "
+        f"Saved: {by.world_s:.1f} s by one world, {by.start_s:.1f} s by one start, "
+        f"{by.rest_s:.1f} s by otherwise idle cores",
         soft_wrap=True,
     )
     return {
@@ -217,14 +219,16 @@ def _print_model(
             shared_s = together_s(parts, clients, steps, cores)
             times = apart_s(parts, clients, steps, cores) / shared_s
             told["modelled"].append({"size": size, "cores": cores, "together_s": shared_s, "speedup": times})
-            console.print(f"model: {size} clients on {cores} cores: {shared_s:.0f} s, {times:.2f} times as fast")
+            console.print(
+                f"model: {size} clients on {counted(cores, 'core')}: {shared_s:.0f} s, {times:.2f} times as fast"
+            )
     for group in groups:
         size, cores = len(group.waited), group.cores
         reckoned_s = together_s(parts, parts.clients[:size], steps, cores)
         error = reckoned_s / group.wall_s - 1.0
         told["errors"].append({"size": size, "cores": cores, "error": error})
         console.print(
-            f"measured: {size} clients on {cores} cores: {group.wall_s:.0f} s, by the model {reckoned_s:.0f} s, "
-            f"{100.0 * error:+.0f} %"
+            f"measured: {size} clients on {counted(cores, 'core')}: {group.wall_s:.0f} s, "
+            f"by the model {reckoned_s:.0f} s, {100.0 * error:+.0f} %"
         )
     return told

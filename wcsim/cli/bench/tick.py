@@ -12,6 +12,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -68,7 +69,7 @@ def run(options: TickOptions) -> int:
     costs: dict[int, TickCost] = {}
     with Progress(console=stderr_console(), transient=True) as bar:
         for chairs in numbers:
-            task = bar.add_task(f"{chairs} chairs", total=options.ticks)
+            task = bar.add_task(counted(chairs, "chair"), total=options.ticks)
 
             def seen(done: int, task: Any = task) -> None:
                 bar.update(task, completed=done)
