@@ -1,39 +1,39 @@
 """Every error that wcsim raises on purpose.
 
     WcsimError                      exit code 2 at the command line, one or two lines, no traceback
-    ├── FileError                   a file cannot be read, or is not what it should be
-    │   ├── ConfigError             ... or an option holds something that cannot be used
+    ├── FileError                   a file cannot be read, or is invalid
+    │   ├── ConfigError             ... or an option has an invalid value
     │   ├── TownError               ... a town, net or scene is missing, broken or refused
     │   ├── JournalError            ... a journal, a ledger or a recording of a world is damaged
     │   └── PolicyError             ... a policy, a checkpoint or a run folder cannot be loaded
     ├── SumoError                   SUMO or one of its tools failed
     ├── HookError                   a user's own step hook cannot be used, or failed
     ├── PhysicsError                the physics engine refused a body or left the finite numbers
-    ├── DiskFullError               a record could not be written; what was written before is whole
-    ├── ReplayMismatchError         what was recomputed from a journal is not what the journal says
-    ├── WorldInUseError             this process holds a world already
-    ├── WorkersError                those who drive for a run are gone, or die at it again and again
+    ├── DiskFullError               a record could not be written; earlier records are intact
+    ├── ReplayMismatchError         what was recomputed from a journal differs from the journal
+    ├── WorldInUseError             this process already has a world
+    ├── WorkersError                all workers of a run are gone, or die repeatedly
     ├── LinkError                   the world at the other end of a link
     │   ├── LinkTimeoutError        ... did not answer in time
-    │   │   └── TickTimeoutError    ... because somebody else did not act; names who
+    │   │   └── TickTimeoutError    ... because another client did not act; names it
     │   ├── LinkClosedError         ... is gone
-    │   │   └── ServerGoneError     ... and did not come back within the time for reconnecting
-    │   ├── AccessError             ... refuses this client's key, or shows another than it should
-    │   ├── WorldRestartedError     ... began a new epoch; the episode was cut, go on with its first frame
+    │   │   └── ServerGoneError     ... and did not come back in time
+    │   ├── AccessError             ... refuses this client's key, or shows a wrong key
+    │   ├── WorldRestartedError     ... started a new epoch; the episode was cut, continue with the first frame
     │   ├── MembershipError         the seat is not this client's
-    │   │   ├── SeatTakenError      ... but another client's, or not there
+    │   │   ├── SeatTakenError      ... but another client's, or does not exist
     │   │   ├── WorldFullError      ... and no other is free
-    │   │   ├── EvictedError        ... any more: the server gave the client up
+    │   │   ├── EvictedError        ... any more: the server dropped the client
     │   │   ├── StaleSessionError   ... as far as this server knows
-    │   │   ├── NotMasterError      ... or has no right to tick or to rebuild
-    │   │   └── StaleTermError      ... or had that right once
+    │   │   ├── NotMasterError      ... or may not tick or rebuild
+    │   │   └── StaleTermError      ... or had that right earlier
     │   └── ProtocolError           a message does not fit the state of the link
     │       ├── VersionMismatchError, ConfigMismatchError
     │       ├── StaleTickError, FutureTickError
-    │       ├── BarrierNotFullError a tick was asked for before everybody acted
-    │       ├── BadActionError      no action of the set or joystick position, or a second one for a tick
-    │       ├── OverloadedError     more, or larger, messages than the server takes
-    │       └── PicturesError       shared memory is there, and holds no pictures of this version
+    │       ├── BarrierNotFullError a tick was requested before all clients acted
+    │       ├── BadActionError      not an action or joystick position, or a second one for a tick
+    │       ├── OverloadedError     more or larger messages than the server accepts
+    │       └── PicturesError       shared memory exists, but has no pictures of this version
     └── InterruptedRunError         the user stopped the run; what was done is saved
 
 A message says what was wrong, what was got, what was expected, and what to do.
@@ -53,7 +53,7 @@ class WcsimError(Exception):
 
 
 class FileError(WcsimError):
-    """Base of what is raised for a file that cannot be read or is not what it should be; one class a kind of file."""
+    """Base of the errors for files that cannot be read or are invalid; one class per kind of file."""
 
 
 class ConfigError(FileError):
@@ -73,31 +73,31 @@ class SumoError(WcsimError):
 
 
 class HookError(WcsimError):
-    """Raised when a user's own step hook cannot be made, or failed in a step."""
+    """Raised when a user's own step hook cannot be created, or failed in a step."""
 
 
 class PhysicsError(WcsimError):
-    """Raised when the physics engine refused a body, or its state left the finite numbers."""
+    """Raised when the physics engine refused a body, or its state is not finite any more."""
 
 
 class DiskFullError(WcsimError):
-    """Raised when a record could not be written, as on a full disk; the file ends with the last whole one."""
+    """Raised when a record could not be written, as on a full disk; the file ends with the last complete one."""
 
 
 class ReplayMismatchError(WcsimError):
-    """Raised when a world that was made again from its journal is not the one that the journal tells of."""
+    """Raised when a world recomputed from its journal differs from that journal."""
 
 
 class WorldInUseError(WcsimError):
-    """Raised when a second world is asked for in a process that holds one; use the process link."""
+    """Raised when a process that has a world requests a second one; use the process link."""
 
 
 class WorkersError(WcsimError):
-    """Raised when processes or machines that work for a run are all gone, or die at the same piece again and again."""
+    """Raised when all workers of a run are gone, or die repeatedly at the same piece."""
 
 
 class LinkError(WcsimError):
-    """Base of what a client sees when the world at the other end of its link fails."""
+    """Base of a client's errors when the world at the other end of its link fails."""
 
 
 class LinkTimeoutError(LinkError):
@@ -109,47 +109,47 @@ class LinkClosedError(LinkError):
 
 
 class TickTimeoutError(LinkTimeoutError):
-    """Raised when a tick did not come because others did not act; the message names them."""
+    """Raised when a tick did not come because other clients did not act; names them."""
 
 
 class ServerGoneError(LinkClosedError):
-    """Raised when the server is silent and could not be reached again."""
+    """Raised when the server is silent and cannot be reached again."""
 
 
 class AccessError(LinkError):
-    """Raised when a server does not let a client in that has no key it knows, or is not the server it should be."""
+    """Raised when a server refuses a client without a known key, or is not the expected server."""
 
 
 class WorldRestartedError(LinkError):
-    """Raised when the world began a new epoch: the client's episode was cut; its link holds the new first frame."""
+    """Raised when the world started a new epoch: the client's episode was cut; its link has the new first frame."""
 
 
 class MembershipError(LinkError):
-    """Base of what a client sees that has no right to what it asks for."""
+    """Base of a client's errors when it may not do what it requests."""
 
 
 class SeatTakenError(MembershipError):
-    """Raised when a client claims a seat that another one has, or that the world does not have."""
+    """Raised when a client claims a seat that belongs to another one or does not exist."""
 
 
 class WorldFullError(MembershipError):
-    """Raised when a client asks for any seat and none is free."""
+    """Raised when a client requests any seat and none is free."""
 
 
 class EvictedError(MembershipError):
-    """Raised when the server gave this client up, as one that hung; join again to go on in another episode."""
+    """Raised when the server dropped this client because it hung; join again for a new episode."""
 
 
 class StaleSessionError(MembershipError):
-    """Raised for a message of a session that the server does not know (any more)."""
+    """Raised for a message of a session that the server does not know."""
 
 
 class NotMasterError(MembershipError):
-    """Raised when a client that is not the master asks for a tick or for a new world."""
+    """Raised when a client that is not the master requests a tick or a new world."""
 
 
 class StaleTermError(MembershipError):
-    """Raised when a former master asks for a tick."""
+    """Raised when a former master requests a tick."""
 
 
 class ProtocolError(LinkError):
@@ -157,7 +157,7 @@ class ProtocolError(LinkError):
 
 
 class VersionMismatchError(ProtocolError):
-    """Raised when client and server speak different versions of the protocol; names both."""
+    """Raised when client and server have different versions of the protocol; names both."""
 
 
 class ConfigMismatchError(ProtocolError):
@@ -165,27 +165,27 @@ class ConfigMismatchError(ProtocolError):
 
 
 class StaleTickError(ProtocolError):
-    """Raised for an action of a tick that is long over."""
+    """Raised for an action of a tick that is over."""
 
 
 class FutureTickError(ProtocolError):
-    """Raised for an action of a tick that has not come."""
+    """Raised for an action of a future tick."""
 
 
 class BarrierNotFullError(ProtocolError):
-    """Raised when a tick is asked for while somebody has not acted."""
+    """Raised when a tick is requested before all clients acted."""
 
 
 class BadActionError(ProtocolError):
-    """Raised for what is no action or joystick position, or differs from what was given before for the same tick."""
+    """Raised for an invalid action or joystick position, or a different second one for the same tick."""
 
 
 class OverloadedError(ProtocolError):
-    """Raised when a client sends more, or larger, messages than the server takes."""
+    """Raised when a client sends more or larger messages than the server accepts."""
 
 
 class PicturesError(ProtocolError):
-    """Raised when the shared memory of a seat is no ring of pictures as this version makes them."""
+    """Raised when the shared memory of a seat has no pictures of this version."""
 
 
 class PolicyError(FileError):

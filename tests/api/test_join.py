@@ -106,7 +106,7 @@ def test_one_that_is_to_end_does_not_wait_for_a_world_that_is_not_there(tmp_path
     nobody = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="a")
     env = WheelchairEnv(config=CONFIG, join=nobody)
     env.wait_no_more()
-    with pytest.raises(ServerGoneError, match="asked to end"):
+    with pytest.raises(ServerGoneError, match="requested to stop"):
         env.reset()
 
 
@@ -152,7 +152,7 @@ def test_a_reset_that_meets_a_new_epoch_hands_out_its_first_frame(pair):
 def test_only_the_master_begins_a_shared_world_again(pair):
     _, master, env, _ = pair
     both(master, env)
-    with pytest.raises(NotMasterError, match="only it may begin"):
+    with pytest.raises(NotMasterError, match="only the master may restart"):
         env.reset(seed=5)
     assert both(master, env)[4]["events"].step == 2, "the episode goes on"
 

@@ -142,7 +142,7 @@ def test_what_can_be_no_constant_is_refused(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(sys.modules[__name__], "TABLE", Path(), raising=True)
     assert "pathlib.Path" not in frozen_digest(outer)  # of a library: its name counts
     monkeypatch.setattr(sys.modules[__name__], "TABLE", type("Own", (), {"__module__": __name__})())
-    with pytest.raises(TypeError, match=r"a kernel names .*Own.*expected a kernel, a number"):
+    with pytest.raises(TypeError, match=r"a kernel refers to .*Own.*expected a kernel, a number"):
         frozen_digest(outer)
 
 

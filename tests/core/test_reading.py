@@ -69,7 +69,7 @@ def test_json_that_would_fill_the_memory_is_not_parsed(tmp_path: Path) -> None:
     kind = FileKind(what="a recording", limit_bytes=1 << 30, error=JournalError)
     tracemalloc.start()
     try:
-        with pytest.raises(JournalError, match="letters of JSON; expected at most 1048576"):
+        with pytest.raises(JournalError, match="characters of JSON; expected at most 1048576"):
             parse_json(bomb, "here", kind)
         assert tracemalloc.get_traced_memory()[1] < len(bomb)
     finally:

@@ -32,7 +32,7 @@ _MIN_SHM_BYTES = 32 << 20
 
 @dataclass
 class Options:
-    """Check versions, SUMO, threads, shared memory, and run a town for five seconds."""
+    """Check versions, SUMO, threads and shared memory, and run a town for five seconds."""
 
     town: str = "helsinki"
     """Where the tick rate is measured: a town's name, its folder, or anybody's .sumocfg."""
@@ -116,7 +116,7 @@ def _shared_memory() -> Finding:
             with mmap.mmap(file.fileno(), _MIN_SHM_BYTES) as block:
                 block[-1] = 1
     except (OSError, ValueError) as error:
-        return Finding("shared memory", False, f"{says}; a block of it could not be used: {error}")
+        return Finding("shared memory", False, f"{says}; it cannot be used: {error}")
     return Finding("shared memory", True, says)
 
 
@@ -131,7 +131,7 @@ def _cache() -> Finding:
     size_mb = facts.size_bytes / 1e6
     says = f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; wcsim cache --clear empties it"
     if not os.access(place, os.W_OK | os.X_OK):
-        says += "; it cannot be written: each world builds its street anew"
+        says += "; it is read-only, so each world builds its street again"
     return Finding("cache", True, says)
 
 

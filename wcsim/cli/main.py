@@ -29,29 +29,33 @@ class Subcommand:
 
 SUBCOMMANDS = (
     Subcommand(
-        "demo", "wcsim.cli.training.demo", "train in Helsinki, test in Monaco, print the table: everything in one go"
+        "demo", "wcsim.cli.training.demo", "train in Helsinki, test in Monaco, print the table, all in one command"
     ),
     Subcommand("train", "wcsim.cli.training.train", "train a network in a town"),
     Subcommand("collect", "wcsim.cli.training.collect", "record driving that a network can learn from"),
-    Subcommand("serve", "wcsim.cli.serve", "run a world that clients join and leave"),
-    Subcommand("join", "wcsim.cli.training.join", "train a network in a world that somebody serves"),
+    Subcommand("serve", "wcsim.cli.serve", "run a shared world that clients can join and leave"),
+    Subcommand("join", "wcsim.cli.training.join", "train a network in a world started by wcsim serve"),
     Subcommand(
-        "test", "wcsim.cli.evaluation.test", "test trained networks and baselines in towns they have never seen"
+        "test", "wcsim.cli.evaluation.test", "test trained networks and baselines in towns that they have not seen"
     ),
-    Subcommand("report", "wcsim.cli.evaluation.report", "the page of a finished test or training, with its failures"),
-    Subcommand("export", "wcsim.cli.training.export", "write a trained policy as an ONNX model, for other machines"),
-    Subcommand("town", "wcsim.cli.town.command", "import a town, list towns, check one, run its traffic"),
-    Subcommand("scene", "wcsim.cli.scene", "run the short fixed-seed street scenes, or bless their traces"),
+    Subcommand(
+        "report", "wcsim.cli.evaluation.report", "make a page of a finished test or training, with its failures"
+    ),
+    Subcommand("export", "wcsim.cli.training.export", "write a trained policy as an ONNX model, to use without wcsim"),
+    Subcommand("town", "wcsim.cli.town.command", "import, generate, list or check a town, or run its traffic"),
+    Subcommand("scene", "wcsim.cli.scene", "run short street scenes with a fixed seed, or approve their traces"),
     Subcommand("users", "wcsim.cli.recordings.command", "record a simulated user, fit the user model to recordings"),
-    Subcommand("replay", "wcsim.cli.recordings.replay", "a recorded run for other tools, made again, or compared"),
-    Subcommand("watch", "wcsim.cli.recordings.watch", "watch a training run with several clients live, on a page"),
-    Subcommand("look", "wcsim.cli.pictures.look", "a picture and a video of a town, without any training"),
-    Subcommand("snapshot", "wcsim.cli.pictures.snapshot", "a picture from a chair's camera: colours, classes, depth"),
-    Subcommand("video", "wcsim.cli.pictures.video", "a video from a chair's camera beside a map"),
-    Subcommand("drive", "wcsim.cli.drive", "drive a wheelchair yourself, on a page in your browser"),
-    Subcommand("networks", "wcsim.cli.networks", "what each network costs: parameters, memory, time of a decision"),
-    Subcommand("bench", "wcsim.cli.bench.command", "measure chair, users, street, cameras and speed"),
-    Subcommand("cache", "wcsim.cli.cache", "where built streets are kept, how large that is, and how to empty it"),
+    Subcommand("replay", "wcsim.cli.recordings.replay", "play, convert, recompute or compare a recorded run"),
+    Subcommand("watch", "wcsim.cli.recordings.watch", "watch a training with several clients live on a web page"),
+    Subcommand("look", "wcsim.cli.pictures.look", "make a picture and a video of a town, without training"),
+    Subcommand(
+        "snapshot", "wcsim.cli.pictures.snapshot", "make a picture from a chair's camera: colours, classes, depth"
+    ),
+    Subcommand("video", "wcsim.cli.pictures.video", "make a video from a chair's camera, with a map"),
+    Subcommand("drive", "wcsim.cli.drive", "drive a wheelchair yourself in your browser"),
+    Subcommand("networks", "wcsim.cli.networks", "show what each network costs: parameters, memory, time"),
+    Subcommand("bench", "wcsim.cli.bench.command", "measure chairs, users, streets, cameras and speed"),
+    Subcommand("cache", "wcsim.cli.cache", "show where built streets are cached, their size, or clear them"),
     Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
 )
 
@@ -161,13 +165,13 @@ def usage() -> str:
     lines = [f"  {item.name:<10}{item.says}" for item in SUBCOMMANDS]
     return "\n".join(
         [
-            "usage: wcsim COMMAND [options]      (wcsim COMMAND --help says more)",
+            "usage: wcsim COMMAND [options]      (details: wcsim COMMAND --help)",
             "",
             "Trains networks that help a person drive a power wheelchair through real cities.",
             "",
             *lines,
             "",
-            "Exit codes: 0 done, 1 failed on the way, 2 refused: change what was asked for,",
-            "3 stopped: --resume goes on, 130 and 143 ended by Ctrl-C or SIGTERM with nothing to keep.",
+            "Exit codes: 0 done, 1 failed on the way, 2 refused: change the command,",
+            "3 stopped: --resume goes on, 130 or 143 stopped by a signal, nothing to save.",
         ]
     )

@@ -41,40 +41,40 @@ _EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, no
 
 @dataclass
 class Options:
-    """Run a world until Ctrl-C; clients take its seats with `wcsim join`, on this machine or on others."""
+    """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""
 
     town: str = "helsinki"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
     seats: int = 4
-    """Wheelchairs that there is room for."""
+    """Number of wheelchairs, one for each client."""
     expected: int = 1
-    """Clients without whom the first tick is not begun."""
+    """Number of clients that the first tick waits for."""
     preset: str = "quick"
-    """Settings to begin with: quick, laptop, best, dqn or paper."""
+    """Preset to start from: quick, laptop, best, dqn or paper."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file laid over the preset."""
+    """TOML file with settings that override the preset."""
     set: Repeated = ()
-    """section.key=value, laid over both; may be given several times."""
+    """Setting as section.key=value; overrides preset and file."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     listen: Annotated[str, tyro.conf.arg(metavar="tcp://HOST:PORT")] = ""
-    """Also let clients in from other machines; beyond 127.0.0.1 this needs keys."""
+    """Also accept clients from other machines; beyond 127.0.0.1 this needs keys."""
     keys: OutFolder = None
-    """Folder of keys: who may join over the network, and who the server is."""
+    """Folder with the server's keys and those of clients that may join over the network."""
     make_keys: Annotated[str, tyro.conf.arg(metavar="NAME,...")] = ""
-    """Make the keys of these clients, and of the server, in the folder --keys first; those that are there stay."""
+    """Generate missing keys for these clients and the server in the folder --keys."""
     run: OutFolder = None
-    """Keep a journal, logs and the outputs of the town's scenario here; a world that was there before goes on."""
+    """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
     recovery: Recovery = "new_epoch"
-    """What to do with a journal: begin a new epoch, or make the same world again, step by step."""
+    """How a world continues after a restart: as a new generation (epoch), or recomputed from its journal."""
     lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
-    """Seconds without a sign of progress after which a client is given up."""
+    """Seconds without a sign of progress after which a client is dropped."""
     max_think: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """Seconds for an action after which a client is given up, however alive it is; by default it may take its time."""
+    """Seconds that a client may take for an action before it is dropped; unlimited by default."""
     seed: int = 0
-    """Seed of the world."""
+    """Random seed of the world."""
     verbose: Verbose = False
-    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
+    """Show a table of the town's SUMO options that wcsim overrides, with the reasons."""
 
 
 def run(words: list[str]) -> int:
@@ -123,14 +123,16 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
 
 def how_to_join(endpoint: str, listening: str, options: Options) -> str:
     """What a client has to say."""
-    lines = [f"the world runs until Ctrl-C; join with: wcsim join {shlex.quote(endpoint)} --network small --steps 1000"]
+    lines = [
+        f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network small --steps 1000"
+    ]
     if listening:
         address = reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
         named = [f" --keys {shlex.quote(str(options.keys))} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
         lines += [f"over the network: wcsim join {address}{who} --network small --steps 1000" for who in named]
         if len(names) > _TOLD_NAMES:
-            lines.append(f"and so on, for {', '.join(names[_TOLD_NAMES:])}")
+            lines.append(f"also for {', '.join(names[_TOLD_NAMES:])}")
     return "\n".join(lines)
 
 
@@ -148,11 +150,13 @@ def _check_doors(options: Options) -> None:
     """Make the keys that are asked for, and refuse an address that others could reach without any."""
     if options.make_keys:
         if options.keys is None:
-            raise ConfigError("--make-keys: expected --keys FOLDER too, where to make them")
+            raise ConfigError("--make-keys: add --keys FOLDER, where to write them")
         check_folder("--keys", options.keys)
         make_keys(options.keys, some_words("--make-keys", options.make_keys))
     if options.keys is not None and not options.listen:
-        raise ConfigError("--keys without --listen: keys are for clients of other machines; add --listen tcp://HOST:PORT")
+        raise ConfigError(
+            "--keys without --listen: keys are for clients of other machines; add --listen tcp://HOST:PORT"
+        )
     if options.listen and not is_loopback(options.listen) and options.keys is None:
         raise ConfigError(
             f"--listen {options.listen} can be reached from other machines; expected --keys FOLDER "
@@ -163,7 +167,7 @@ def _check_doors(options: Options) -> None:
 def _require_ours(folder: Path) -> None:
     """Refuse a folder with other things in it."""
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not part_files(folder / JOURNAL))):
-        raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or that of a world")
+        raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or one with a world")
     if folder.exists():
         require_no_links(folder, ConfigError)
 

@@ -84,7 +84,7 @@ def take_seal(data: dict[str, Any], where: str, cure: str = "") -> bool:
     """
     seal = data.pop(_SEAL, None)
     if seal is not None and seal != _seal_of(data):
-        raise PolicyError(f"{where} is damaged: it does not have the hash that it says{cure}")
+        raise PolicyError(f"{where} is damaged: its content does not match its hash{cure}")
     return seal is not None
 
 
@@ -171,7 +171,7 @@ def locked(path: Path) -> Iterator[None]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise PolicyError(
-                f"{path} is in use by another process; wait for its end, or choose another --out"
+                f"{path} is in use by another process; wait until that ends, or choose another --out"
             ) from None
         except OSError:  # a file system without locks
             pass

@@ -192,7 +192,7 @@ def _foreign(value: Any, package: str) -> str:
     """The name of something of a library, whose code changes with its version alone."""
     home = getattr(value, "__module__", None) or type(value).__module__
     if home.partition(".")[0] == package:
-        raise TypeError(f"a kernel names {value!r}; expected a kernel, a number, an array, a tuple, an enumeration")
+        raise TypeError(f"a kernel refers to {value!r}; expected a kernel, a number, an array, a tuple, an enumeration")
     return f"{home}.{getattr(value, '__qualname__', type(value).__qualname__)}"
 
 

@@ -20,7 +20,7 @@ def missing_library(said: str) -> str:
     """What to do where the loader says that a library of the system is not there; "" where it says nothing of the kind.
 
     >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No such file or directory")[:35]
-    'this machine has no libXrender.so.1'
+    'the library libXrender.so.1 is missi'
     >>> missing_library("cannot open shared object file")
     ''
     """
@@ -28,7 +28,7 @@ def missing_library(said: str) -> str:
     if found is None:
         return ""
     return (
-        f"this machine has no {found[1]}; expected the libraries that SUMO leaves to the system. On Debian or Ubuntu: "
+        f"the library {found[1]} is missing; SUMO needs some libraries of the system. On Debian or Ubuntu: "
         f"sudo apt install {SYSTEM_PACKAGES}"
     )
 

@@ -47,7 +47,7 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
         raise error(f"{what} {shown(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}")
     found = getattr(_module(module_name, what, error), class_name, None)
     if not isinstance(found, type):
-        raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; correct the name")
+        raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; check the name")
     return found
 
 
@@ -112,7 +112,7 @@ def _cure(file: Path) -> str:
     """What to do about a module that should be in this file."""
     bare = next((folder for folder in file.parents[-2::-1] if not is_file(folder / _PACKAGE)), None)
     if is_file(file) and bare is not None:
-        return f": {bare} has no {_PACKAGE}; expected one, an empty file will do"
+        return f": {bare} has no {_PACKAGE}; add one, an empty file is enough"
     return f"; expected {file} in {Path.cwd()} or on PYTHONPATH"
 
 

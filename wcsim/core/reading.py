@@ -54,7 +54,7 @@ def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         with os.fdopen(number, "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise kind.error(f"{shown(path)}: is no regular file; expected {kind.what}")
+                raise kind.error(f"{shown(path)}: is not a regular file; expected {kind.what}")
             yield file
     except OSError as error:
         reason = error.strerror or error
@@ -69,7 +69,7 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
         size = os.fstat(file.fileno()).st_size
         data = file.read(kind.limit_bytes + 1) if size <= kind.limit_bytes else b""
     if max(size, len(data)) > kind.limit_bytes:
-        raise kind.error(f"{shown(path)}: larger than {kind.limit_bytes} bytes; expected {kind.what}")
+        raise kind.error(f"{shown(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
     return data
 
 
@@ -79,7 +79,9 @@ def read_text(path: Path, kind: FileKind) -> str:
     try:
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise kind.error(f"{shown(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it so") from None
+        raise kind.error(
+            f"{shown(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
+        ) from None
 
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
@@ -99,13 +101,13 @@ def parse_json(text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSO
         FileError: Of the kind's class, beginning with `where`; also for text that is too long to be looked at.
     """
     if len(text) > most_bytes:
-        raise kind.error(f"{where}: holds {len(text)} letters of JSON; expected at most {most_bytes}, {kind.what}")
+        raise kind.error(f"{where}: has {len(text)} characters of JSON; expected at most {most_bytes} for {kind.what}")
     try:
         data = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
     except (ValueError, RecursionError, MemoryError) as error:
         raise kind.error(f"{where}: is not JSON: {_short(error)}; expected {kind.what}") from None
     if not isinstance(data, dict):
-        raise kind.error(f"{where}: holds a {type(data).__name__}; expected a JSON object, {kind.what}")
+        raise kind.error(f"{where}: contains a {type(data).__name__}; expected {kind.what}, which is a JSON object")
     _require_bounded(data, where, kind)
     return data
 
@@ -113,7 +115,7 @@ def parse_json(text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSO
 def parse_toml(text: str, where: str, kind: FileKind) -> dict[str, Any]:
     """TOML text as a table. Raises FileError, of the kind's class, beginning with `where`."""
     if _DOTTED.search(text):
-        raise kind.error(f"{where}: has a name of more than {MAX_DOTTED} parts with dots between; expected {kind.what}")
+        raise kind.error(f"{where}: has a name with more than {MAX_DOTTED} dotted parts; expected {kind.what}")
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError, MemoryError) as error:
@@ -164,7 +166,7 @@ def regular_size(path: Path, kind: FileKind) -> int:
     with opened(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
     if size > kind.limit_bytes:
-        raise kind.error(f"{shown(path)}: larger than {kind.limit_bytes} bytes; expected {kind.what}")
+        raise kind.error(f"{shown(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
     return size
 
 
@@ -196,7 +198,7 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
             for entry in entries:
                 linked = entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_nlink > 1
                 if entry.is_symlink() or linked:
-                    raise error(f"{shown(entry.path)}: is a link; expected a file: writing would go elsewhere")
+                    raise error(f"{shown(entry.path)}: is a link; expected a file, as writing would follow the link")
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(Path(entry.path))
 
@@ -237,11 +239,11 @@ def holds_half_letters(text: str) -> bool:
 
 def _require_plain(value: Any, where: str, kind: FileKind) -> None:
     if isinstance(value, str) and holds_half_letters(value):
-        raise kind.error(f"{where} holds half a letter, {shown(value, 40)!r}; expected text that UTF-8 can hold")
+        raise kind.error(f"{where} contains half a character, {shown(value, 40)!r}; expected text in valid UTF-8")
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
-        raise kind.error(f"{where} holds a number of {value.bit_length()} bits; expected at most 64")
+        raise kind.error(f"{where} is a number of {value.bit_length()} bits; expected at most 64")
     if isinstance(value, float) and not math.isfinite(value):
-        raise kind.error(f"{where} holds the number {value}; expected finite ones")
+        raise kind.error(f"{where} is the number {value}; expected a finite one")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -249,12 +251,12 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(data) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {shown(twice, 40)!r} comes twice")
+        raise ValueError(f"the key {shown(twice, 40)!r} occurs twice")
     return data
 
 
 def _no_constant(word: str) -> NoReturn:
-    raise ValueError(f"{word} is no number of JSON")
+    raise ValueError(f"{word} is not a JSON number")
 
 
 def _short(error: BaseException) -> str:

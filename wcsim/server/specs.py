@@ -24,9 +24,7 @@ Recovery = Literal["new_epoch", "replay"]
 
 def seat_spec(env: EnvConfig) -> SeatSpec:
     """What a client with these settings asks for when it takes a seat."""
-    return SeatSpec(
-        profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible
-    )
+    return SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,7 +178,7 @@ def of_line(kind: type[T], line: bytes) -> T:
     try:
         return msgspec.json.decode(line, type=kind)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise ConfigError(f"{line[:80]!r} is no {kind.__name__}: {error}") from None
+        raise ConfigError(f"{line[:80]!r} is not a {kind.__name__}: {error}") from None
 
 
 def write_order(path: Path, line: bytes) -> None:

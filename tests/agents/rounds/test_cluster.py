@@ -119,7 +119,7 @@ def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(
         for number, mode in enumerate(("token", "disabled")):  # another token, and none
             monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(other))
             monkeypatch.setenv("RAY_AUTH_MODE", mode)
-            with pytest.raises(ConfigError, match="lets in who knows its token, and this user has none or another"):
+            with pytest.raises(ConfigError, match="needs its token, and this user has none or another one"):
                 trained(corner, tmp_path / str(number), Machines(cluster=head.address))
     monkeypatch.delenv("RAY_AUTH_MODE")
     with RayNode(tmp_path / "b") as head:

@@ -215,7 +215,7 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
     assert newest_round(tmp_path) == 0
-    with pytest.raises(PolicyError, match="does not have the hash that it says"):
+    with pytest.raises(PolicyError, match="its content does not match its hash"):
         load_round(tmp_path, 1, learner)
     seal = state.pop("seal")
     path.write_text(json.dumps({**state, "sea1": seal}))

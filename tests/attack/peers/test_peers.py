@@ -109,7 +109,7 @@ def test_a_start_is_chosen_on_the_worlds_own_machine_only(town: Town) -> None:
     x, y, _ = town.seen.plant.p_WB_m.tolist()
     start = StartSpec(p_W_m=(x + 3.0, y), yaw_rad=0.0, goal_W_m=(x, y))
     with Attacker(town.network) as peer:
-        assert "over the network" in refusal(peer.say(a_join(SeatSpec(start=start)))).message
+        assert "own machine may choose its start" in refusal(peer.say(a_join(SeatSpec(start=start)))).message
     with ThreadPoolExecutor() as pool:
         with open_seat(town.server.seat("second", spec=SeatSpec(start=start))) as second:
             joining = pool.submit(second.join)

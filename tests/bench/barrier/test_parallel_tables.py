@@ -55,7 +55,7 @@ def test_the_parts_of_a_row_sum_to_all_of_its_time(told):
         ("small", "together"), ("patch", "together"), ("small", "alone"), ("patch", "alone"),
     ]  # fmt: skip
     for row in rows:
-        assert sum(float(row[part]) for part in PARTS) == pytest.approx(float(row["all"]))
+        assert sum(float(row[part]) for part in PARTS) == pytest.approx(float(row["total"]))
     assert [row["world"] for row in rows] == ["12.0", "12.0", "10.0", "10.0"]
     assert {row["overlap"] for row in rows} == {"-9.0"} and {row["start"] for row in rows} == {"20.0"}
 

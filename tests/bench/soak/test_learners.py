@@ -50,7 +50,7 @@ def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp
 
     monkeypatch.setattr("wcsim.cli.training.clients.train_clients", stopped)
     options = SoakOptions(networks="small,patch", steps=100, twice=True, town=str(corner), out=tmp_path / "kept")
-    with pytest.raises(InterruptedRunError, match="stopped; a soak that was cut off shows nothing: begin it again"):
+    with pytest.raises(InterruptedRunError, match="stopped; an incomplete soak shows nothing: start it again"):
         soak(options)
     assert len(begun) == 1
 

@@ -70,7 +70,7 @@ def test_a_tick_that_holds_what_no_writer_writes_is_refused(tmp_path):
     first = next(whole_records(io.BytesIO((tmp_path / "a").read_bytes())))
     line = json.dumps({"epoch": 0, "tick": 0, "seats": 0, "actors": [], "hash": ""})
     many = f', "at": {list(range(1_500_000))}'
-    for more, says in (("", ""), (', "more": [1]', "of this version"), (many, "letters of JSON")):
+    for more, says in (("", ""), (', "more": [1]', "of this version"), (many, "characters of JSON")):
         data = (tmp_path / "a").read_bytes()[: first.end] + framed((line[:-1] + more + "}\n").encode())
         (tmp_path / "b").write_bytes(data)
         if says:

@@ -33,8 +33,8 @@ def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:
     ("words", "told"),
     [
         ("$0 -m wcsim --help >&-", "standard output is closed"),
-        ("mkdir gone && cd gone && rmdir ../gone && $0 -m wcsim town list", "the working folder is gone"),
-        ("$0 -m wcsim town run helsinki --out $'r\\xff'", "argument 'r\\udcff' is not in UTF-8"),
+        ("mkdir gone && cd gone && rmdir ../gone && $0 -m wcsim town list", "the working folder does not exist"),
+        ("$0 -m wcsim town run helsinki --out $'r\\xff'", "argument 'r\\udcff' is not valid UTF-8"),
     ],
 )
 def test_a_command_in_bad_surroundings_ends_with_a_line_and_code_2(tmp_path: Path, words: str, told: str) -> None:
@@ -58,9 +58,9 @@ def _caught(raised: Exception) -> Exception:
 @pytest.mark.parametrize(
     ("raised", "code", "told"),
     [
-        (FileNotFoundError(errno.ENOENT, "No such file", "/proc/x"), Exit.REFUSED, "/proc/x: No such file; expected"),
+        (FileNotFoundError(errno.ENOENT, "No such file", "/proc/x"), Exit.REFUSED, "/proc/x: No such file; choose"),
         (OSError(errno.ENAMETOOLONG, "File name too long", 5000 * "y"), Exit.REFUSED, "yyy: File name too long"),
-        (OSError(errno.ENOSPC, "No space left"), Exit.FAILED, "no room is left"),
+        (OSError(errno.ENOSPC, "No space left"), Exit.FAILED, "the disk is full"),
         (FileNotFoundError(errno.ENOENT, "No such file", str(Path(wcsim.__file__).parent / "x")), Exit.FAILED, ""),
         (OSError(errno.EBADF, "Bad file descriptor"), Exit.FAILED, ""),
         (ValueError("ours"), Exit.FAILED, ""),

@@ -68,7 +68,7 @@ def places(child):
 # --- options ---
 
 BAD = {
-    "train --clients ,": ("--clients ','", "joined by commas"),
+    "train --clients ,": ("--clients ','", "separated by commas"),
     "train --clients fig6,a/b": ("'a/b'", "module:Class"),
     "train --clients fig6,nonesuch": ("unknown network 'nonesuch'", "gru"),
     "train --clients fig6 --network gru": ("--network and --clients",),
@@ -210,8 +210,8 @@ def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kep
     kept, lost = (ClientState(name=n, seat=0, standing="stopped", unsaved=why) for n, why in (("a", ""), ("b", "x")))
     assert "holds the training so far" in _told_stop(tmp_path, (kept,))
     assert "client b x: the training since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
-    full = ClientState(name="c", seat=0, standing="given up", reason="has no room to save: x")
-    assert "stopped, but client c has no room to save: x: the training since" in _told_stop(tmp_path, (kept, full))
+    full = ClientState(name="c", seat=0, standing="given up", reason="has no disk space to save: x")
+    assert "stopped, but client c has no disk space to save: x: the training since" in _told_stop(tmp_path, (kept, full))
 
 
 def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch, halfway):
@@ -365,7 +365,7 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
-    assert "the last 4 bytes were no whole record" in err
+    assert "the last 4 bytes were an incomplete record" in err
     assert (tmp_path / "run" / "journal.torn").read_bytes() == b"torn"
     child = start(tmp_path, *words, "--resume", "--json", "again.json")
     child.communicate(timeout=120)

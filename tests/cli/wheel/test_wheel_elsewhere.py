@@ -124,5 +124,5 @@ def test_a_scene_runs_in_a_folder_that_cannot_be_written(place):
 def test_where_nothing_can_be_written_a_line_says_so_at_once(place, words):
     done = place.run(place.site, *words)
     assert (done.returncode, done.stdout) == (2, "")
-    told = f"{place.site} is not a folder that can be written; choose another place with --out"
+    told = f"{place.site} is not a folder that can be written to; choose another with --out"
     assert done.stderr == f"wcsim: --out: {told}\n"

@@ -37,10 +37,10 @@ def test_what_is_damaged_before_its_end_is_not_cut_off(tmp_path):
     data[record_ends(path)[3] + 12] ^= 1
     path.write_bytes(data)
     seen = []
-    with pytest.raises(JournalError, match=r"damaged.*more follows"):
+    with pytest.raises(JournalError, match=r"is damaged at byte"):
         seen.extend(iter_journal(path))
     for use in (read_journal, journal_digest, JournalWriter.append_to):
-        with pytest.raises(JournalError, match=r"damaged.*more follows"):
+        with pytest.raises(JournalError, match=r"is damaged at byte"):
             use(path)
     assert path.read_bytes() == data
 
@@ -106,5 +106,5 @@ def test_a_long_run_of_zeros_is_no_place_to_cut_at(tmp_path):
 def test_what_is_no_regular_file_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "j")
     for path in (tmp_path / "j", tmp_path, Path("/dev/zero")):
-        with pytest.raises(JournalError, match=r"no regular file|cannot be read"):
+        with pytest.raises(JournalError, match=r"not a regular file|cannot be read"):
             read_journal(path)

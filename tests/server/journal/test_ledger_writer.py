@@ -108,7 +108,7 @@ def test_a_ledger_without_seals_goes_on_without_them(tmp_path):
 def test_what_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "a")
     for use in (read_ledger, LedgerWriter):
-        with pytest.raises(JournalError, match="no regular file"):
+        with pytest.raises(JournalError, match="not a regular file"):
             use(tmp_path / "a")
 
 

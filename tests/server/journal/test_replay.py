@@ -179,8 +179,8 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
     header = read_header(run / "journal")
     for change, kind, told in (
         ({"town": "atlantis"}, TownError, "atlantis"),
-        ({"town_sha256": "0"}, TownError, "other streets"),
-        ({"config": "{"}, ConfigError, "no JSON object"),
+        ({"town_sha256": "0"}, TownError, "its net has changed"),
+        ({"config": "{"}, ConfigError, "not a JSON object"),
         ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
     ):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
@@ -191,7 +191,7 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
     JournalWriter(tmp_path / "empty", header).close()
     with pytest.raises(WcsimError, match="no epoch"):
         made_again(tmp_path / "empty")
-    with pytest.raises(WcsimError, match="no epoch: it was cut off"):
+    with pytest.raises(WcsimError, match="no epoch: it is truncated"):
         list(recompute(tmp_path / "empty"))
 
 
@@ -209,7 +209,7 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
     assert against() == ""
     assert against(head=replace(header, name="other", fingerprint="x")) == ""
     assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
-    assert "ends after Ticked (epoch 1, tick 59), the other one goes on with Ticked (epoch 1, tick 60)" in against(
+    assert "ends after Ticked (epoch 1, tick 59); the other one continues with Ticked (epoch 1, tick 60)" in against(
         kept=records[:-1]
     )
     assert against({last: replace(records[last], state_hash="ff")}).startswith("Ticked (epoch 1, tick 60): state_hash")

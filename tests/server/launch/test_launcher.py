@@ -125,7 +125,7 @@ def test_a_client_that_dies_in_vain_is_given_up_and_the_others_go_on(tmp_path):
     outcome = launcher(tmp_path, {"a": "steps=60 die=10 forgets", "b": "steps=200"}).run()
     assert outcome.code == 1
     assert standings(outcome) == {"a": "given up", "b": "done"}
-    assert "client a was given up" in outcome.message
+    assert "client a was dropped: it was killed by SIGKILL" in outcome.message
     assert str(tmp_path / "logs" / "a.log") in outcome.message
     assert counted(tmp_path, "death") == ["a"] * 5
 
@@ -202,14 +202,14 @@ def test_a_client_that_does_not_end_when_asked_is_killed(tmp_path):
     assert standings(outcome)["a"] == "stopped"
     stopped = next(e for e in read_events(tmp_path) if e["event"] == "stopped")
     assert stopped["code"] == -signal.SIGKILL
-    assert {client.name: client.unsaved for client in outcome.clients} == {"a": "killed by SIGKILL", "b": ""}
+    assert {client.name: client.unsaved for client in outcome.clients} == {"a": "was killed by SIGKILL", "b": ""}
 
 
 def test_a_client_without_room_is_given_up_and_the_others_go_on(tmp_path):
     outcome = launcher(tmp_path, {"a": "exit6=5 steps=99", "b": "steps=80"}).run()
     assert outcome.code == 1
     assert standings(outcome) == {"a": "given up", "b": "done"}
-    assert "no room" in outcome.message and "a fault of kind 6" in outcome.message
+    assert "no disk space" in outcome.message and "a fault of kind 6" in outcome.message
     assert counted(tmp_path, "restart") == []
 
 

@@ -154,7 +154,7 @@ def test_new_lives_give_a_client_no_new_time_to_think_and_have_an_end() -> None:
     for life in range(2):
         assert desk.wait(20.0) == []
         assert only(respawn(life), RespawnSeats).seats == (0,)
-    assert failure(desk.wait(20.0)) == ("EvictedError", "the server gave this client up: no action within 50 s")
+    assert failure(desk.wait(20.0)) == ("EvictedError", "the server dropped this client: no action within 50 s")
     desk = Desk(members=2, max_think_s=50.0)
     respawn(0)
     desk.wait(49.0)
@@ -177,7 +177,7 @@ def test_a_client_that_comes_again_has_what_is_left_of_its_time_to_think() -> No
     desk.say(0, join_of(0, session=session_of(7), resume=(0, 0)))
     assert desk.core.cycle.roll.at(0).session == session_of(7)
     assert desk.wait(9.0) == []
-    assert failure(desk.wait(2.0)) == ("EvictedError", "the server gave this client up: no action within 50 s")
+    assert failure(desk.wait(2.0)) == ("EvictedError", "the server dropped this client: no action within 50 s")
     desk = Desk(members=2, lease_s=300.0, max_think_s=50.0)
     desk.act(0)
     desk.wait(45.0)

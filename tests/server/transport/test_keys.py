@@ -25,9 +25,9 @@ def test_the_only_secret_serves_a_client_of_another_name(tmp_path):
     make_keys(tmp_path, ("a",))
     assert client_keys(tmp_path, "fig6") == client_keys(tmp_path, "a")
     make_keys(tmp_path, ("b",))
-    with pytest.raises(ConfigError, match="2 other secrets"):
+    with pytest.raises(ConfigError, match="2 other secret keys"):
         client_keys(tmp_path, "fig6")
-    with pytest.raises(ConfigError, match="2 other secrets"):
+    with pytest.raises(ConfigError, match="2 other secret keys"):
         client_keys(tmp_path, "../server")
 
 

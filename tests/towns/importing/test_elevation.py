@@ -89,7 +89,7 @@ def test_only_a_geotiff_of_a_size_that_can_be_read_is_one(tmp_path: Path) -> Non
         "virtual.tif": "does not begin as a TIFF file",
         "giant.tif": "60000 x 60000 cells in 1 bands",
         "bands.tif": "in 40 bands",
-        "link.tif": "is no regular file",
+        "link.tif": "is not a regular file",
     }
     for name, told in cases.items():
         with pytest.raises(TownError, match=told):

@@ -15,7 +15,7 @@ from wcsim.towns.sumo import tools
 
 ROOT = Path(__file__).parents[3]
 SAID = "libXrender.so.1: cannot open shared object file: No such file or directory"
-CURE = "this machine has no libXrender.so.1; .*sudo apt install libgl1 "
+CURE = "the library libXrender.so.1 is missing; .*sudo apt install libgl1 "
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_so_does_libsumo_at_the_command_line():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     told = " ".join("".join(letter for letter in done.stdout if letter not in "\u2502\n").split())
     assert done.returncode == 2 and done.stderr == "", done.stderr
-    assert "libsumo cannot be loaded: this machine has no libXrender.so.1" in told
+    assert "libsumo cannot be loaded: the library libXrender.so.1 is missing" in told
 
 
 def test_the_image_and_the_readme_have_the_same_list():

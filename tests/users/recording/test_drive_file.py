@@ -166,7 +166,7 @@ def test_json_that_would_fill_the_memory_is_not_parsed(tmp_path):
         [header_payload(drive_header()), b"E" + bomb],
     ):
         (tmp_path / "a.drive").write_bytes(rechained(records))
-        with pytest.raises(JournalError, match="letters of JSON; expected at most"):
+        with pytest.raises(JournalError, match="characters of JSON; expected at most"):
             read_drive(tmp_path / "a.drive")
 
 

@@ -118,7 +118,7 @@ class _Watch:
         self.seat, self.place, self.ticks = seat, place, 0
         self._behind, self._passed_red, self._red_ticks = True, False, 0
         if isinstance(seat.user, RecordedUser):
-            raise TypeError("a recorded joystick keeps to no law")  # no bench asks for one
+            raise TypeError("a recorded joystick does not follow traffic rules")  # no bench asks for one
         seat.user.profile = replace(seat.user.profile, law_share=law_share)
         seat.user.follow(seat.route)
 

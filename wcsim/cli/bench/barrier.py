@@ -10,6 +10,7 @@ from rich.progress import Progress, TaskID
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
     from wcsim.bench.barrier.barrier_cost import BarrierCost
@@ -17,12 +18,12 @@ if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
 
 @dataclass
 class BarrierOptions:
-    """Several client processes in one world without simulators or networks, beside a bare echo of their messages."""
+    """Time of a tick with several client processes but no simulators or networks, compared with a bare echo."""
 
     clients: int = 6
-    """Client processes."""
+    """Number of client processes."""
     ticks: int = 2000
-    """Ticks to measure for each way of transport."""
+    """Ticks to measure for each transport."""
     width: int = 320
     """Camera width in pixels; the height is three quarters of it."""
     json: OutFile = None
@@ -50,8 +51,8 @@ def run(options: BarrierOptions) -> int:
             costs[name] = measure_barrier(config, options.clients, options.ticks, name == "tcp", seen)
     for name, cost in costs.items():
         print(
-            f"{options.clients} clients over {name}: {cost.median_ms:.2f} ms a tick, 99 % under {cost.p99_ms:.2f}; "
-            f"bare echo {cost.echo_median_ms:.2f}, 99 % under {cost.echo_p99_ms:.2f}"
+            f"{counted(options.clients, 'client')} over {name}: {cost.median_ms:.2f} ms a tick, "
+            f"99 % under {cost.p99_ms:.2f}; bare echo {cost.echo_median_ms:.2f}, 99 % under {cost.echo_p99_ms:.2f}"
         )
     if options.json is not None:
         write_json(options.json, {"clients": options.clients, **{name: asdict(cost) for name, cost in costs.items()}})

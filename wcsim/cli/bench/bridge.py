@@ -14,7 +14,7 @@ from wcsim.towns.scenario.town import find_town
 
 @dataclass
 class BridgeOptions:
-    """The cost of the bridge: one world beside a twin without it, ten ticks each in turns, in processor time."""
+    """CPU time of the bridge: compare a world with a twin without it, ten ticks each in turns."""
 
     town: str = "helsinki"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
@@ -23,7 +23,7 @@ class BridgeOptions:
     demand_scale: float = 0.6
     """Share of the town's traffic; 0.6 of Helsinki's is about 175 vehicles and people."""
     seed: int = 4
-    """Seed of the world."""
+    """Random seed of the world."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -42,8 +42,8 @@ def run(options: BridgeOptions) -> int:
         cost = measure_bridge(town, config, options.ticks, options.seed, lambda n: bar.update(task, completed=n))
     print(
         f"{cost.actors:.0f} vehicles and people, {cost.mirrored:.0f} of them near the chair; "
-        f"react {cost.react_ms:.3f}, read {cost.read_ms:.3f}, mirror {cost.mirror_ms:.3f} ms "
-        f"beside {cost.engines_ms:.3f} ms of the bare engines: {cost.overhead:.1%}"
+        f"react {cost.react_ms:.3f}, read {cost.read_ms:.3f}, mirror {cost.mirror_ms:.3f} ms; "
+        f"the bare engines take {cost.engines_ms:.3f} ms: overhead {cost.overhead:.1%}"
     )
     if options.json is not None:
         write_json(

@@ -20,16 +20,16 @@ if TYPE_CHECKING:  # loads the renderers, which --help must not
 
 @dataclass
 class CameraOptions:
-    """The rasteriser beside PyBullet's TinyRenderer on the same frames, in CPU time; six cameras by threads."""
+    """Compare the rasteriser with PyBullet's TinyRenderer on the same frames (CPU time); six cameras with threads."""
 
     towns: str = "helsinki,monaco,manhattan"
-    """Where camera poses are taken from, each a town's name, its folder, or anybody's .sumocfg; joined by commas."""
+    """Towns for the camera poses: each a town's name, its folder, or anybody's .sumocfg; separated by commas."""
     poses: int = 32
-    """Camera poses, shared out among the towns."""
+    """Number of camera poses over all towns."""
     actors: int = 60
     """Actors around them in each town."""
     rounds: int = 3
-    """How often each picture is drawn."""
+    """Repetitions of each picture."""
     seed: int = 0
     """Seed of the poses and the traffic."""
     json: OutFile = None
@@ -55,8 +55,8 @@ def run(options: CameraOptions) -> int:
     console.print(_table({**rows, "all": every} if len(rows) > 1 else rows))
     for name, (_, six) in measured.items():
         console.print(
-            f"{name}: {CAMERAS} cameras in {six.alone_ms:.2f} ms one after the other, in {six.together_ms:.2f} ms by "
-            f"{six.threads} threads, {six.gain:.2f} times as fast (wall time, best of all turns)"
+            f"{name}: {CAMERAS} cameras in {six.alone_ms:.2f} ms one after the other, {six.together_ms:.2f} ms with "
+            f"{six.threads} threads: {six.gain:.2f} times as fast (wall time, best of all turns)"
         )
     if options.json is not None:
         each = {name: {**_as_json(row), "six_cameras": _six(measured[name][1])} for name, row in rows.items()}

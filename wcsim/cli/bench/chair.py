@@ -31,34 +31,34 @@ from wcsim.errors import ConfigError
 _WORKERS = 2
 _SECTIONS = ("chair.", "imu.")
 _MEANS = {
-    "norm": "this chair does not do what a standard asks (EN 12184)",
-    "file": "the file contradicts itself, or the simulation is wrong about it",
-    "stick": "motors or grip do not follow what the stick asks with these settings",
-    "wcsim": "a bound of wcsim's own, within which its streets and rewards are meant",
-    "rwd, mwd": "it feels impacts otherwise than when it was made",
-    "trial": "it does not fall off kerbs as the chair of the experiment",
+    "norm": "the chair does not meet a standard (EN 12184)",
+    "file": "the file contradicts itself, or the simulation does not match it",
+    "stick": "motors or grip are too weak for the stick's command with these settings",
+    "wcsim": "a limit of wcsim's own, for which its streets and rewards are made",
+    "rwd, mwd": "its impacts differ from those of the original chair",
+    "trial": "it does not fall off kerbs like the chair in the experiment",
 }
-_OTHER = "measured with another kind of chair; yours differs, which is no fault"
+_OTHER = "measured with another kind of chair; a difference is not an error"
 
 
 @dataclass
 class ChairOptions:
-    """What each plant drives, climbs, bears and how it tips, beside what is expected."""
+    """Test each chair in the manner of ISO 7176: driving, climbing, weight, tipping; compare with expected values."""
 
     plants: str = "rwd,mwd"
-    """Plants to try, by name or as the path of a .toml file, joined by commas."""
+    """Chairs (plants) to test: names or paths of .toml files, separated by commas."""
     hz: int = 120
     """Rate of the physics, a multiple of 10."""
     rows: str = ""
-    """Only rows whose names begin with one of these words, joined by commas."""
+    """Only rows whose names start with one of these words, separated by commas."""
     compare_hz: str = ""
-    """Rates to compare instead, joined by commas, as 120,240,480."""
+    """Physics rates to compare instead, such as 120,240,480."""
     workers: int = _WORKERS
     """Processes that share the work."""
     pictures: OutFolder = None
-    """Draw each plant into this folder instead."""
+    """Draw each chair into this folder instead."""
     set: Repeated = ()
-    """Set a key of [chair] or [imu], such as chair.v_max_mps=1.2; may be repeated."""
+    """A setting of [chair] or [imu], such as chair.v_max_mps=1.2."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -90,7 +90,7 @@ def _setup(config: RunConfig, plant: str, options: ChairOptions) -> Setup:
     setup = Setup(chair=config.chair.model_copy(update={"plant": plant}), imu=config.imu, hz=hz)
     fast = too_fast(setup, words_of(options.rows))
     if fast:
-        print(f"note: {plant} is slower than {', '.join(fast)} ask for: left out", file=sys.stderr)
+        print(f"note: {plant} is too slow for {', '.join(fast)}: left out", file=sys.stderr)
     return setup
 
 
@@ -140,9 +140,11 @@ def _rates(text: str) -> list[int]:
     try:
         rates = [int(word) for word in some_words("--compare-hz", text)]
     except ValueError:
-        raise ConfigError(f"--compare-hz {text!r}: expected whole numbers joined by commas, as 120,240") from None
+        raise ConfigError(
+            f"--compare-hz {text!r}: expected whole numbers separated by commas, such as 120,240"
+        ) from None
     if len(set(rates)) < 2:
-        raise ConfigError(f"--compare-hz {text!r}: expected two different rates or more")
+        raise ConfigError(f"--compare-hz {text!r}: expected at least two different rates")
     for rate in rates:
         _check_hz("--compare-hz", rate)
     return rates

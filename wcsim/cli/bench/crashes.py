@@ -40,30 +40,30 @@ _PER_STEPS = (8_000, 30_000)
 
 @dataclass
 class CrashesOptions:
-    """Class, place and cause of every crash of baselines on the same starts; stretches of lost control."""
+    """Class, place and cause of every crash of baselines from the same starts; periods of lost control."""
 
     town: str = "monaco"
-    """Where, each a town's name, its folder, or anybody's .sumocfg; several are joined by commas."""
+    """Towns, separated by commas: each a town's name, its folder, or anybody's .sumocfg."""
     policy: str = "follow"
-    """Baselines, joined by commas; each meets the same starts and users."""
+    """Baselines, separated by commas; all have the same starts and users."""
     profile: str = "inattentive"
     """User profile; FILE.toml is your own, recorded:FILE replays one."""
     noise: str = "typical"
     """Noise of the cameras: typical or none."""
     delay: int = 2
-    """Ticks from an action to the chair that obeys it; 2 are 200 ms."""
+    """Ticks between an action and its effect on the chair; 2 are 200 ms."""
     steps: int = 8000
-    """Steps for each policy and town, of all chairs together."""
+    """Steps per policy and town, over all chairs."""
     chairs: int = 4
     """Wheelchairs in the world at the same time."""
     preset: str = "quick"
-    """Settings."""
+    """Preset with the settings."""
     set: Repeated = ()
-    """section.key=value, laid over them; may be given several times."""
+    """Setting as section.key=value; overrides the preset."""
     seed: int = 0
     """Seed of the worlds."""
     out: OutFolder = None
-    """Write what each policy met in each town into this folder, as TOWN-POLICY.json, as soon as it is known."""
+    """Write the result of each policy and town into this folder, as TOWN-POLICY.json, as soon as it is known."""
     json: OutFile = None
     """Write everything to this file."""
 
@@ -174,16 +174,16 @@ def _cells(drive: CrashDrive) -> dict[str, str]:
         "all per km": _per_km(drive, len(crashes)),
         "own per km": _per_km(drive, own),
         "after a fall": str(sum(crash.after_fall for crash in crashes)),
-        "in the picture": _share([crash.in_picture for crash in crashes]),
+        "in the camera picture": _share([crash.in_picture for crash in crashes]),
         "user looked away": _share([_away(crash) for crash in crashes]),
-        "a safe action 1 s before": _share([crash.safe_before for crash in crashes]),
-        "falls off a kerb": str(drive.falls),
+        "had a safe action 1 s before": _share([crash.safe_before for crash in crashes]),
+        "falls off kerbs": str(drive.falls),
     }
 
 
 def _control(drives: Sequence[CrashDrive]) -> Table:
     """Lost control of each policy and town."""
-    heads = ("lost control", "steps", "stretches", *(f"in {steps:,}" for steps in _PER_STEPS), "of steps")
+    heads = ("lost control", "steps", "periods", *(f"in {steps:,}" for steps in _PER_STEPS), "of steps")
     table = Table(*heads, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for drive in drives:
         scaled = (f"{len(drive.lost) * steps / drive.steps:.1f}" for steps in _PER_STEPS)
@@ -198,16 +198,18 @@ def _lines(drives: Sequence[CrashDrive]) -> Iterator[str]:
     lost = [(drive, item) for drive in drives for item in drive.lost]
     yield from (_crash_line(drive, crash) for drive, crash in crashes[:LISTED])
     if len(crashes) > LISTED:
-        yield f"and {len(crashes) - LISTED} crashes more: --json FILE has all"
+        yield f"and {len(crashes) - LISTED} more crashes: --json FILE has all of them"
     yield from (_lost_line(drive, item) for drive, item in lost[:LISTED])
     if len(lost) > LISTED:
-        yield f"and {len(lost) - LISTED} stretches more: --json FILE has all"
+        yield f"and {len(lost) - LISTED} more periods: --json FILE has all of them"
 
 
 def _crash_line(drive: CrashDrive, crash: Crash) -> str:
-    seen = {True: "in the picture", False: "not in the picture", None: "picture not known"}[crash.in_picture]
-    safe = {True: "a safe action 1 s before", False: "no safe action 1 s before", None: "too short"}[crash.safe_before]
-    away = "away not known" if crash.away_share is None else f"away {crash.away_share:.0%}"
+    seen = {True: "in the picture", False: "not in the picture", None: "picture unknown"}[crash.in_picture]
+    safe = {True: "had a safe action 1 s before", False: "had no safe action 1 s before", None: "too short"}[
+        crash.safe_before
+    ]
+    away = "attention unknown" if crash.away_share is None else f"looked away for {crash.away_share:.0%}"
     fall = "" if crash.fell_s is None else f", fell {crash.fell_s:.1f} s before"
     what = " ".join(word for word in (crash.kind, f"({crash.thing})" if crash.thing else "") if word)
     return (

@@ -26,18 +26,18 @@ _SHOWN = ("sumo", "physics", "render", "bridge", "user", "rest")
 
 @dataclass
 class CurveOptions:
-    """What a tick costs over wheelchairs, actors and the size of the town, and what grows faster than linearly."""
+    """Cost of a tick by wheelchairs, actors and size of the town, and which grow faster than linearly."""
 
     town: str = "helsinki"
-    """Where the wheelchairs are: a town's name, its folder, or anybody's .sumocfg; other axes have their own."""
+    """Town for the axis of wheelchairs: a town's name, its folder, or anybody's .sumocfg."""
     chairs: str = "1,2,4,8,12"
-    """Numbers of wheelchairs, joined by commas."""
+    """Numbers of wheelchairs, separated by commas."""
     actors: str = "50,200,500,1000"
-    """Numbers of vehicles and people in a town of 2 km, joined by commas."""
+    """Numbers of vehicles and people in a town of 2 km, separated by commas."""
     sides_km: str = "0.6,2,5"
-    """Sides of towns with 200 vehicles and people, in kilometres, joined by commas."""
+    """Side lengths in km of towns with 200 vehicles and people, separated by commas."""
     ticks: int = 200
-    """Ticks to measure for each."""
+    """Ticks per measurement."""
     seed: int = 4
     """Seed of the worlds."""
     json: OutFile = None
@@ -79,7 +79,7 @@ def _numbers(option: str, text: str, least: float, most: float) -> list[float]:
     try:
         found = [float(word) for word in some_words(option, text)]
     except ValueError:
-        raise ConfigError(f"{option} {text!r}: expected numbers joined by commas, as 1,4") from None
+        raise ConfigError(f"{option} {text!r}: expected numbers separated by commas, as 1,4") from None
     for number in found:
         in_bounds(option, number, least, most)
     if found != sorted(set(found)):
@@ -92,10 +92,10 @@ def _row(curve: CostCurve) -> dict[str, Any]:
 
 
 def _table(curve: CostCurve) -> Table:
-    table = Table(curve.axis, "actors", "ms a tick", *_SHOWN, title=f"milliseconds of the processor over {curve.axis}")
+    table = Table(curve.axis, "actors", "ms a tick", *_SHOWN, title=f"CPU time in milliseconds by {curve.axis}")
     for point in curve.points:
         stages = (f"{point.stages_ms[name]:.2f}" for name in _SHOWN)
         table.add_row(f"{point.at:g}", f"{point.actors:.0f}", f"{point.cpu_ms:.2f}", *stages)
     faster = ", ".join(f"{name} (exponent {exponent:.2f})" for name, exponent in curve.steep)
-    table.caption = f"faster than linearly between the last two: {faster or 'nothing'}"
+    table.caption = f"faster than linear between the last two points: {faster or 'nothing'}"
     return table

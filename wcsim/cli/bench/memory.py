@@ -11,6 +11,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
@@ -23,22 +24,22 @@ MANY = 10_000_000
 
 @dataclass
 class MemoryOptions:
-    """What a world holds in memory while its wheelchairs roam a whole town, through its traffic."""
+    """Memory of a world while its wheelchairs roam a whole town with traffic."""
 
     town: str = "monaco"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
     chairs: int = 3
     """Number of wheelchairs."""
     ticks: int = 20_000
-    """How long."""
+    """Duration in ticks."""
     every: int = 1_000
-    """Ticks from one row to the next, at most half of --ticks."""
+    """Ticks between two rows, at most half of --ticks."""
     width: int = 64
     """Camera width in pixels; the height is three quarters of it."""
     demand_scale: float = 1.0
     """Share of the town's traffic."""
     seed: int = 0
-    """Seed of the world and of the places that are visited."""
+    """Seed of the world and of the visited places."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -50,7 +51,7 @@ def run(options: MemoryOptions) -> int:
     if not 1 <= options.every <= options.ticks // 2:
         raise ConfigError(
             f"--every {options.every}: expected 1 to {options.ticks // 2}, half of --ticks {options.ticks}, as growth "
-            "is told of the second half"
+            "is that of the second half"
         )
     in_bounds("--width", options.width, 16, 2048)
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
@@ -64,7 +65,7 @@ def run(options: MemoryOptions) -> int:
     from wcsim.bench.memory.roam import RoamingWorld, growth_mb, roam
 
     with RoamingWorld(town, config, specs, options.seed) as world, Progress(console=stderr_console()) as bar:
-        task = bar.add_task(f"{options.chairs} chairs in {town.name}", total=options.ticks)
+        task = bar.add_task(f"{counted(options.chairs, 'chair')} in {town.name}", total=options.ticks)
 
         def seen(row: MemoryRow) -> None:
             bar.update(task, completed=row.tick)

@@ -26,6 +26,7 @@ from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, wr
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.clients import client_names
 from wcsim.config import load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 
 if TYPE_CHECKING:
@@ -37,24 +38,24 @@ MODELLED_CORES = (1, 2, 4, 8, 16)
 
 @dataclass
 class ParallelOptions:
-    """Train several networks in one world together and one after the other, and say what sharing saves."""
+    """Train several networks together in one world and one after the other, and print the time saved."""
 
     clients: str = "fig6,stack,gru"
-    """Networks, joined by commas."""
+    """Networks, separated by commas."""
     sizes: str = ""
-    """How many of them together, counted from the first one, joined by commas, as 3,6. (default: all of them)"""
+    """Sizes of the groups, such as 3,6: the first 3 and the first 6 networks. (default: all of them)"""
     cores: str = ""
-    """Cores that each run of several may use, joined by commas, as 2,1. (default: all of this machine)"""
+    """Numbers of cores for each group, such as 2,1. (default: all cores)"""
     steps: int = 3000
-    """Steps of each."""
+    """Steps of each network."""
     town: str = "helsinki"
     """Where to train: a town's name, its folder, or anybody's .sumocfg."""
     preset: str = "dqn"
-    """Settings to begin with."""
+    """Preset with the settings."""
     set: Repeated = ()
-    """section.key=value, laid over the preset; may be given several times."""
+    """Setting as section.key=value; overrides the preset."""
     seed: int = 0
-    """Of all runs."""
+    """Seed of all runs."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -86,7 +87,7 @@ def run(options: ParallelOptions) -> int:
         groups = []
         for size in sizes:
             for count in cores:
-                console.print(f"{size} clients together, {count} cores ...")
+                console.print(f"{size} clients together, {counted(count, 'core')} ...")
                 groups.append(_trained(options, networks[:size], Path(work) / f"together-{size}-{count}", count))
     apart = {name: next(iter(one.waited.values())) for name, one in zip(names, alone, strict=True)}
     told = [_print_group(console, options, group, alone, apart) for group in groups]
@@ -99,12 +100,12 @@ def run(options: ParallelOptions) -> int:
 
 
 def _numbers(option: str, text: str, most: int) -> tuple[int, ...]:
-    """Whole numbers from 1 on, joined by commas; none for an empty text."""
+    """Whole numbers from 1 on, separated by commas; none for an empty text."""
     if not text:
         return ()
     words = some_words(option, text)
     if not all(word.isdecimal() and 1 <= int(word) <= most for word in words):
-        raise ConfigError(f"{option} {text[:80]!r}: expected whole numbers from 1 to {most}, joined by commas")
+        raise ConfigError(f"{option} {text[:80]!r}: expected whole numbers from 1 to {most}, separated by commas")
     return tuple(int(word) for word in words)
 
 
@@ -143,7 +144,7 @@ def _print_group(
     """Where the time of clients went together and alone, and what sharing has saved; returns the keys of the result."""
     from wcsim.bench.barrier.sharing_model import SharingParts, saved
 
-    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "all", "start")
+    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "total", "start")
     table.box, table.pad_edge, table.padding = box.SIMPLE_HEAD, False, (0, 0)  # no word is cut at 80 columns
     for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
         for (client, shares), one in zip(waited.items(), alone, strict=False):
@@ -151,16 +152,17 @@ def _print_group(
             summed = shares | {"overlap_s": -shares["overlap_s"]}  # so the parts of a row sum to all
             table.add_row(client, run_name, *(f"{summed[share]:.1f}" for share in _SHARES), f"{start_s:.1f}")
     console.print(table)
-    console.print("overlap: learning while waiting, which counts in learn and in world or barrier as well")
+    console.print("overlap: learning while waiting, which is also part of learn and of world or barrier")
     same = alone[: len(group.waited)]
     sequential_s = sum(one.wall_s for one in same)
     world_s = {1: _mean_world_s(same, options.steps), len(group.waited): _mean_world_s([group], options.steps)}
     parts = SharingParts(clients=(), world_s=world_s, barrier_s=0.0, start_s=0.0, start_cores=1)
     by = saved(parts, options.steps, [(o.wall_s, o.start_s) for o in same], (group.wall_s, group.start_s))
     console.print(
-        f"{len(group.waited)} clients on {group.cores} cores: together {group.wall_s:.1f} s, one after the other "
-        f"{sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. Saved: {by.world_s:.1f} s by one "
-        f"world, {by.start_s:.1f} s by one start, {by.rest_s:.1f} s by cores that would be idle",
+        f"{len(group.waited)} clients on {counted(group.cores, 'core')}: together {group.wall_s:.1f} s, "
+        f"one after the other {sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. "
+        f"Saved: {by.world_s:.1f} s by one world, {by.start_s:.1f} s by one start, "
+        f"{by.rest_s:.1f} s by otherwise idle cores",
         soft_wrap=True,
     )
     return {
@@ -217,14 +219,16 @@ def _print_model(
             shared_s = together_s(parts, clients, steps, cores)
             times = apart_s(parts, clients, steps, cores) / shared_s
             told["modelled"].append({"size": size, "cores": cores, "together_s": shared_s, "speedup": times})
-            console.print(f"model: {size} clients on {cores} cores: {shared_s:.0f} s, {times:.2f} times as fast")
+            console.print(
+                f"model: {size} clients on {counted(cores, 'core')}: {shared_s:.0f} s, {times:.2f} times as fast"
+            )
     for group in groups:
         size, cores = len(group.waited), group.cores
         reckoned_s = together_s(parts, parts.clients[:size], steps, cores)
         error = reckoned_s / group.wall_s - 1.0
         told["errors"].append({"size": size, "cores": cores, "error": error})
         console.print(
-            f"measured: {size} clients on {cores} cores: {group.wall_s:.0f} s, by the model {reckoned_s:.0f} s, "
-            f"{100.0 * error:+.0f} %"
+            f"measured: {size} clients on {counted(cores, 'core')}: {group.wall_s:.0f} s, "
+            f"by the model {reckoned_s:.0f} s, {100.0 * error:+.0f} %"
         )
     return told

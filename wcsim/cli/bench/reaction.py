@@ -20,16 +20,16 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 
 @dataclass
 class ReactionOptions:
-    """Whether the street brakes for wheelchairs and goes round them: contacts, waits, people that step aside."""
+    """Test whether traffic brakes for wheelchairs and passes them: contacts, waiting times, people who step aside."""
 
     town: str = "helsinki"
-    """Real streets to use beside the built ones: a town's name, its folder, or anybody's .sumocfg; "" for none."""
+    """Real streets besides generated ones: a town's name, its folder, or anybody's .sumocfg; "" for none."""
     minutes: float = 10.0
-    """Simulated minutes that a chair stands at each place."""
+    """Simulated minutes for which a chair stands at each place."""
     trials: int = 40
-    """Times that a chair rolls out before traffic, at each share of attention."""
+    """Trials in which a chair rolls into traffic, for each share of attentive drivers."""
     streets: int = 3
-    """How many of the built streets to use, 1 to 3."""
+    """Number of generated streets to use, 1 to 3."""
     places: int = 1
     """Places of each kind in the town."""
     seed: int = 0
@@ -71,11 +71,11 @@ def run(options: ReactionOptions) -> int:
 def _table(battery: Battery) -> Table:
     table = Table("what", "result", box=box.SIMPLE_HEAD)
     for kind, contacts in battery.standing.items():
-        table.add_row(f"contacts with a chair that stands: {kind}", str(contacts))
+        table.add_row(f"contacts with a standing chair: {kind}", str(contacts))
     rolled, trials = battery.roll_out, battery.roll_out["trials"]
-    table.add_row("rolling out, all attentive: trials with contact", f"{rolled['attention_1']} of {trials}")
-    table.add_row("rolling out, nobody attentive: trials with contact", f"{rolled['attention_0']} of {trials}")
-    table.add_row("passed, of those that had room", f"{battery.passed_share:.1%}")
-    table.add_row("people deflected into something", str(battery.deflect_overlaps))
-    table.add_row("longest wait of one that had room", f"{battery.blocked_s_max:.1f} s")
+    table.add_row("rolling out, all drivers attentive: trials with contact", f"{rolled['attention_1']} of {trials}")
+    table.add_row("rolling out, no driver attentive: trials with contact", f"{rolled['attention_0']} of {trials}")
+    table.add_row("passed the chair, of those with room", f"{battery.passed_share:.1%}")
+    table.add_row("people who stepped aside into an obstacle", str(battery.deflect_overlaps))
+    table.add_row("longest wait with room to pass", f"{battery.blocked_s_max:.1f} s")
     return table

@@ -26,18 +26,18 @@ MOST_OF = (320, 240)
 
 @dataclass
 class ReplayOptions:
-    """What a state costs in the replay memory on disk: bytes without and with sensor noise, time to write and read."""
+    """Cost of a state in the replay memory on disk: bytes without and with sensor noise, time to write and read."""
 
     town: str = "helsinki"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
     width: int = MOST_OF[0]
     """Camera width in pixels."""
     height: int = MOST_OF[1]
-    """Camera height in pixels; bounds are for 320x240 alone."""
+    """Camera height in pixels; the limits hold for 320x240 only."""
     states: int = 600
-    """States to keep for each of the two."""
+    """Number of states, without and with noise."""
     seed: int = 4
-    """Seed of the world."""
+    """Random seed of the world."""
     json: OutFile = None
     """Write the result to this file."""
 

@@ -32,36 +32,36 @@ _STEPS, _FAULTS = 10_000, 20  # of learners, where nothing else is said
 
 @dataclass
 class SoakOptions:
-    """Kill and stop clients, master and world at random; then compare ledgers and journal."""
+    """Kill and stop clients, the master and the world at random; then compare ledgers and journal."""
 
     minutes: float | None = None
-    """How long. (default: 30; with --networks as long as --steps take)"""
+    """Duration in minutes. (default: 30; with --networks until --steps are done)"""
     clients: int | None = None
-    """How many, each without a learner, in a process of its own. (default: 3)"""
+    """Number of clients without a learner, a process each. (default: 3)"""
     networks: str = ""
-    """Learners in their place: networks joined by commas, as `wcsim train --clients`."""
+    """Clients that learn: networks separated by commas, as for `wcsim train --clients`."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Steps of each learner, where --minutes do not say how long. (default: 10000)"""
+    """Steps of each learner, without --minutes. (default: 10000)"""
     kills: int | None = None
-    """How many kills, spread over the time of the learners ... (default: 20)"""
+    """Number of kills during the learning; needs --networks. (default: 20)"""
     stops: int | None = None
-    """... and how many stops; processes without learners are hit every few seconds instead. (default: 20)"""
+    """Number of stops during the learning; without --networks a fault comes every few seconds. (default: 20)"""
     slow: int | None = None
-    """The last learner does so many times the updates of the others in a step. (default: 1)"""
+    """Updates per step of the last learner, as a multiple of the others'. (default: 1)"""
     twice: bool = False
-    """Do it with the learners twice and without faults: both runs must have the same journal hash."""
+    """Run the learners twice without faults: both runs must have the same journal hash."""
     set: Repeated = ()
-    """section.key=value for the learners; may be given several times."""
+    """Setting of the learners as section.key=value."""
     town: str = ""
     """Where: a town's name, its folder, or anybody's .sumocfg. (default: monaco; with --networks helsinki)"""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
-    """What a restarted world does: begin a new epoch, or compute the old one again."""
+    """What a restarted world does: start a new world generation (epoch), or recompute the old one."""
     lease: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """Seconds without progress after which a client is given up. (default: 3; with --networks 10)"""
+    """Seconds without progress after which a client is dropped. (default: 3; with --networks 10)"""
     seed: int = 0
-    """Of the faults, and of the world."""
+    """Seed of the faults and of the world."""
     out: OutFolder = None
-    """Run folder to keep; a temporary one otherwise."""
+    """Folder to save the run in; otherwise a temporary one."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -79,7 +79,7 @@ def run(options: SoakOptions) -> int:
                 return _of_learners(options, town, folder)
             except InterruptedRunError:  # its own words are those of a training, which goes on
                 raise InterruptedRunError(
-                    "stopped; a soak that was cut off shows nothing: begin it again, in another --out"
+                    "stopped; an incomplete soak shows nothing: start it again in another --out"
                 ) from None
         facts = _run(options, town.address, folder)
     finally:
@@ -113,11 +113,9 @@ def _check_heard(options: SoakOptions) -> None:
     """Refuse options that this kind of soak does not hear of. Raises ConfigError."""
     said = [f"--{name}" for name in _OF_LEARNERS if getattr(options, name) != getattr(SoakOptions, name)]
     if said and not options.networks:
-        raise ConfigError(f"{', '.join(said)}: there are no learners; expected --networks A,B,..., or leave that out")
+        raise ConfigError(f"{', '.join(said)}: only learners use this; add --networks A,B,..., or leave it out")
     if options.networks and options.clients is not None:
-        raise ConfigError(
-            f"--clients {options.clients}: --networks has a learner for each client; leave one of the two out"
-        )
+        raise ConfigError(f"--clients {options.clients}: --networks sets the clients; leave one of the two out")
     faults = [f"--{name}" for name in ("kills", "stops") if getattr(options, name)]
     if options.twice and faults:
         raise ConfigError(f"{', '.join(faults)}: --twice compares two runs without faults; leave one of the two out")
@@ -287,7 +285,7 @@ def _print(told: Mapping[str, int | float | str | None], wrong: Sequence[str]) -
     console = stdout_console()
     for key, value in told.items():
         console.print(f"{key:<24}{'-' if value is None else f'{value:.4g}' if isinstance(value, float) else value}")
-    console.print("all as it should be" if not wrong else f"not as it should be: {', '.join(wrong)}")
+    console.print("passed" if not wrong else f"failed: {', '.join(wrong)}")
 
 
 def _p99(values_s: tuple[float, ...]) -> float | None:

@@ -12,6 +12,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, load_run_config
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -29,9 +30,9 @@ class TickOptions:
     town: str = "helsinki"
     """Where: a town's name, its folder, or anybody's .sumocfg."""
     chairs: str = "1,6"
-    """Numbers of wheelchairs to measure, joined by commas."""
+    """Numbers of wheelchairs to measure, such as 1,4."""
     ticks: int = 400
-    """Ticks to measure for each."""
+    """Ticks per measurement."""
     physics_hz: int = 120
     """Physics steps per second."""
     demand_scale: float = 0.6
@@ -39,11 +40,11 @@ class TickOptions:
     width: int = 320
     """Camera width in pixels; the height is three quarters of it."""
     naive: bool = True
-    """Compare with the naive loop."""
+    """Compare with a naive loop of SUMO and PyBullet."""
     seed: int = 4
-    """Seed of the world."""
+    """Random seed of the world."""
     profile: bool = False
-    """Name the twenty dearest functions of a tick instead, native ones too."""
+    """Print the twenty most expensive functions of a tick instead, native ones included."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -54,7 +55,7 @@ def run(options: TickOptions) -> int:
     in_bounds("--width", options.width, 16, 2048)
     in_bounds("--physics-hz", options.physics_hz, 100, 1000)
     if options.physics_hz % 10:
-        raise ConfigError(f"--physics-hz {options.physics_hz}: expected a multiple of 10, for ticks of 0.1 s")
+        raise ConfigError(f"--physics-hz {options.physics_hz}: expected a multiple of 10, as a tick has 0.1 s")
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
     numbers, config = _chairs(options.chairs), _config(options)
     town = find_town(options.town)
@@ -68,7 +69,7 @@ def run(options: TickOptions) -> int:
     costs: dict[int, TickCost] = {}
     with Progress(console=stderr_console(), transient=True) as bar:
         for chairs in numbers:
-            task = bar.add_task(f"{chairs} chairs", total=options.ticks)
+            task = bar.add_task(counted(chairs, "chair"), total=options.ticks)
 
             def seen(done: int, task: Any = task) -> None:
                 bar.update(task, completed=done)
@@ -112,7 +113,7 @@ def _chairs(text: str) -> list[int]:
     try:
         found = [int(word) for word in some_words("--chairs", text)]
     except ValueError:
-        raise ConfigError(f"--chairs {text!r}: expected whole numbers joined by commas, as 1,4") from None
+        raise ConfigError(f"--chairs {text!r}: expected whole numbers separated by commas, as 1,4") from None
     for number in found:
         in_bounds("--chairs", number, 1, MAX_CHAIRS)
     return found

@@ -29,24 +29,24 @@ _PICTURE = "users.png"
 
 @dataclass
 class UsersOptions:
-    """Statistics of each user profile beside its parameters; how often users arrive, and how often they crash."""
+    """Compare the statistics of each user profile with its parameters; how often users arrive and crash."""
 
     towns: str = "helsinki,monaco,manhattan"
-    """Where, each a town's name, its folder, or anybody's .sumocfg; joined by commas, they share the routes."""
+    """Towns that share the routes: each a town's name, its folder, or anybody's .sumocfg, separated by commas."""
     profiles: str = ",".join(profile_names())
-    """Profiles to measure, joined by commas."""
+    """Profiles to measure, separated by commas."""
     routes: int = 20
-    """Routes for each profile, and for each of the two figures below the table."""
+    """Routes for each profile, and for each figure below the table."""
     seconds: float = 60.0
-    """How much of a route is taken for the statistics."""
+    """Seconds of each route for the statistics."""
     arrivals: bool = True
-    """Also drive whole routes: competent in an empty town, inattentive in traffic."""
+    """Also drive whole routes: a competent user in an empty town, an inattentive one in traffic."""
     crossings: int = 0
-    """Also let inattentive users come to so many crossings with a light: who obeys, and who does not."""
+    """Number of signalled crossings for inattentive users, some of whom ignore red."""
     pictures: OutFolder = None
-    """Draw each profile's joystick over 30 seconds into this folder, as users.png."""
+    """Draw 30 seconds of each profile's joystick into this folder, as users.png."""
     set: Repeated = ()
-    """section.key=value, laid over the preset; may be given several times."""
+    """Setting as section.key=value; overrides the preset."""
     seed: int = 0
     """Seed of towns, starts and users."""
     json: OutFile = None

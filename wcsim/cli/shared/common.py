@@ -55,7 +55,9 @@ def _require_bare(options: type, words: Sequence[str], command: str) -> None:
         if tyro.conf.Positional in found:
             told = next((note.metavar for note in found if getattr(note, "metavar", None)), nearest(option[2:], notes))
             bare = re.findall(r"\w+", told)[0].upper()  # of [TOWN], or FILE [FILE ...]
-            raise ConfigError(f"{option} is no option of {command}; expected {bare} by itself: wcsim {command} {bare}")
+            raise ConfigError(
+                f"{option} is not an option of {command}; give {bare} without a name: wcsim {command} {bare}"
+            )
 
 
 def _numbers() -> tyro.constructors.ConstructorRegistry:
@@ -134,7 +136,7 @@ def some_words(option: str, text: str) -> tuple[str, ...]:
     """The items of a comma-separated option. Raises ConfigError when there is none."""
     found = words_of(text)
     if not found:
-        raise ConfigError(f"{option} {text!r} names nothing; expected one or more, joined by commas")
+        raise ConfigError(f"{option} {text!r}: expected one or more names, separated by commas")
     return found
 
 
@@ -185,7 +187,7 @@ def check_folder(option: str, folder: Path) -> None:
         place = place.parent
     if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
         raise ConfigError(
-            f"{option}: {shown(place)} is not a folder that can be written; choose another place with {option}"
+            f"{option}: {shown(place)} is not a folder that can be written to; choose another with {option}"
         )
 
 
@@ -200,7 +202,7 @@ def json_text(path: Path, data: Any) -> str:
     try:
         return json.dumps(data, indent=2, allow_nan=False) + "\n"
     except ValueError as error:
-        raise ConfigError(f"{path}: a result is not a finite number ({error})") from None
+        raise ConfigError(f"{path}: a result contains a number that is not finite ({error})") from None
 
 
 def write_whole(path: Path, fill: Callable[[Path], object]) -> None:

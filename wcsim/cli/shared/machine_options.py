@@ -29,8 +29,8 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
     count = worlds_of(asked) if cluster == LOCAL else asked or 1
     if cluster != LOCAL and count > 1:
         raise ConfigError(
-            f"{option} {count} and --cluster {cluster}: a node has as many workers as `ray start --num-cpus` says "
-            f"there; expected one of the two"
+            f"{option} {count} and --cluster {cluster}: `ray start --num-cpus` sets the workers of a node "
+            f"there; leave one of the two out"
         )
     require_address(cluster)
     return Machines(count=count, cluster=cluster)
@@ -40,8 +40,8 @@ def require_no_cluster(cluster: str, why: str) -> None:
     """Refuse `--cluster` where nothing is driven apart. Raises ConfigError."""
     if cluster:
         raise ConfigError(
-            f"--cluster {cluster}: this training {why}; expected one in rounds, as --preset quick or laptop: leave out "
-            "--cluster"
+            f"--cluster {cluster}: this training {why}; expected one in rounds, such as --preset quick or laptop: "
+            "leave out --cluster"
         )
 
 

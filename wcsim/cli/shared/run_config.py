@@ -125,7 +125,7 @@ def require_unset(settings: Sequence[str], instead: Mapping[str, str]) -> None:
     """
     for key, expected in instead.items():
         if any(sets_key(text, key) for text in settings):
-            raise ConfigError(f"--set {key}: is not heard of here; {expected}")
+            raise ConfigError(f"--set {key}: is not used here; {expected}")
 
 
 def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path | None) -> None:
@@ -145,7 +145,7 @@ def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path |
         name = config.env.profile
         raise ConfigError(
             f"env.profile={shown(name)}: a network that learns in rounds draws its users from collect.profiles; "
-            f"""expected --set 'collect.profiles=["{shown(name)}"]', or --preset dqn, which learns beside that user"""
+            f"""expected --set 'collect.profiles=["{shown(name)}"]', or --preset dqn, which learns with that user"""
         )
     for name in config.collect.profiles:
         require_user(name)
@@ -265,8 +265,8 @@ def require_trained_users(config: RunConfig) -> None:
         for name in names:
             if name in HELD_OUT:
                 raise ConfigError(
-                    f"profile {name} is held out of training, so that tests can ask how a network does with a user it "
-                    f"has never met; expected another {key}"
+                    f"profile {name} is held out of training: tests use it as a user that a network has never met; "
+                    f"expected another {key}"
                 )
 
 

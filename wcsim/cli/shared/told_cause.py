@@ -46,7 +46,7 @@ def require_streams() -> None:
     sys.stderr = sys.stderr or _NOTHING.open("w", encoding="utf-8")
     if sys.stdout is None:
         sys.stdout = _NOTHING.open("w", encoding="utf-8")
-        raise ConfigError("standard output is closed; expected one: add > /dev/null, if nobody reads it")
+        raise ConfigError("standard output is closed; if you do not need it, add: > /dev/null")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
@@ -56,7 +56,7 @@ def require_letters(words: Iterable[str]) -> None:
     """Raise ConfigError for an argument that holds bytes which are no letters: no record of ours could name it."""
     for word in words:
         if holds_half_letters(word):
-            raise ConfigError(f"argument '{shown(word)}' is not in UTF-8; rename what it names, or set LANG=C.UTF-8")
+            raise ConfigError(f"argument '{shown(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
 
 
 def told_cause(error: Exception) -> tuple[str, Exit]:
@@ -83,9 +83,9 @@ def _told_path(error: OSError) -> str:
     try:
         Path.cwd()
     except OSError:
-        return "the working folder is gone; expected one that is there: cd"
+        return "the working folder does not exist any more; change to another one: cd"
     path = error.filename2 or error.filename
     if not isinstance(path, str | bytes) or _PACKAGE in Path(os.fsdecode(path)).parents:
         return ""
     told = f"{shown(os.fsdecode(path))}: {error.strerror}"
-    return f"{told}; expected a path that can be used here: name another, or make that one usable"
+    return f"{told}; choose another path, or make this one usable"

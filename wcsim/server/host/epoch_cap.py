@@ -7,7 +7,7 @@ from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import BarrierState
 from wcsim.server.specs import WorldSpec
 
-EPOCH_OVER = "the epoch is over"
+EPOCH_OVER = "the world generation is over"
 """How the reason begins by which a world's process ends for another one to go on with the next epoch."""
 SETTLED_TICKS = 100  # after which a world's memory is what it begins an epoch with
 

@@ -74,7 +74,7 @@ class ServerLoop:
             reason = asked_to_end()
             while not reason:
                 self._turn()
-                reason = asked_to_end() or ("nobody is left who started it" if self._alone else self._cap.reached)
+                reason = asked_to_end() or ("the process that started it is gone" if self._alone else self._cap.reached)
             # Who has left by the last tick is in the journal as gone, for those who were in are waited for.
             self._feed(EpochOver() if self._cap.reached else Stop(reason))
         except WcsimError as error:
@@ -110,12 +110,12 @@ class ServerLoop:
         may_speak = self._peers.hears(peer, self._clock.now_s, self._present_peers)
         if not may_speak:
             if may_speak is not None:
-                self._refuse(peer, OverloadedError("too many messages a second; wait for the answers"))
+                self._refuse(peer, OverloadedError("too many messages per second; wait for the answers"))
                 self._shut_out(peer)
             return
         try:
             if heard.key == "":
-                raise AccessError("the key of this connection was taken back; ask for another one")
+                raise AccessError("the key of this connection was withdrawn; get a new one")
             message = m.decode_request(heard.data)
             if isinstance(message, m.Join):
                 message = at_the_door(message, peer.startswith(REMOTE), heard.key)
@@ -134,7 +134,7 @@ class ServerLoop:
         """Who is not heard any more cannot act: nobody shall wait for it."""
         if self._peers.is_shut_out(peer):
             for session in [session for session, home in self._homes.items() if home == peer]:
-                self._feed(Lost(session, "it sent too much, or too much that cannot be read"))
+                self._feed(Lost(session, "it sent too many messages, or too many that could not be read"))
 
     def _feed(self, event: Event) -> None:
         ticks = self._hub.ticks

@@ -118,13 +118,13 @@ class _Ends:
 
     def _told(self, number: int, frame: FrameType | None) -> None:
         del number, frame
-        self._end("asked to end")
+        self._end("requested to stop")
 
     def _orphaned(self, number: int, frame: FrameType | None) -> None:
         """The kernel sends this also when only the thread that started this process has ended."""
         del number, frame
         if os.getppid() != self._parent:
-            self._end("whoever started it is gone")
+            self._end("the process that started it is gone")
 
     def _end(self, reason: str) -> None:
         self._reason = self._reason or reason

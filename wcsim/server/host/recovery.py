@@ -158,8 +158,8 @@ def _require_same(path: Path, new: JournalHeader) -> None:
     for name in ("town_sha256", "config", "seed", "capacity", "hook"):
         if getattr(old, name) != getattr(new, name):
             raise ConfigError(
-                f"{path}: is of another world: its {name} is {str(getattr(old, name))[:80]!r}, not "
-                f"{str(getattr(new, name))[:80]!r}; go on with the same settings, or choose a new folder"
+                f"{path}: belongs to another world: its {name} is {str(getattr(old, name))[:80]!r}, not "
+                f"{str(getattr(new, name))[:80]!r}; use the same settings, or choose a new folder"
             )
 
 

@@ -208,4 +208,6 @@ def _as_refusal(error: Exception) -> WcsimError:
     if isinstance(error, WcsimError):
         return error
     log.error("a client's chair could not be put into the street", exc_info=error)
-    return PhysicsError(f"the world cannot take this chair ({type(error).__name__}); ask for another start or user")
+    return PhysicsError(
+        f"this chair does not fit into the world ({type(error).__name__}); choose another start or user"
+    )

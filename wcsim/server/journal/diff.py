@@ -22,7 +22,7 @@ def journal_difference(one: Path, other: Path) -> str:
     here = "before the first record"
     for a, b in zip_longest(iter_journal(one), iter_journal(other)):
         if a is None or b is None:
-            return f"{one if a is None else other} ends {here}, the other one goes on with {_called(b or a)}"
+            return f"{one if a is None else other} ends {here}; the other one continues with {_called(b or a)}"
         if told_apart(a) != told_apart(b):
             return _record_difference(told_apart(a), told_apart(b))
         here = f"after {_called(a)}"

@@ -65,11 +65,11 @@ class JournalWriter(Closing):
         """Begin a journal; it appears with its header. Raises ConfigError when that is impossible, DiskFullError."""
         beside = path.with_name(f".{path.name}.new")
         if os.path.lexists(path):
-            raise ConfigError(f"{path}: a journal cannot be begun (File exists); choose a new folder")
+            raise ConfigError(f"{path}: a journal cannot be created (File exists); choose a new folder")
         try:
             file = FileIO(os.open(beside, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644), "r+b")
         except OSError as error:
-            raise ConfigError(f"{path}: a journal cannot be begun ({error.strerror}); choose a new folder") from None
+            raise ConfigError(f"{path}: a journal cannot be created ({error.strerror}); choose a new folder") from None
         try:
             self._open(path, file, 0)
         except BaseException:  # another process begins it
@@ -85,7 +85,7 @@ class JournalWriter(Closing):
             file.close()
             beside.unlink(missing_ok=True)
             if isinstance(error, OSError):
-                raise DiskFullError(f"{path}: cannot be begun ({error.strerror}); check the disk") from None
+                raise DiskFullError(f"{path}: cannot be created ({error.strerror}); check the disk") from None
             raise
 
     @classmethod
@@ -101,7 +101,7 @@ class JournalWriter(Closing):
         try:
             file = FileIO(path, "r+b")
         except OSError as error:
-            raise ConfigError(f"{path}: the journal cannot be gone on with ({error.strerror})") from None
+            raise ConfigError(f"{path}: the journal cannot be continued ({error.strerror})") from None
         self = cls.__new__(cls)
         try:
             self._open(path, file, 0)
@@ -155,7 +155,7 @@ class JournalWriter(Closing):
     def _put(self, payload: bytes) -> None:
         """One unbuffered write; on a full disk the part that was written is taken back."""
         if self._file.closed:
-            raise WcsimError(f"{self._path}: this journal is closed; open it again to go on with it")
+            raise WcsimError(f"{self._path}: this journal is closed; open it again to continue it")
         data = framed(payload, self._after or 0)
         try:
             written = self._file.write(data) or 0
@@ -167,7 +167,8 @@ class JournalWriter(Closing):
         if reason:
             self._take_back()
             raise DiskFullError(
-                f"{self._path}: a record could not be written ({reason}); {self._end} bytes are whole: make room"
+                f"{self._path}: a record could not be written ({reason}); the first {self._end} bytes are "
+                f"intact: make room"
             )
         self._end += len(data)
         self._after = None if self._after is None else crc_of(data)
@@ -183,7 +184,9 @@ class JournalWriter(Closing):
         try:
             os.fdatasync(self._file.fileno())
         except OSError as error:
-            raise DiskFullError(f"{self._path}: not brought to the disk ({error.strerror}); check the disk") from None
+            raise DiskFullError(
+                f"{self._path}: could not be flushed to disk ({error.strerror}); check the disk"
+            ) from None
         self._unsynced, self._synced_s = 0, time.monotonic()
 
 
@@ -290,7 +293,7 @@ class _Scan:
                 torn = torn_bytes(file, self.end, self.after)
         if torn is None:
             raise JournalError(
-                f"{self._path}: is damaged after {self.end} bytes, and more follows; restore it, or begin a new run"
+                f"{self._path}: is damaged at byte {self.end}; restore it from a copy, or start a new run"
             )
         self.torn_bytes = torn
 
@@ -300,7 +303,7 @@ def _lock(path: Path, file: FileIO) -> None:
     try:
         fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise ConfigError(f"{path}: another process is writing this journal; wait for it, or end that run") from None
+        raise ConfigError(f"{path}: another process is writing this journal; wait for it, or stop that run") from None
     except OSError:  # a file system without locks
         return
 

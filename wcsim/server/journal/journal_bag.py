@@ -54,5 +54,5 @@ def recompute_bag(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> d
                 chairs[client.seat].saw(now.time_s, client, config)
         counts = bag.counts
     if not counts:
-        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; expected --epoch with one that has some")
+        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; choose another --epoch")
     return counts

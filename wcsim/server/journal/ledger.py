@@ -67,7 +67,7 @@ class LedgerWriter(Closing):
         self._seal: int | None = 0  # of the last entry; None in a ledger without seals
         try:
             if not stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
-                raise JournalError(f"{path}: is no regular file; expected a client's ledger")
+                raise JournalError(f"{path}: is not a regular file; expected a client's ledger")
             self._to_end()
         except BaseException:
             self._file.close()
@@ -142,7 +142,7 @@ class _Scan:
         self.torn_bytes = size
         if size >= _MOST_TORN_BYTES and not zeros:
             raise JournalError(
-                f"{self._path}: is damaged after {self.end} bytes, and more follows; restore it, or begin a new run"
+                f"{self._path}: is damaged at byte {self.end}; restore it from a copy, or start a new run"
             )
 
     def _next(self, data: bytes) -> LedgerEntry | None:

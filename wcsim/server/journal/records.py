@@ -123,7 +123,7 @@ def header_of(payload: bytes) -> JournalHeader:
             raise WcsimError(f"got magic {magic!r}, version {version!r}; expected {MAGIC!r}, 1 to {VERSION}")
         return _sane(msgspec.convert(head, JournalHeader))
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise WcsimError(f"the first record is no header: {error}") from None
+        raise WcsimError(f"the first record is not a header: {error}") from None
 
 
 def is_chained(payload: bytes) -> bool:
@@ -181,7 +181,7 @@ def record_of(payload: bytes) -> JournalRecord:
         record: JournalRecord = msgspec.convert(fields, kind)
         return record
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise WcsimError(f"a record is not one of a journal: {error}") from None
+        raise WcsimError(f"a record does not belong in a journal: {error}") from None
 
 
 def _ticked(payload: bytes) -> Ticked:

@@ -130,7 +130,7 @@ def rebuild_world(
             records = []
         records.append(record)
     if not records or not isinstance(records[0], EpochBegun):
-        raise WcsimError(f"{journal}: no epoch has begun in it; there is no world to make again")
+        raise WcsimError(f"{journal}: it contains no epoch, so there is no world to recompute")
     try:
         for number, record in enumerate(records):
             world = player.play(record)
@@ -152,11 +152,11 @@ def journal_worlds(header: JournalHeader, hook: str = "") -> MakesEpoch[World]:
     if header.hook != hook:
         raise ConfigError(
             f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got {hook or 'none'!r}; "
-            "a hook is code: name it yourself (--hook) if you trust it"
+            "a hook is code: name it with --hook if you trust it"
         )
     town = find_town(header.town)
     if streets_hash(town) != header.town_sha256:
-        raise TownError(f"{header.town}: has other streets than when the journal was made; restore its net")
+        raise TownError(f"{header.town}: its net has changed since the journal was made; restore it")
     config, place = parse(RunConfig, _config_of(header), "the configuration in the journal"), RunPlace(hook=hook)
     return lambda specs, seed, epoch: World(town, config, specs, seed, place, epoch=epoch)
 
@@ -172,7 +172,7 @@ def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> i
         world, _ = next(steps)
         written = write_steps(_trace_header(read_header(journal), world), _ticks(steps), out)
     if not written:
-        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; expected --epoch with one that has some")
+        raise WcsimError(f"{journal}: has no tick of epoch {epoch}; choose another --epoch")
     return written
 
 
@@ -206,7 +206,7 @@ def require_equal(world: SeatWorld, record: JournalRecord) -> None:
     if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
         raise ReplayMismatchError(
             f"epoch {record.epoch}, tick {record.tick}: got state {world.snapshot.state_hash}, expected "
-            f"{record.state_hash} as in the journal; use the versions and the machine that it was made with"
+            f"{record.state_hash} as in the journal; use the versions and the kind of machine that it was made with"
         )
 
 
@@ -247,7 +247,9 @@ def replayed(
     finally:
         player.close()
     if not known:
-        raise WcsimError(f"{journal}: has no epoch: it was cut off, or its world never began; expected a whole journal")
+        raise WcsimError(
+            f"{journal}: has no epoch: it is truncated, or its world never started; expected a whole journal"
+        )
     if epoch is not None and epoch not in known:
         raise WcsimError(f"{journal}: has no epoch {epoch}; expected one of {sorted(known)}")
 
@@ -320,7 +322,7 @@ class JournalPlayer(Generic[W]):
             self._world = self._make(self.seats.specs(self._capacity), record.seed, record.epoch)
             return self._world
         if self._world is None:
-            raise WcsimError(f"{record} comes before any epoch has begun; the journal is damaged")
+            raise WcsimError(f"{record} comes before the first epoch; the journal is damaged")
         if not isinstance(record, Ended):
             _require_now(self._world, record)
             _do(self._world, record)
@@ -353,5 +355,5 @@ def _config_of(header: JournalHeader) -> dict[str, object]:
     except (ValueError, RecursionError):
         config = None
     if not isinstance(config, dict):
-        raise ConfigError("the configuration in the journal is no JSON object; the journal is damaged")
+        raise ConfigError("the configuration in the journal is not a JSON object; the journal is damaged")
     return config

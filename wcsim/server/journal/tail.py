@@ -102,7 +102,7 @@ class JournalTail(Closing):
             if len(found) >= most:
                 break
         if not found and torn_bytes(file, self._end, self._after) is None:
-            raise JournalError(f"{self._path}: is damaged after {self._end} bytes, and more follows; restore it")
+            raise JournalError(f"{self._path}: is damaged at byte {self._end}; restore it from a copy")
         return found
 
     def _is_over(self) -> bool:

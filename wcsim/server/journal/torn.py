@@ -29,11 +29,13 @@ def keep_torn(path: Path, data: bytes) -> Path:
     except OSError as error:
         kept.unlink(missing_ok=True)
         raise DiskFullError(
-            f"{path}: its torn end of {len(data)} bytes could not be kept beside it ({error.strerror}); make room"
+            f"{path}: its incomplete end of {len(data)} bytes could not be saved ({error.strerror}); make room"
         ) from None
     return kept
 
 
 def told_torn(path: Path, cut_bytes: int) -> str:
     """That something was cut off, in words for a person."""
-    return f"{path}: the last {cut_bytes} bytes were no whole record and were cut off; see {path.name}.torn beside it"
+    return (
+        f"{path}: the last {cut_bytes} bytes were an incomplete record and were cut off; see {path.name}.torn beside it"
+    )

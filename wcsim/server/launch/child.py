@@ -109,11 +109,11 @@ def how_it_ended(code: int) -> str:
     """An exit code in words.
 
     >>> how_it_ended(-9), how_it_ended(3)
-    ('killed by SIGKILL', 'ended with code 3')
+    ('was killed by SIGKILL', 'ended with code 3')
     """
     if code >= 0:
         return f"ended with code {code}"
     try:
-        return f"killed by {signal.Signals(-code).name}"
+        return f"was killed by {signal.Signals(-code).name}"
     except ValueError:
-        return f"killed by signal {-code}"
+        return f"was killed by signal {-code}"

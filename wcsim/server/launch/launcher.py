@@ -154,7 +154,7 @@ class Launcher:
 
     def _verdict(self) -> tuple[int, str]:
         lost = [client for client in self._clients if client.standing == "given up"]
-        told = "; ".join(f"client {client.plan.name} was given up: it {client.reason}" for client in lost)
+        told = "; ".join(f"client {client.plan.name} was dropped: it {client.reason}" for client in lost)
         return (1, f"{told}; see {lost[0].plan.log}") if lost else (0, "")
 
     def _end_clients(self, now_s: float, code: int, message: str) -> None:

@@ -107,7 +107,7 @@ class SupervisedClient(Supervised[ClientStatus]):
             self.fault = words or f"client {self.plan.name} {how_it_ended(code)}; see {self.plan.log}"
             self._log.add("refused", who=self.plan.name, reason=words)
         elif code == ClientExit.DISK_FULL:
-            self.standing, self.reason = "given up", f"has no room to save: {words}"
+            self.standing, self.reason = "given up", f"has no disk space to save: {words}"
             self._log.add("given up", who=self.plan.name, reason=self.reason)
         else:
             self._crashed(code, words, now_s)

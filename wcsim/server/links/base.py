@@ -87,7 +87,7 @@ class WorldLink(Closing):
         self._refuse_closed()
         self._raise_error()
         if self.interrupted:
-            raise ProtocolError("the step before was interrupted, or not waited for; call reset() first")
+            raise ProtocolError("the previous step was interrupted or has not finished; call reset() first")
         self.take(self.core.act(tick, joystick, self._now_s()))
 
     def receive(self) -> ClientSnapshot:
@@ -158,9 +158,7 @@ class WorldLink(Closing):
     @property
     def waits(self) -> Waits:
         """Where the time went so far."""
-        return Waits(
-            steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s
-        )
+        return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s)
 
     def wait_less(self) -> None:
         """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.
@@ -222,11 +220,11 @@ class WorldLink(Closing):
         while self.core.waiting and self._error is None:
             self._pump()
             if self._waits_no_more and self.core.waiting and self._error is None:
-                self._error = ServerGoneError("the world has not answered, and this client was asked to end")
+                self._error = ServerGoneError("the world does not answer, and this client was requested to stop")
         self._link_s += time.perf_counter() - begun_s
         self._raise_error()
         if self._frame is None:
-            raise ProtocolError("nothing was asked for; call join(), act() or respawn() first")
+            raise ProtocolError("there is no pending request; call join(), act() or respawn() first")
         return self._frame
 
     def _raise_error(self) -> None:
@@ -236,7 +234,7 @@ class WorldLink(Closing):
 
     def _refuse_closed(self) -> None:
         if self._closed:
-            raise LinkClosedError("this link is closed; make a new one")
+            raise LinkClosedError("this link is closed; create a new one")
 
     def _now_s(self) -> float:
         return self._clock.look(time.monotonic())

@@ -86,7 +86,9 @@ class WorldChild:
             if ended:
                 self.require_alive()
             time.sleep(0.01)
-        raise LinkTimeoutError(f"the world process has no world after {_OPEN_TIMEOUT_S:g} s; is the machine busy?")
+        raise LinkTimeoutError(
+            f"the world process has not loaded its world after {_OPEN_TIMEOUT_S:g} s; is the machine busy?"
+        )
 
     def _heard(self) -> bytes:
         try:

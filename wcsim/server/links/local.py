@@ -66,7 +66,7 @@ class LocalServer:
         """
         if self.members():
             names = ", ".join(member.name for member in self.members())
-            raise ProtocolError(f"{names} would lose their seats; expected links that are closed")
+            raise ProtocolError(f"{names} would lose their seats; close these links first")
         self.world.rebuild(seed)
         self._hub = self._new_hub()
 
@@ -122,7 +122,8 @@ class LocalSeat(WorldLink):
         if self.core.waiting and self._error is None:
             late = ", ".join(self._server.late()) or "more clients to join"
             raise TickTimeoutError(
-                f"seat {self.seat} waits for {late}; in one process nobody can act meanwhile: send for all seats first"
+                f"seat {self.seat} waits for {late}; in one process no other seat can act meanwhile: send for all "
+                "seats first"
             )
 
     def _end(self) -> None:

@@ -83,7 +83,7 @@ class SocketSeat(WorldLink):
     def world(self) -> WorldOffer:
         """What the server says of its world. Raises ProtocolError before the first `join`."""
         if self._world is None:
-            raise ProtocolError("the server has not said what its world is; call join() first")
+            raise ProtocolError("the server has not described its world yet; call join() first")
         return self._world
 
     def while_waiting(self, work: Callable[[], object]) -> None:
@@ -119,13 +119,13 @@ class SocketSeat(WorldLink):
 
     def _open_frame(self, seen: FrameSeen) -> ClientSnapshot | None:
         if seen.slot >= 0 and self._ring is None:
-            raise ProtocolError(f"a frame with pictures in slot {seen.slot}; the server named no shared memory")
+            raise ProtocolError(f"a frame has pictures in slot {seen.slot}, but the server named no shared memory")
         return seen.client
 
     def _welcomed(self, welcome: m.Welcome) -> None:
         self._world = WorldOffer(config_json=welcome.config_json, town=welcome.town)
         if welcome.ring and not self._order.endpoint.startswith("ipc://"):
-            raise ProtocolError("the server names a file of this machine; expected none over the network")
+            raise ProtocolError("the server named a file of this machine; over the network it must not")
         self._ring = RingView(Path(welcome.ring)) if welcome.ring else None
 
     def _end(self) -> None:
@@ -157,15 +157,17 @@ def _refusal(endpoint: str, keys: str, event: int, code: int) -> str:
     """Why a server let nobody in, by ZeroMQ's event and its number, and what to do."""
     refused = f"{endpoint} refused the connection"
     if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-        return f"{refused}: it does not know the public key of {keys}; expected one that whoever runs the server made"
+        return (
+            f"{refused}: the server does not know the public key in {keys}; use a key made on the server (--make-keys)"
+        )
     if not keys:
-        return f"{refused}: it lets in clients with keys only; expected --keys FOLDER, from whoever runs the server"
+        return f"{refused}: the server needs a key; get one from its operator and use --keys FOLDER"
     if code == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
-        return f"{refused}: it takes no keys, --keys {keys} was given; leave --keys out, or give the server --keys too"
-    return (
-        f"{refused} before a word was said: the server's public key in {keys} is not its own; expected the "
-        "server.public that it has now"
-    )
+        return (
+            f"{refused}: the server uses no keys, but --keys {keys} was given; leave --keys out, or start the server "
+            "with --keys, too"
+        )
+    return f"{refused}: the server's public key in {keys} is not that of this server; copy its current server.public"
 
 
 def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> zmq.Socket[bytes]:

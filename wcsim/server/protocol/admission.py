@@ -40,17 +40,17 @@ def admission(join: m.Join, rules: Rules, roll: Roster, now: tuple[int, int]) ->
     if fault is not None:
         return fault
     if roll.is_over(join.session):
-        return EvictedError("this session is over; join again with another one")
+        return EvictedError("this session is over; join with a new one")
     if join.seat == m.ANY_SEAT:
         own = roll.claimed(join.claim)
         return _free_seat(rules, roll) if own is None else _own_seat(join, own, roll, now)
     if not 0 <= join.seat < rules.capacity:
-        return SeatTakenError(f"seat {join.seat} is not there; expected 0 to {rules.capacity - 1}")
+        return SeatTakenError(f"seat {join.seat} does not exist; expected 0 to {rules.capacity - 1}")
     holder, waiting = roll.at(join.seat), roll.waiting_at(join.seat)
     for other in (holder, waiting):
         same = bool(join.claim) and other is not None and other.claim == join.claim
         if other is not None and (other.session or other.claim) and not same:
-            return SeatTakenError(f"seat {join.seat} is {other.name}'s, with another claim; ask for a free one")
+            return SeatTakenError(f"seat {join.seat} belongs to {other.name}; choose a free one")
     return _own_seat(join, join.seat, roll, now)
 
 
@@ -61,16 +61,18 @@ def _own_seat(join: m.Join, seat: int, roll: Roster, now: tuple[int, int]) -> Ad
 def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
     if (join.protocol, join.schema) != (m.PROTOCOL, m.schema_hash()):
         return VersionMismatchError(
-            f"client speaks protocol {join.protocol}, schema {join.schema[:40]!r}, server {m.PROTOCOL}, "
+            f"the client has protocol {join.protocol}, schema {join.schema[:40]!r}; the server has {m.PROTOCOL}, "
             f"{m.schema_hash()!r}; install the same version of wcsim on both"
         )
     if len(join.session) != m.SESSION_BYTES:
         return VersionMismatchError(f"a session of {len(join.session)} bytes; expected {m.SESSION_BYTES}")
     if not _NAME.fullmatch(join.name):
-        return ProtocolError(f"name {shown(join.name, 40)!r}: expected 1 to 64 letters, digits, - _ or ., no . first")
+        return ProtocolError(
+            f"name {shown(join.name, 40)!r}: expected 1 to 64 letters, digits, '-', '_' or '.', and no '.' at the start"
+        )
     if join.config and join.config != rules.config:
         return ConfigMismatchError(
-            f"client expects a world of configuration {join.config[:64]!r}, this one is {rules.config!r}; "
+            f"the client expects a world with configuration {join.config[:64]!r}, but this one has {rules.config!r}; "
             "use the server's configuration"
         )
     return _unfit_spec(join.spec, rules)
@@ -81,8 +83,8 @@ def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     named = is_of_file(spec.profile)
     if named and rules.recordings is not None and spec.profile not in rules.recordings:
         return ConfigError(
-            "this world has only those files of users that it was started with; start it with --set "
-            "env.profile=recorded:FILE (or FILE.toml), or ask for one of wcsim's profiles"
+            "this world uses only the user files that it was started with; start it with --set "
+            "env.profile=recorded:FILE (or FILE.toml), or choose one of wcsim's profiles"
         )
     if not named and spec.profile not in profile_names():
         known = ", ".join(profile_names())
@@ -92,14 +94,16 @@ def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     start = spec.start
     numbers = () if start is None else (*start.p_W_m, start.yaw_rad, *start.goal_W_m)
     if not all(abs(number) <= MOST_METRES for number in numbers):  # false for what is no number, too
-        return ProtocolError("a start with a number that is not finite, or far from any town; expected one in the town")
+        return ProtocolError(
+            "the start has a number that is not finite, or lies far outside the town; expected a place in the town"
+        )
     return None
 
 
 def _free_seat(rules: Rules, roll: Roster) -> Admission | WcsimError:
     seat = roll.free_seat(rules.capacity)
     if seat is None:
-        return WorldFullError(f"all {rules.capacity} seats are taken; wait until somebody leaves")
+        return WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
     return Admission(seat=seat, resumes=False)
 
 

@@ -163,14 +163,14 @@ class Barrier:
         self.out.append(RebuildWorld(self.epoch, seed))
         self._begin_tick(now_s)
         for mate in self.roll.by_seat():
-            self.send(mate.peer, m.Restarted(self.epoch, f"the world was begun again with seed {seed}"))
+            self.send(mate.peer, m.Restarted(self.epoch, f"the world was restarted with seed {seed}"))
             self.show(mate)
 
     # --- who goes, who may tick ---
 
     def evict(self, member: Member, reason: str, now_s: float) -> None:
         """Give a client up; should it live, it hears of it."""
-        told = EvictedError(f"the server gave this client up: {reason}")
+        told = EvictedError(f"the server dropped this client: {reason}")
         self.send(member.peer, m.failure_of(told, member.session))
         self.remove(member, reason, now_s)
 
@@ -224,7 +224,7 @@ class Barrier:
         for peer, session in [(w.peer, w.session) for w in self.roll.by_seat()] + [
             (w.peer, w.session) for w in self.roll.pending
         ]:
-            self.send(peer, m.Bye(session, reason or "the server ends"))
+            self.send(peer, m.Bye(session, reason or "the server stops"))
 
     # --- what is sent ---
 

@@ -224,7 +224,7 @@ class ClientCore:
             self.phase = ClientPhase.GONE
             return [Failed(ServerGoneError(f"the server was silent for {silent_s:.0f} s; is it running?"))]
         if now_s - self._asked_s > self.patience.tick_s:
-            whom = ", ".join(self.late) or "somebody"
+            whom = ", ".join(self.late) or "other clients"
             self.phase = ClientPhase.GONE
             return [Failed(TickTimeoutError(f"no tick for {now_s - self._asked_s:.0f} s: waiting for {whom}"))]
         if min(silent_s, now_s - self._sent_s) < self.patience.resend_s:
@@ -238,7 +238,7 @@ class ClientCore:
 
     def _expect_thinking(self, call: str) -> None:
         if self.phase is not ClientPhase.THINK:
-            raise ProtocolError(f"{call} in phase {self.phase.value!r}; expected a client that has its frame")
+            raise ProtocolError(f"{call} in phase {self.phase.value!r}; wait for the frame first")
 
     def _request(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
         self.pending = message
@@ -280,7 +280,7 @@ class ClientCore:
             self._sent_s = now_s
             return [*out, Say(self.pending)]
         if self.tick >= 0:
-            self._restarted = self._restarted or f"the world is in epoch {welcome.epoch} now"
+            self._restarted = self._restarted or f"the world is now in epoch {welcome.epoch}"
         self.pending = None
         self.epoch, self.tick, self.life = welcome.epoch, -1, 0
         self.phase = ClientPhase.WAIT_FIRST
@@ -307,7 +307,7 @@ class ClientCore:
         if early or (done.epoch, done.tick) <= (self.epoch, self.tick) or self._ahead == done.tick:
             return []
         if self.phase is not ClientPhase.WAIT_TICK or (done.epoch, done.tick) != (self.epoch, self.tick + 1):
-            return self._broken(f"the simulation is at epoch {done.epoch}, tick {done.tick}")
+            return self._broken(f"the server is at epoch {done.epoch}, tick {done.tick}")
         self.phase, self._ahead = ClientPhase.WAIT_SENSORS, done.tick
         return []
 
@@ -326,7 +326,7 @@ class ClientCore:
                 return []  # the word of its tick was lost: the client asks again, and gets both
         if self.phase is ClientPhase.WAIT_RESPAWN and got == (self.epoch, self.tick, self.life + 1):
             return self._seen(frame)
-        return self._broken(f"a frame of epoch, tick, life {got}")
+        return self._broken(f"got a frame of epoch, tick, life {got}")
 
     def _seen(self, frame: m.Frame) -> list[Outcome]:
         rebuilt, stepped = isinstance(self.pending, m.Rebuild), isinstance(self.pending, m.Act)
@@ -334,7 +334,7 @@ class ClientCore:
         self.phase, self.pending, self.late = ClientPhase.THINK, None, ()
         out: list[Outcome] = [FrameSeen(frame.epoch, frame.tick, frame.client, frame.slot, stepped)]
         if self._restarted and not rebuilt:
-            out.append(Failed(WorldRestartedError(f"{self._restarted}; go on with its first frame")))
+            out.append(Failed(WorldRestartedError(f"{self._restarted}; continue with its first frame")))
         self._restarted = ""
         return out
 
@@ -377,7 +377,7 @@ class ClientCore:
         if bye.session and bye.session != self.session:
             return []
         self.phase = ClientPhase.GONE
-        return [Failed(ServerGoneError(f"the server has ended: {bye.reason or 'as asked'}"))]
+        return [Failed(ServerGoneError(f"the server has ended: {bye.reason or 'as requested'}"))]
 
     def _broken(self, what: str) -> list[Outcome]:
         told = f"{what}; the client is at epoch, tick, life {(self.epoch, self.tick, self.life)}, {self.phase.value}"

@@ -112,7 +112,7 @@ def unpacked(client: PackedClient, slot: int = -1, shared: Pictures | None = Non
     """
     n: F64 = np.frombuffer(client.numbers, np.float64, count=ROW.size // 8)
     if not np.isfinite(n).all():
-        raise ProtocolError("a frame with numbers that are not finite; expected finite ones")
+        raise ProtocolError("a frame has numbers that are not finite; expected finite ones")
     roll_rad, pitch_rad, yaw_rad, imu_roll_rad, imu_pitch_rad, imu_yaw_rad, x, y = n[24:].tolist()
     imu = ImuFrame(
         accel_mean_mps2=n[15:18],
@@ -184,9 +184,11 @@ def _readings(numbers: bytes) -> tuple[Reading, ...]:
         items = _OF_READINGS.decode(memoryview(numbers)[ROW.size :])
         readings = tuple([Reading(name=item.name, values=np.frombuffer(item.values, np.float64)) for item in items])
     except (msgspec.MsgspecError, ValueError, RecursionError):
-        raise ProtocolError(f"{len(numbers) - ROW.size} bytes behind a frame's numbers; expected readings") from None
+        raise ProtocolError(
+            f"{len(numbers) - ROW.size} bytes follow a frame's numbers; expected sensor readings"
+        ) from None
     if not all(np.isfinite(reading.values).all() for reading in readings):
-        raise ProtocolError("a sensor's reading with numbers that are not finite; expected finite ones")
+        raise ProtocolError("a sensor reading has numbers that are not finite; expected finite ones")
     return readings
 
 
@@ -207,7 +209,7 @@ def _packed_picture(camera: CameraFrame, whole: bool) -> PackedPicture:
 
 def _shared(items: Sequence[PackedPicture], images: Sequence[Images]) -> tuple[CameraFrame, ...]:
     if len(items) != len(images):
-        raise ProtocolError(f"a frame of {len(items)} cameras; the shared memory has {len(images)}")
+        raise ProtocolError(f"a frame has {len(items)} cameras; the shared memory has {len(images)}")
     return tuple(
         [
             CameraFrame(
@@ -239,7 +241,7 @@ def _array(data: bytes, dtype: type[np.generic], shape: tuple[int, ...]) -> npt.
     try:
         return np.frombuffer(data, dtype).reshape(shape)
     except ValueError:
-        raise ProtocolError(f"a picture of {len(data)} bytes; expected one of {shape} {dtype.__name__}") from None
+        raise ProtocolError(f"a picture has {len(data)} bytes; expected {shape} {dtype.__name__}") from None
 
 
 def _packed_truth(truth: Truth) -> PackedTruth:
@@ -271,7 +273,9 @@ def _first_s(data: bytes) -> F64:
     """Seconds, infinity among them. Raises ProtocolError for anything else."""
     first_s: F64 = np.frombuffer(data[: len(data) // 8 * 8], np.float64)
     if len(data) % 8 or not (first_s >= 0.0).all():
-        raise ProtocolError(f"a truth with {len(data)} bytes of seconds; expected 8 for each action, none below 0")
+        raise ProtocolError(
+            f"the truth has {len(data)} bytes of seconds; expected 8 for each action, and no negative value"
+        )
     return first_s
 
 

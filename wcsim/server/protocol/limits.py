@@ -19,10 +19,10 @@ def told_limit(error: BaseException) -> str:
     """What to do about an error of the system that is one of a limit; "" for any other."""
     number = getattr(error, "errno", None)
     if number in NO_ROOM:
-        return f"no room is left ({error}); make room, and go on (with --resume, where the command has that)"
+        return f"the disk is full ({error}); make room, then continue (with --resume, where the command has that)"
     if number in _NO_FILES:
         soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        return f"{soft} files may be open at once, and that is too few ({error}); try again after: ulimit -n 1024"
+        return f"a process may open {soft} files, which is too few ({error}); try again after: ulimit -n 1024"
     return ""
 
 
@@ -48,5 +48,5 @@ def require_files(clients: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     if 0 <= soft < needed:
         raise ConfigError(
-            f"{soft} files may be open at once; expected {needed} or more for {clients} clients: ulimit -n 1024"
+            f"a process may open {soft} files; expected {needed} or more for {clients} clients: ulimit -n 1024"
         )

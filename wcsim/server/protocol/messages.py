@@ -280,7 +280,7 @@ def decode_reply(data: bytes, shared: Pictures | None = None) -> Reply:
 
 def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int) -> Any:
     if len(data) > limit_bytes:
-        raise errors.OverloadedError(f"a message of {len(data)} bytes; expected at most {limit_bytes}")
+        raise errors.OverloadedError(f"a message has {len(data)} bytes; expected at most {limit_bytes}")
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:

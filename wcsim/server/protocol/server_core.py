@@ -93,7 +93,7 @@ class ServerCore:
             roll.pending = [replace(p, peer=peer) if p.session == join.session else p for p in roll.pending]
             return
         if roll.others_of(peer, join.claim):
-            error = SeatTakenError("this connection has a seat; expected a connection of its own for each client")
+            error = SeatTakenError("this connection already has a seat; use one connection per client")
             self.cycle.send(peer, m.failure_of(error, join.session))
             return
         found = admission(join, self.cycle.rules, roll, (self.cycle.epoch, self.cycle.tick))
@@ -115,7 +115,7 @@ class ServerCore:
         )
         roll.pending.append(waiting)
         if holder is not None:
-            self.cycle.evict(holder, "its client began anew", now_s)
+            self.cycle.evict(holder, "its client restarted", now_s)
         elif self.cycle.stage is BarrierState.EMPTY:
             self.cycle.gather(now_s)
 
@@ -126,7 +126,7 @@ class ServerCore:
         if older is not None:
             roll.pending.remove(older)
             roll.retire(older.session)
-            told = EvictedError("the server gave this client up: its client began anew")
+            told = EvictedError("the server dropped this client: its client restarted")
             self.cycle.send(older.peer, m.failure_of(told, older.session))
 
     def _take_over(self, holder: Member, peer: Peer, join: m.Join, now_s: float) -> None:
@@ -202,19 +202,19 @@ class ServerCore:
                 f"the server of epoch {self.cycle.epoch} does not know this session; join again"
             )
             if session in roll.retired:
-                error = EvictedError("the server gave this client up, or it left; join again with another session")
+                error = EvictedError("the server dropped this client, or it left; join again with a new session")
             self.cycle.send(peer, m.failure_of(error, session))
 
     def _act(self, member: Member, act: m.Act, now_s: float) -> None:
         if not self._is_now(member, act.epoch, act.tick, act.life):
             return
         if not (-1.0 <= act.x <= 1.0 and -1.0 <= act.y <= 1.0):
-            raise BadActionError(f"joystick ({act.x}, {act.y}); expected both in -1 to 1")
+            raise BadActionError(f"joystick ({act.x}, {act.y}): expected both from -1 to 1")
         action = Joystick(act.x, act.y)
         if member.action not in (None, action):
-            raise BadActionError(f"a second action for tick {act.tick}; expected the first one again")
+            raise BadActionError(f"a different second action for tick {act.tick}; repeat the first one")
         if member.respawning:
-            raise ProtocolError(f"an action for tick {act.tick} of a seat that waits for its respawn; expected none")
+            raise ProtocolError(f"an action for tick {act.tick}, but the seat waits for its respawn; wait for it")
         if member.action is None:
             member.action = action
             self.cycle.advance(now_s)
@@ -225,11 +225,13 @@ class ServerCore:
         if asked < now:
             return  # it was done, and everybody heard of it
         if asked > now:
-            raise FutureTickError(f"a tick of epoch, tick {asked}; the server is at {now}")
+            raise FutureTickError(f"a request for epoch, tick {asked}; the server is at {now}")
         if tick.term < cycle.term:
-            raise StaleTermError(f"term {tick.term} is over; the master of term {cycle.term} ticks")
+            raise StaleTermError(f"term {tick.term} is over; now the master of term {cycle.term} requests ticks")
         if member.session != cycle.master or tick.term != cycle.term:
-            raise NotMasterError(f"seat {member.seat} is not the master of term {tick.term}; only the master ticks")
+            raise NotMasterError(
+                f"seat {member.seat} is not the master of term {tick.term}; only the master may request a tick"
+            )
         if cycle.stage is BarrierState.COLLECT:
             raise BarrierNotFullError(f"tick {cycle.tick} waits for {', '.join(cycle.late())}; wait for all to act")
         if cycle.stage is BarrierState.READY:
@@ -239,11 +241,13 @@ class ServerCore:
         if not self._is_now(member, respawn.epoch, respawn.tick, respawn.life):
             return
         if member.action is not None:
-            raise ProtocolError(f"a respawn at tick {respawn.tick}, for which the seat has acted; wait for its end")
+            raise ProtocolError(
+                f"a respawn at tick {respawn.tick}, but the seat has acted; wait for the end of the tick"
+            )
         if not member.respawning:
             if member.life >= MOST_LIVES:
                 raise ProtocolError(
-                    f"respawn {member.life + 1} at tick {respawn.tick}; expected {MOST_LIVES} at most: act first"
+                    f"respawn {member.life + 1} at tick {respawn.tick}; expected at most {MOST_LIVES}: act first"
                 )
             member.respawning = True
             member.thought_s += now_s - member.asked_s
@@ -256,9 +260,9 @@ class ServerCore:
         elif rebuild.seed < 0:
             raise ProtocolError(f"a new world of seed {rebuild.seed}; expected 0 or more")
         elif member.session != cycle.master and len(cycle.roll.members) > 1:
-            raise NotMasterError(f"seat {member.seat} is not the master; only it may begin the shared world again")
+            raise NotMasterError(f"seat {member.seat} is not the master; only the master may restart the shared world")
         elif rebuild.epoch > cycle.epoch or cycle.stage not in (BarrierState.COLLECT, BarrierState.READY):
-            raise ProtocolError(f"a new world asked for in stage {cycle.stage.value}; expected between ticks")
+            raise ProtocolError(f"a new world was requested in stage {cycle.stage.value}; request it between ticks")
         else:
             cycle.rebuild(rebuild.seed, now_s)
 
@@ -269,7 +273,7 @@ class ServerCore:
         if asked == now:
             return True
         if asked > now:
-            raise FutureTickError(f"epoch, tick, life {asked}; the server is at {now}")
+            raise FutureTickError(f"a request for epoch, tick, life {asked}; the server is at {now}")
         if epoch < cycle.epoch:
             self._tell_of_epoch(member)
             return False
@@ -281,5 +285,5 @@ class ServerCore:
         return False
 
     def _tell_of_epoch(self, member: Member) -> None:
-        self.cycle.send(member.peer, m.Restarted(self.cycle.epoch, "the world was begun again"))
+        self.cycle.send(member.peer, m.Restarted(self.cycle.epoch, "the world was restarted"))
         self.cycle.show(member)

@@ -26,5 +26,5 @@ def at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
     if not remote:
         return join
     if join.spec.start is not None:
-        raise ProtocolError("a fixed start is for clients on the world's own machine; expected none over the network")
+        raise ProtocolError("only a client on the world's own machine may choose its start; leave it out")
     return msgspec.structs.replace(join, pid=0)

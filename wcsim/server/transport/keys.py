@@ -58,7 +58,7 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
         for name in new:
             _make_pair(folder / _CLIENTS, name)
     except OSError as error:
-        raise ConfigError(f"{folder}: keys cannot be made ({error.strerror}); choose another folder") from None
+        raise ConfigError(f"{folder}: keys cannot be written ({error.strerror}); choose another folder") from None
     return new
 
 
@@ -74,7 +74,7 @@ def client_keys(folder: Path, name: str) -> KeyPair:
         return _pair(own)
     secrets = sorted((folder / _CLIENTS).glob("*.secret"))
     if len(secrets) != 1:
-        raise ConfigError(f"{own}: not found, and {len(secrets)} other secrets; expected its own, or just one")
+        raise ConfigError(f"{own}: not found, but {len(secrets)} other secret keys; expected this one, or a single one")
     return _pair(secrets[0])
 
 
@@ -140,7 +140,9 @@ class KnownKeys:
         self._looked_s = 0.0
         self._read()
         if not self._names:
-            raise ConfigError(f"{self._folder}: no NAME.public of any client; expected one for each that may join")
+            raise ConfigError(
+                f"{self._folder}: contains no NAME.public of a client; expected one for each client that may join"
+            )
 
     def name(self, key: str) -> str:
         """Whose key this is, "" for one that is not known any more; the folder is looked at once a second."""
@@ -157,7 +159,7 @@ class KnownKeys:
         try:
             self._read()
         except (ConfigError, OSError) as error:
-            log.error("nobody is let in: %s", error)
+            log.error("no client can join: %s", error)
             return False
         return key.decode("ascii", "replace") in self._names
 
@@ -181,10 +183,10 @@ def _make_pair(folder: Path, name: str) -> None:
 def _pair(path: Path) -> KeyPair:
     public, secret = _load(path)
     if secret is None:
-        raise ConfigError(f"{path}: has no secret key; expected a file made by --make-keys")
+        raise ConfigError(f"{path}: contains no secret key; expected a file made by --make-keys")
     status = path.stat()
     if status.st_mode & 0o077 or status.st_uid not in (0, os.getuid()):
-        raise ConfigError(f"{path}: others can read this secret; run: chmod 600 {path}")
+        raise ConfigError(f"{path}: other users can read this secret; run: chmod 600 {path}")
     return KeyPair(public=public, secret=secret)
 
 
@@ -192,8 +194,8 @@ def _load(path: Path) -> tuple[bytes, bytes | None]:
     try:
         public, secret = zmq.auth.load_certificate(path)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: no key can be read there ({error}); make keys with --make-keys") from None
+        raise ConfigError(f"{path}: the key cannot be read ({error}); make keys with --make-keys") from None
     for key in (public, secret):
         if key is not None and len(key) != 40:
-            raise ConfigError(f"{path}: a key of {len(key)} characters; expected 40")
+            raise ConfigError(f"{path}: the key has {len(key)} characters; expected 40")
     return public, secret

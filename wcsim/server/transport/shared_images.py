@@ -72,7 +72,7 @@ class RingSink:
         """
         fault = _fault(pictures)
         if fault:
-            raise ConfigError(f"cameras: {fault}; take fewer, or smaller ones")
+            raise ConfigError(f"cameras: {fault}; use fewer or smaller ones")
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._paths = tuple(folder / f"seat-{seat}" for seat in range(seats))
         files = (_sets(_new_file(path, pictures), pictures) for path in self._paths)
@@ -110,7 +110,7 @@ class RingView:
             with opened(path, _KIND) as file:
                 memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except ConfigError as error:
-            raise ProtocolError(f"the pictures cannot be opened ({error}); is it the same machine?") from None
+            raise ProtocolError(f"the pictures cannot be opened ({error}); is this the same machine?") from None
         self._sets = _sets(memory, _read_head(path, memory))
 
     def pictures(self, slot: int, first: bool) -> Sequence[Images]:
@@ -153,7 +153,7 @@ def _write_head(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> None:
 
 def _read_head(path: Path, memory: mmap.mmap) -> tuple[Picture, ...]:
     if len(memory) < _PAGE:
-        raise PicturesError(f"{path}: is no shared memory of pictures; expected at least {_PAGE} bytes")
+        raise PicturesError(f"{path}: is not a shared memory of pictures; expected at least {_PAGE} bytes")
     magic, version, count = _HEAD.unpack_from(memory)
     if (magic, version) != (MAGIC, VERSION):
         raise PicturesError(f"{path}: starts with {magic!r}, version {version}; expected {MAGIC!r}, {VERSION}")

@@ -36,7 +36,9 @@ class RingFolder:
             number = new.name.removeprefix(f".{_PREFIX}")
             self.path = new.rename(new.with_name(f"{_PREFIX}{os.getpid()}-{number}"))
         except OSError as error:
-            raise DiskFullError(f"{home}: no folder for pictures can be made ({error.strerror}); make room") from None
+            raise DiskFullError(
+                f"{home}: a folder for pictures cannot be created ({error.strerror}); make room"
+            ) from None
 
     def close(self) -> None:
         """Remove the folder; whoever still reads pictures of it keeps them. A second call does nothing."""

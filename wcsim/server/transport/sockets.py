@@ -117,7 +117,7 @@ class ServerSockets(Closing):
                 socket.send(part, _MORE)
             socket.send(last, _NOW)
         except zmq.Again:
-            log.debug("a message to a peer that does not read was dropped")
+            log.debug("dropped a message to a client that does not read")
 
     def close(self) -> None:
         """Close all; what was said last has a moment to get out. A second call does nothing."""
@@ -183,7 +183,7 @@ def _ipc(endpoint: str) -> str:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = path.parent.stat()
     except OSError as error:
-        raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder") from None
+        raise ConfigError(f"{path.parent}: cannot be created ({error.strerror}); choose another folder") from None
     if status.st_uid != os.getuid() or status.st_mode & 0o077:
-        raise ConfigError(f"{path.parent}: others can enter this folder; expected one of mode 700: choose a new one")
+        raise ConfigError(f"{path.parent}: other users can enter this folder; choose one with mode 700")
     return endpoint

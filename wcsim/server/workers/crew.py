@@ -20,7 +20,7 @@ LATE: Final = 5.0  # times the longest piece so far: then it is done again by an
 LEAST_LATE_S: Final = 180.0
 NOBODY_S: Final = 600.0  # without any worker before the run gives up
 _LOOK_S: Final = 0.1
-_KEPT: Final = "what is done is kept: the same command, with --resume where it has that, goes on"
+_KEPT: Final = "finished work is saved: continue with the same command (and --resume, where it has that)"
 
 Keep = Callable[[str, bytes], object]
 """Told, in the crew's thread, of each piece by its key, before anybody else hears of it."""
@@ -135,10 +135,7 @@ class Crew:
             if names or not self._left:
                 self._somebody_s = time.monotonic()
             elif time.monotonic() - self._somebody_s > self._nobody_s:
-                raise WorkersError(
-                    f"there has been nobody to work for {self._nobody_s:.0f} s; expected a machine that joins; "
-                    f"{_KEPT}"
-                )
+                raise WorkersError(f"no machine has been there to work for {self._nobody_s:.0f} s; start one; {_KEPT}")
             for name in names:
                 if name not in self._at and (work := self._next_for(name, names)) is not None:
                     self._at[name] = _Task(work=work, since_s=time.monotonic())
@@ -176,8 +173,8 @@ class Crew:
             self._lost_on.setdefault(key, set()).add(machine_of(ended.worker))
         if self._deaths.get(key, 0) >= MOST_DEATHS:
             raise WorkersError(
-                f"{key} was begun {MOST_DEATHS} times and never done; the last time on {ended.worker}, where "
-                f"{ended.lost}; expected workers to live: is there room and memory left? {_KEPT}"
+                f"{key} was started {MOST_DEATHS} times and never finished; the last time on {ended.worker}, where "
+                f"{ended.lost}; check disk space and memory; {_KEPT}"
             )
         if not task.late:
             with self._lock:
@@ -204,8 +201,8 @@ class Crew:
         times = self._times_late.get(work.key, 0) + 1
         if times >= MOST_DEATHS:
             raise WorkersError(
-                f"{work.key} was begun {MOST_DEATHS} times and never came back, the last time on {name} within "
-                f"{for_s:.0f} s; expected a piece to end: see what it does there; {_KEPT}"
+                f"{work.key} was started {MOST_DEATHS} times and never finished, the last time on {name} within "
+                f"{for_s:.0f} s; check what that machine is doing; {_KEPT}"
             )
         self._times_late[work.key] = times
         self._lost_on.setdefault(work.key, set()).add(machine_of(name))

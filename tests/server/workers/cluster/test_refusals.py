@@ -30,7 +30,7 @@ def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
     monkeypatch.setattr(ray_workers, "REACH_S", 0.5)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, and nobody listens
-        with pytest.raises(ConfigError, match=r"nobody answers there .*`ray start --head"):
+        with pytest.raises(ConfigError, match=r"no answer within .*`ray start --head"):
             machines_of(f"127.0.0.1:{taken.getsockname()[1]}", 1, "--worlds")
 
 

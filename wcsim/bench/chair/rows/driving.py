@@ -42,7 +42,7 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
             low=0.97 * speed,
             high=1.03 * speed,
             method=f"mean speed of 2 s straight ahead at full stick, set to {speed} m/s (ISO 7176-6)",
-            source="speed that is asked for, within 3 %",
+            source="requested speed, within 3 %",
             measure=driving.cruise_mps,
             speed_mps=speed,
         )
@@ -60,7 +60,7 @@ def driving_trials(setup: Setup) -> Iterator[Trial]:
             low=0.97 * rate,
             high=1.03 * rate,
             method="mean turn rate of 6 s, stick " + ("diagonal" if stick.y else "to the side"),
-            source="turn rate that is asked for, within 3 %",
+            source="requested turn rate, within 3 %",
             measure=partial(driving.turn_radps, stick=stick),
         )
     for kmh in (6, 10):
@@ -77,7 +77,7 @@ def _stopping(setup: Setup, kmh: int) -> Trial:
         bound="stick",
         low=0.9 * way,
         high=1.1 * way,
-        method=f"way from letting go of the stick at {kmh} km/h (ISO 7176-3)",
+        method=f"stopping distance after releasing the stick at {kmh} km/h (ISO 7176-3)",
         source="jerk-limited v2/2a + v a/2j within 10 %",
         measure=driving.stopping_m,
         speed_mps=speed,
@@ -106,7 +106,7 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
         low=0.92 * top,
         high=1.02 * top,
         method=f"steady speed on level ground against a pull of {_PULL_N:g} N, full stick, set to {asked} m/s",
-        source="where the declared torque curve of two motors meets the pull, less what steering takes of it",
+        source="where the declared torque curve of two motors meets the pull, minus the torque for steering",
         measure=partial(driving.pulling_mps, pull_N=_PULL_N),
         speed_mps=asked,
     )
@@ -117,7 +117,7 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
             bound="norm",
             low=0.0,
             high=0.02,
-            method=f"way in 5 s with the stick let go, facing {name} a slope of 10 degrees",
+            method=f"distance rolled in 5 s with the stick released, facing {name} a slope of 10 degrees",
             source="held by the parking brake",
             measure=partial(driving.creep_m, ahead_rad=ahead, left_rad=left),
         )
@@ -127,8 +127,8 @@ def _slopes(setup: Setup) -> Iterator[Trial]:
         bound="wcsim",
         low=0.0,
         high=0.1,
-        method="way downhill in 8 m straight across a slope of 10 degrees, stick held straight",
-        source="held: less than a degree aside",
+        method="drift downhill over 8 m straight across a slope of 10 degrees, stick held straight",
+        source="less than one degree of drift",
         measure=partial(driving.cross_slope_drift_m, slope_rad=_SLOPE_RAD),
     )
 

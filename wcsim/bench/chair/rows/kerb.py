@@ -19,7 +19,7 @@ _FALL_MPS: Final = 1.5
 _SHALLOW_DEG, _STEEP_DEG = 25, 60
 _MOST_MPS2: Final = 157.0  # what the sensor shows at most, 16 g
 _MEAN: Final = "mean of six runs"
-_SPAN: Final = "what both plants felt when they were made, a quarter to either side"
+_SPAN: Final = "values of both plants when they were designed, 25 % to either side"
 _FALL_SOURCE: Final = "ordering of Erickson et al. 2016 (JNER 13:20): higher kerbs and shallower approaches tip"
 
 

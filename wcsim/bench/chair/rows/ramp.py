@@ -21,7 +21,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
         bound="wcsim",
         low=_LEAST_LOAD,
         high=1.2,
-        method=f"least load of a drive wheel at rest on a {_RAMP}, up and down, either way, over that on level ground",
+        method=f"least load of a drive wheel at rest on a {_RAMP}, up and down, both ways, relative to level ground",
         source="both drive wheels keep a fifth of their load",
         measure=ramps.least_load_share,
     )
@@ -31,8 +31,8 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
         bound="wcsim",
         low=0.8,
         high=1.25,
-        method=f"longest way to a stop from half stick, down a {_RAMP} to and fro, over that of a level",
-        source="jerk-limited v2/2a + v a/2j, a quarter more for the fall",
+        method=f"longest stopping distance from half stick, down a {_RAMP}, both ways, relative to level ground",
+        source="jerk-limited v2/2a + v a/2j, 25 % more for the slope",
         measure=ramps.stopping_share,
     )
     yield Trial(
@@ -41,7 +41,7 @@ def ramp_trials(_setup: Setup) -> Iterator[Trial]:
         bound="wcsim",
         low=0.75,
         high=1.25,
-        method=f"least turn in 1.5 s, stick to either side, down a {_RAMP} to and fro, over that on level ground",
-        source="turns as it is asked to, within a quarter",
+        method=f"least turn in 1.5 s, stick to either side, down a {_RAMP}, both ways, relative to level ground",
+        source="requested turn, within 25 %",
         measure=ramps.turned_share,
     )

@@ -63,9 +63,9 @@ def table(setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Pr
         what = (
             f"{', '.join(fast)}: faster than the plant's limits.speed_mps"
             if fast
-            else (f"no row begins with {', '.join(only)!r}")
+            else (f"no row starts with {', '.join(only)!r}")
         )
-        raise ConfigError(f"{what}; expected the beginning of a row's name")
+        raise ConfigError(f"{what}; expected the start of a row's name")
     rows: dict[str, Row] = {}
     for row in _done(chosen, setup, workers):
         rows[row.name] = row

@@ -60,7 +60,7 @@ def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
             bound="file",
             low=_LEAST_LEFT,
             high=_MOST_LEFT,
-            method=f"tip angle at {high_m:.2f} m over that at {low_m:.2f} m",
+            method=f"tip angle at {high_m:.2f} m divided by that at {low_m:.2f} m",
             source="a higher centre of mass above the same pivots tips earlier",
             ok=_LEAST_LEFT <= value <= _MOST_LEFT,
         )

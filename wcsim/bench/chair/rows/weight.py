@@ -32,7 +32,7 @@ def _loads(spec: PlantSpec) -> Iterator[Trial]:
         bound="file",
         low=0.995 * spec.whole_kg,
         high=1.005 * spec.whole_kg,
-        method="normal loads of all wheels at rest, over 9.81 m/s2",
+        method="normal loads of all wheels at rest, divided by 9.81 m/s2",
         source=_FILE,
         measure=scales.mass_kg,
     )
@@ -58,7 +58,7 @@ def _inertias(spec: PlantSpec) -> Iterator[Trial]:
             bound="file",
             low=0.98 * float(inertia),
             high=1.02 * float(inertia),
-            method="afloat, joints held: 20 Nm for 0.5 s, over the rate that comes of it",
+            method="floating with joints held: 20 Nm for 0.5 s, divided by the resulting rate",
             source=_FILE + ": inertia of all parts, parallel axes",
             measure=partial(scales.turning_inertia_kgm2, axis=axis),
         )
@@ -71,7 +71,7 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
         bound="file",
         low=-0.001,
         high=0.001,
-        method="share of its yaw rate that it loses afloat in a second",
+        method="share of its yaw rate that it loses in one second while floating",
         source="no damping is declared",
         measure=scales.turning_loss_per_s,
     )
@@ -96,7 +96,7 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
         bound="file",
         low=0.95 * grip,
         high=1.05 * grip,
-        method="pull along the ground at which it slides with wheels held, over its weight",
+        method="pull along the ground at which it slides with locked wheels, divided by its weight",
         source=_FILE + ": friction of each wheel, weighted with its load",
         measure=scales.grip,
     )

@@ -36,7 +36,7 @@ def packed(parcel: Parcel) -> bytes:
     size = sum((parcel.folder / name).stat().st_size for name in parcel.names)
     if size > MOST_BYTES:
         raise ConfigError(
-            f"{shown(parcel.folder)} holds {size >> 20} MiB; expected at most {MOST_BYTES >> 20} MiB, as it travels to "
+            f"{shown(parcel.folder)} has {size >> 20} MiB; expected at most {MOST_BYTES >> 20} MiB, as it travels to "
             "other machines: drive it without --cluster"
         )
     out = io.BytesIO()
@@ -56,9 +56,9 @@ def unpack(data: bytes, folder: Path) -> None:
         for file in held.infolist():
             path = PurePosixPath(file.filename)
             if path.is_absolute() or ".." in path.parts:
-                raise ValueError(f"{file.filename!r} leads out of its folder")
+                raise ValueError(f"{file.filename!r} points outside its folder")
             if stat.S_ISLNK(file.external_attr >> 16):  # the mode of a file, as Unix packs it
-                raise ValueError(f"{file.filename!r} is a link; expected files alone")
+                raise ValueError(f"{file.filename!r} is a link; expected files only")
             place = folder / path
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_bytes(held.read(file))

@@ -113,11 +113,11 @@ def _told(spec: LinkSpec, error: Exception, ray: Any, logged: str = "") -> str:
     kind = type(error).__name__
     if kind == "AuthenticationError" or "auth" in text.lower() or "InvalidAuthToken" in logged:
         return (
-            f"--cluster {spec.address} lets in who knows its token, and this user has none or another; expected the "
-            "head's file ~/.ray/auth_token here too, readable by you alone (chmod 600)"
+            f"--cluster {spec.address} needs its token, and this user has none or another one; copy the "
+            "head's file ~/.ray/auth_token to this machine, readable by you alone (chmod 600)"
         )
     first = next((line.strip() for line in text.splitlines() if line.strip()), kind)
     return (
         f"--cluster {spec.address}: Ray {ray.__version__} cannot join ({kind}: {first[:200]}); expected the address of "
-        f"a head, and a node on this machine: `ray start --address={spec.address}`; what Ray said is in {spec.log}"
+        f"a head, and a node on this machine: `ray start --address={spec.address}`; Ray's messages are in {spec.log}"
     )

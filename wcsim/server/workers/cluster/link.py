@@ -114,7 +114,7 @@ class _Link:
         for gone in [each for each in self._nodes if each not in alive]:
             node = self._nodes.pop(gone)
             if node.state != "refused":
-                self._say(f"node {node.name} is gone; what it was at is done elsewhere")
+                self._say(f"node {node.name} is gone; its work goes to another node")
             self._give_up(gone)
         taken = {node.name for node in self._nodes.values()}
         for key, found in alive.items():
@@ -146,7 +146,7 @@ class _Link:
         name = worker.rpartition("/")[0]
         node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), None)
         if node is None:
-            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, lost="its node is gone", counts=False)))
+            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, lost="its node died", counts=False)))
             return
         try:
             sent = tuple(self._sent(parcel) for parcel in parcels)
@@ -215,13 +215,13 @@ class _Link:
             if self._tries[key] < _MOST_TRIES:
                 del self._nodes[key]  # it is asked again
                 return
-            why = f"it cannot start a process ({type(error).__name__}: {_first_line(error)}); expected one: see to it"
+            why = f"it could not start a process ({type(error).__name__}: {_first_line(error)}); check that node"
         node.state = "refused" if why else "works"
         if why:
             self._pipe.send(("refused node", f"node {node.name} is not used: {why}"))
         else:
             if self._spec.address != LOCAL:
-                self._say(f"node {node.name} ({facts.host}) works, {node.cpus} at once")
+                self._say(f"node {node.name} ({facts.host}) works with {node.cpus} CPUs")
             for note in notes_on(facts, self._here):
                 self._say(f"node {node.name}: {note}")
         self._tell_workers()
@@ -242,7 +242,9 @@ def _look_at_node() -> Callable[[], Any]:
             return asdict(facts())
         except Exception as error:
             told = f"{type(error).__name__}: {error}"
-            return f"wcsim cannot be loaded there ({told}); expected the same as here: pip install 'wcsim[cluster]'"
+            return (
+                f"wcsim cannot be loaded there ({told}); install the same version as here: pip install 'wcsim[cluster]'"
+            )
 
     look.__module__ = "__main__"  # or Ray would look for it in wcsim there
     return look
@@ -262,7 +264,7 @@ def _with_reply(begun: _Begun, reply: Reply) -> WorkEnd:
     if reply.error is not None:
         return WorkEnd(worker=worker, key=key, error=reply.error, facts=facts)
     if reply.fault:
-        told = f"{key} failed on {worker}: {reply.fault[:300]}; expected it to be done; Ray's log there tells more"
+        told = f"{key} failed on {worker}: {reply.fault[:300]}; see Ray's log on that machine"
         return WorkEnd(worker=worker, key=key, error=WorkersError(told), facts=facts)
     if reply.lost:
         return WorkEnd(worker=worker, key=key, lost=reply.lost, facts=facts)
@@ -272,7 +274,7 @@ def _with_reply(begun: _Begun, reply: Reply) -> WorkEnd:
 def _lost_with_its_node(begun: _Begun) -> WorkEnd:
     waited_s = round(time.monotonic() - begun.since_s, 3)
     facts = {"total_s": waited_s}
-    return WorkEnd(worker=begun.worker, key=begun.work.key, lost="its node is gone", counts=False, facts=facts)
+    return WorkEnd(worker=begun.worker, key=begun.work.key, lost="its node died", counts=False, facts=facts)
 
 
 def _without_reply(begun: _Begun, error: Exception, ray: Any) -> WorkEnd:

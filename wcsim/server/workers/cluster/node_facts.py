@@ -54,7 +54,7 @@ def facts_of(found: Any) -> NodeFacts:
     try:
         return NodeFacts(**found)
     except TypeError:
-        raise ConfigError("it has another version of wcsim; expected the same as here: install it there") from None
+        raise ConfigError("it has another version of wcsim; install the same one as here") from None
 
 
 def why_refused(node: NodeFacts, here: NodeFacts) -> str:
@@ -80,11 +80,11 @@ def notes_on(node: NodeFacts, here: NodeFacts) -> tuple[str, ...]:
     notes = []
     if node.shm_bytes < LEAST_SHM_BYTES:
         notes.append(
-            f"{_SHM} has {node.shm_bytes >> 20} MiB; expected {LEAST_SHM_BYTES >> 20}: Ray keeps what travels on its "
+            f"{_SHM} has {node.shm_bytes >> 20} MiB; expected {LEAST_SHM_BYTES >> 20}: Ray then stores its objects on "
             "disk, which is slower; start the container with --shm-size=1g"
         )
     if node.cpu != here.cpu:
-        notes.append(f"its processor is another ({node.cpu}; here {here.cpu}): last bits of what it drives may differ")
+        notes.append(f"its processor is different ({node.cpu}; here {here.cpu}): the last bits of its data may differ")
     return tuple(notes)
 
 

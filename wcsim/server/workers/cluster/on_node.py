@@ -64,7 +64,7 @@ class Reply:
 
 def do_work(sent: SentWork, fetch: Fetch | None = None) -> Reply:
     """Do a piece of work in this process, which Ray has started; `fetch` stands in for Ray's store."""
-    _say(f"{sent.key} begins")
+    _say(f"{sent.key} starts")
     with ExitStack() as leaving:
         began_s = time.monotonic()
         try:

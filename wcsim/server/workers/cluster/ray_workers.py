@@ -109,9 +109,9 @@ class RayWorkers:
                 raise ConfigError(f"--cluster {self._address}: {'; '.join(self._refused)}")
             if time.monotonic() > until_s:
                 raise ConfigError(
-                    f"--cluster {self._address}: no node of it was ready within {join_s:.0f} s; expected a Ray head at "
+                    f"--cluster {self._address}: no node was ready within {join_s:.0f} s; expected a Ray head at "
                     f"that address, a node on this machine and CPUs (`ray start --address={self._address} "
-                    f"--num-cpus=N`); what Ray said is in {self._folder / RAY_LOG}"
+                    f"--num-cpus=N`); Ray's messages are in {self._folder / RAY_LOG}"
                 )
             try:
                 self._hear(0.2)
@@ -149,8 +149,8 @@ class RayWorkers:
 
     def _lost(self) -> WorkersError:
         return WorkersError(
-            f"the Ray cluster at {self._address} is lost; expected its head to live: start it again, then go on "
-            f"(with --resume where the command has that); what Ray said is in {self._folder / RAY_LOG}"
+            f"the Ray cluster at {self._address} is lost: start its head again, then continue "
+            f"(with --resume where the command has that); Ray's messages are in {self._folder / RAY_LOG}"
         )
 
     def _note(self, ended: WorkEnd) -> None:
@@ -161,7 +161,7 @@ class RayWorkers:
             with (self._folder / PIECES).open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
         except OSError as error:
-            raise DiskFullError(f"{self._folder / PIECES}: not written ({error.strerror}); make room") from None
+            raise DiskFullError(f"{self._folder / PIECES}: cannot be written ({error.strerror}); make room") from None
 
 
 def _pass_on(messages: SimpleQueue[bytes | None], pipe: Connection) -> None:
@@ -180,12 +180,12 @@ def require_address(address: str) -> None:
             "as 10.0.0.1:6379"
         )
     if find_spec("ray") is None:
-        raise ConfigError("--cluster needs Ray, which is not here: python -m pip install 'wcsim[cluster]'")
+        raise ConfigError("--cluster needs Ray, which is not installed: python -m pip install 'wcsim[cluster]'")
     if found is not None:
         try:
             socket.create_connection((found[1].strip("[]"), int(found[2])), REACH_S).close()
         except OSError as error:
             raise ConfigError(
-                f"--cluster {address}: nobody answers there within {REACH_S:g} s ({error.strerror or error}); "
-                "expected a Ray head, as by `ray start --head --port=6379` on it, and no firewall between"
+                f"--cluster {address}: no answer within {REACH_S:g} s ({error.strerror or error}); "
+                "start a Ray head there with `ray start --head --port=6379`, and check the firewall"
             ) from None
