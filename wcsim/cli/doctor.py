@@ -35,7 +35,7 @@ class Options:
     """Check versions, SUMO, threads and shared memory, and run a town for five seconds."""
 
     town: str = "helsinki"
-    """Where the tick rate is measured: a town's name, its folder, or anybody's .sumocfg."""
+    """Where the tick rate is measured: a town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of that run."""
     json: OutFile = None

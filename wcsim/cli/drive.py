@@ -30,7 +30,7 @@ class Options:
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     policy: str = "dwa"
     """The policy that assists: a run, shipped, a baseline, or your own module:Class; follow does not assist."""
     network: str = ""

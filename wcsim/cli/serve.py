@@ -44,7 +44,7 @@ class Options:
     """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""
 
     town: str = "helsinki"
-    """Where: a town's name, its folder, or anybody's .sumocfg."""
+    """Where: a town's name, its folder, or a .sumocfg file."""
     seats: int = 4
     """Number of wheelchairs, one for each client."""
     expected: int = 1

@@ -211,7 +211,8 @@ def test_work_that_a_client_could_not_save_when_it_was_stopped_is_not_called_kep
     assert "holds the training so far" in _told_stop(tmp_path, (kept,))
     assert "client b x: the training since its last checkpoint is lost" in _told_stop(tmp_path, (kept, lost))
     full = ClientState(name="c", seat=0, standing="given up", reason="has no disk space to save: x")
-    assert "stopped, but client c has no disk space to save: x: the training since" in _told_stop(tmp_path, (kept, full))
+    told = _told_stop(tmp_path, (kept, full))
+    assert "stopped, but client c has no disk space to save: x: the training since" in told
 
 
 def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch, halfway):

@@ -17,7 +17,7 @@ class BridgeOptions:
     """CPU time of the bridge: compare a world with a twin without it, ten ticks each in turns."""
 
     town: str = "helsinki"
-    """Where: a town's name, its folder, or anybody's .sumocfg."""
+    """Where: a town's name, its folder, or a .sumocfg file."""
     ticks: int = 600
     """Ticks to measure."""
     demand_scale: float = 0.6

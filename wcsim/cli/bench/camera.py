@@ -23,7 +23,7 @@ class CameraOptions:
     """Compare the rasteriser with PyBullet's TinyRenderer on the same frames (CPU time); six cameras with threads."""
 
     towns: str = "helsinki,monaco,manhattan"
-    """Towns for the camera poses: each a town's name, its folder, or anybody's .sumocfg; separated by commas."""
+    """Towns for the camera poses: each a town's name, its folder, or a .sumocfg file; separated by commas."""
     poses: int = 32
     """Number of camera poses over all towns."""
     actors: int = 60

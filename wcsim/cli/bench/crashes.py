@@ -43,7 +43,7 @@ class CrashesOptions:
     """Class, place and cause of every crash of baselines from the same starts; periods of lost control."""
 
     town: str = "monaco"
-    """Towns, separated by commas: each a town's name, its folder, or anybody's .sumocfg."""
+    """Towns, separated by commas: each a town's name, its folder, or a .sumocfg file."""
     policy: str = "follow"
     """Baselines, separated by commas; all have the same starts and users."""
     profile: str = "inattentive"

@@ -29,7 +29,7 @@ class CurveOptions:
     """Cost of a tick by wheelchairs, actors and size of the town, and which grow faster than linearly."""
 
     town: str = "helsinki"
-    """Town for the axis of wheelchairs: a town's name, its folder, or anybody's .sumocfg."""
+    """Town for the axis of wheelchairs: a town's name, its folder, or a .sumocfg file."""
     chairs: str = "1,2,4,8,12"
     """Numbers of wheelchairs, separated by commas."""
     actors: str = "50,200,500,1000"

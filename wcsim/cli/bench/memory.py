@@ -27,7 +27,7 @@ class MemoryOptions:
     """Memory of a world while its wheelchairs roam a whole town with traffic."""
 
     town: str = "monaco"
-    """Where: a town's name, its folder, or anybody's .sumocfg."""
+    """Where: a town's name, its folder, or a .sumocfg file."""
     chairs: int = 3
     """Number of wheelchairs."""
     ticks: int = 20_000

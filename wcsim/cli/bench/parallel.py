@@ -49,7 +49,7 @@ class ParallelOptions:
     steps: int = 3000
     """Steps of each network."""
     town: str = "helsinki"
-    """Where to train: a town's name, its folder, or anybody's .sumocfg."""
+    """Where to train: a town's name, its folder, or a .sumocfg file."""
     preset: str = "dqn"
     """Preset with the settings."""
     set: Repeated = ()

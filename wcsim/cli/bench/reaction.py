@@ -23,7 +23,7 @@ class ReactionOptions:
     """Test whether traffic brakes for wheelchairs and passes them: contacts, waiting times, people who step aside."""
 
     town: str = "helsinki"
-    """Real streets besides generated ones: a town's name, its folder, or anybody's .sumocfg; "" for none."""
+    """Real streets besides generated ones: a town's name, its folder, or a .sumocfg file; "" for none."""
     minutes: float = 10.0
     """Simulated minutes for which a chair stands at each place."""
     trials: int = 40

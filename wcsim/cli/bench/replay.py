@@ -29,7 +29,7 @@ class ReplayOptions:
     """Cost of a state in the replay memory on disk: bytes without and with sensor noise, time to write and read."""
 
     town: str = "helsinki"
-    """Where: a town's name, its folder, or anybody's .sumocfg."""
+    """Where: a town's name, its folder, or a .sumocfg file."""
     width: int = MOST_OF[0]
     """Camera width in pixels."""
     height: int = MOST_OF[1]

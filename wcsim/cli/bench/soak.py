@@ -53,7 +53,7 @@ class SoakOptions:
     set: Repeated = ()
     """Setting of the learners as section.key=value."""
     town: str = ""
-    """Where: a town's name, its folder, or anybody's .sumocfg. (default: monaco; with --networks helsinki)"""
+    """Where: a town's name, its folder, or a .sumocfg file. (default: monaco; with --networks helsinki)"""
     recovery: Literal["new_epoch", "replay"] = "new_epoch"
     """What a restarted world does: start a new world generation (epoch), or recompute the old one."""
     lease: Annotated[float | None, tyro.conf.arg(metavar="S")] = None

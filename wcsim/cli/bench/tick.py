@@ -28,7 +28,7 @@ class TickOptions:
     """Ticks per second of a world with traffic, cameras, IMU and user on, and where the time goes."""
 
     town: str = "helsinki"
-    """Where: a town's name, its folder, or anybody's .sumocfg."""
+    """Where: a town's name, its folder, or a .sumocfg file."""
     chairs: str = "1,6"
     """Numbers of wheelchairs to measure, such as 1,4."""
     ticks: int = 400

@@ -32,7 +32,7 @@ class UsersOptions:
     """Compare the statistics of each user profile with its parameters; how often users arrive and crash."""
 
     towns: str = "helsinki,monaco,manhattan"
-    """Towns that share the routes: each a town's name, its folder, or anybody's .sumocfg, separated by commas."""
+    """Towns that share the routes: each a town's name, its folder, or a .sumocfg file, separated by commas."""
     profiles: str = ",".join(profile_names())
     """Profiles to measure, separated by commas."""
     routes: int = 20

@@ -24,7 +24,7 @@ class SuiteMakeOptions:
     """Make a list of test episodes for towns of your own."""
 
     make_suite: str
-    """Where, joined by commas: a town's name, its folder, or anybody's .sumocfg;
+    """Where, joined by commas: a town's name, its folder, or a .sumocfg file;
     made:SEED is a town without a map (`wcsim town make`)."""
     suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
     """The list to write; its set is called as the file: small letters, digits and - alone."""

@@ -51,7 +51,7 @@ class Options:
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
     """What to test; follow, random, zero, stop, dwa, oracle-visible and oracle are added unless --only."""
     town: str = "monaco"
-    """Where, each a town's name, its folder, or anybody's .sumocfg; several are joined by commas."""
+    """Where, each a town's name, its folder, or a .sumocfg file; several are joined by commas."""
     profile: str = "inattentive"
     """User profiles, joined by commas; FILE.toml is your own, recorded:FILE replays one."""
     episodes: int = 5

@@ -23,7 +23,7 @@ class Options:
     """Take pictures of a chair in its street and through its camera, and film ten seconds; its user drives alone."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     seed: int = 4
     """Seed of the traffic and of the chair's place."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")

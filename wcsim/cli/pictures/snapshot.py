@@ -24,7 +24,7 @@ class Options:
     """Take a picture from a chair's camera in the traffic of a town: colours, classes and depth side by side."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's place."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")

@@ -28,7 +28,7 @@ class Options:
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or anybody's .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's place."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")

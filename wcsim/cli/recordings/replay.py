@@ -60,7 +60,7 @@ class Options:
     seat: int | None = None
     """For --page: chair to follow."""
     town: str = ""
-    """For --page: where a trace was recorded, if not found: a town's name, its folder, or anybody's .sumocfg."""
+    """For --page: where a trace was recorded, if not found: a town's name, its folder, or a .sumocfg file."""
     port: int = 8080
     """Port of --page; 0 takes a free one."""
     host: str = "127.0.0.1"

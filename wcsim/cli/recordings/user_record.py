@@ -30,7 +30,7 @@ class UserRecordOptions:
     """Let a simulated user drive through a town and record the drive."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or a .sumocfg of your own."""
+    """A town's name, its folder, or a .sumocfg file."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """New file for the recording."""
     profile: str = "competent"

@@ -36,7 +36,7 @@ class CheckOptions:
     """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or a .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     json: OutFile = None
     """Write the result to this file."""
 

@@ -30,7 +30,7 @@ class PaveOptions:
     """Copy a scenario into a folder and add pavements and crossings."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or a .sumocfg; it is not changed."""
+    """A town's name, its folder, or a .sumocfg file; it is not changed."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """New folder for the copy."""
     max_speed: float = FASTEST_MPS

@@ -45,7 +45,7 @@ class RunOptions:
     """Run a town's traffic, with or without wheelchairs, and record it."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or a .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     seconds: float = 600.0
     """Simulated time."""
     seed: int = 0

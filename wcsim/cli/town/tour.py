@@ -34,7 +34,7 @@ class TourOptions:
     """Drive a wheelchair over every pavement, walking area and crossing of a town."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
-    """A town's name, its folder, or a .sumocfg."""
+    """A town's name, its folder, or a .sumocfg file."""
     speed: float = 2.8
     """Speed of the wheelchair in m/s."""
     every: int = 1

@@ -27,7 +27,7 @@ class Options:
     """Record driving as training data; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
-    """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg of your own."""
+    """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg file."""
     preset: str = "laptop"
     """Preset to start from. Its section [collect] sets drivers and segments."""
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None

@@ -46,9 +46,9 @@ class Options:
     """
 
     train_town: str = "helsinki"
-    """Training town: a town's name, its folder, or a .sumocfg of your own."""
+    """Training town: a town's name, its folder, or a .sumocfg file."""
     test_town: str = "monaco"
-    """Test town: a town's name, its folder, or a .sumocfg of your own."""
+    """Test town: a town's name, its folder, or a .sumocfg file."""
     out: OutFolder = None
     """Run folder; default runs/demo, runs/demo-2, ..."""
     set: Repeated = ()

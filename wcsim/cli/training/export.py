@@ -38,7 +38,7 @@ class Options:
     onnx: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Output folder; an earlier export in it is replaced."""
     town: str = "helsinki"
-    """Town of the reference ride: a town's name, its folder, or a .sumocfg of your own."""
+    """Town of the reference ride: a town's name, its folder, or a .sumocfg file."""
     ride: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Recorded drive, or journal of a run, to use as the reference ride instead. Its first episode counts. The command
     reports how many of the policy's actions match the recorded ones."""

@@ -45,7 +45,7 @@ class Options:
     """Train a network to assist a user: a danger network, or by Q-learning."""
 
     town: str = "helsinki"
-    """Training town: a town's name, its folder, or a .sumocfg of your own. Test towns need --allow-test-town."""
+    """Training town: a town's name, its folder, or a .sumocfg file. Test towns need --allow-test-town."""
     preset: str = ""
     """Preset to start from: quick, laptop or best (danger networks), dqn or paper (Q-learning). Empty: quick, or
     dqn with --network, --clients, --steps, --reward, --hook or a setting of [learn]."""
