@@ -98,8 +98,6 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
     assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
 
 
-
-
 def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder):
     with in_this_process():
         assert wcsim("report", "runs/out", "--pictures", "1").code == 0

@@ -139,12 +139,14 @@ def _require_heard(options: SuiteOptions) -> None:
 def _judge(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: Callable[[str], None]) -> int:
     """Drive the list with each policy; how the command ends."""
     from wcsim.agents.evaluation.suite.records import undriven
+    from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.agents.evaluation.suite.run import run_suite
+    from wcsim.view.report.verdict import verdict
 
     records = run_suite(order, names, lambda name, done, of: say(f"{name}: {done} of {of} blocks"))
     result = keep_result(order, options.suite, records)
     without = [line for name, found in records.items() for line in undriven(name, found)]
-    show_result(stdout_console(), result, order.settings, without)
+    show_result(stdout_console(), result, order.settings, without, verdict(read_result(order.out)))
     if options.json is not None:
         write_json(options.json, result)
     return _exit_of(result["pooled"])

@@ -9,7 +9,7 @@ from pathlib import Path
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.core.reading import counted
-from wcsim.view.report.comparisons import RIVALS, Paired, compared, conclusion, verdicts
+from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import FailedEpisode, where_typed
 from wcsim.view.report.figures import figures_of
@@ -18,6 +18,7 @@ from wcsim.view.report.illustrate import Illustration, Key
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.tables import comparison_table, legend, result_table, weights_table
+from wcsim.view.report.verdict import verdict
 
 _BEST = 3
 _COLOURS_SAY = (
@@ -95,7 +96,7 @@ def _intro(result: KeptResult) -> Markup:
             ("best scores", ranked),
         )
     )
-    return joined((el("p", el("strong", conclusion(result))), told))
+    return joined((el("p", el("strong", verdict(result))), told))
 
 
 def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, weights: Exhibit) -> Markup:
