@@ -78,7 +78,9 @@ def _told_apart(result: KeptResult) -> str:
 
 def _price(result: KeptResult, helping: Sequence[str]) -> str:
     """How often each did what the user requested, and intervened without need."""
-    close, unneeded, judged = [], [], []
+    close: list[str] = []
+    unneeded: list[int] = []
+    judged: list[tuple[int, int]] = []  # episodes that forks judged, of how many
     for name in helping:
         records = _records(result, name)
         moving = sum(record.moving_steps for record in records)
