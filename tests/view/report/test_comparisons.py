@@ -41,11 +41,11 @@ def test_a_verdict_says_what_is_separated_and_how_far_the_rest_is_from_it(result
     pairs = [pair for pair in compared(result) if not pair.part and pair.rival == "dwa"]
     said = " ".join(verdicts(pairs))
     for pair in pairs:
-        place = said.index("not separated") if "not separated" in said else len(said)
+        place = said.index("not different") if "not different" in said else len(said)
         assert (said.index(pair.policy) < place) == pair.separated
-        assert pair.separated or f"needs about {pair.enough} episodes" in said
+        assert pair.separated or f"would need about {pair.enough} episodes" in said
     same = paired(result, "dwa", "dwa", "")
-    assert same.enough is None and verdicts([same]) == ["not separated from it: dwa (equal scores)"]
+    assert same.enough is None and verdicts([same]) == ["not different: dwa (equal scores)"]
 
 
 def test_few_episodes_separate_nobody_however_far_apart_they_are(result):
@@ -53,7 +53,7 @@ def test_few_episodes_separate_nobody_however_far_apart_they_are(result):
     assert pairs and all(pair.episodes == 2 and not pair.separated for pair in pairs)
     assert any(pair.difference for pair in pairs)
     said = " ".join(verdicts([pair for pair in pairs if pair.rival == "follow"]))
-    assert said.startswith("not separated from it: ") and "2 episodes; fewer than 6 tell nothing" in said
+    assert said.startswith("not different: ") and "2 episodes; at least 6 are needed" in said
     table = comparison_table(pairs)
     assert "<td>yes</td>" not in table.body and "too few episodes" in table.body
     assert all(line.endswith(",,") for line in table.csv.splitlines()[1:])

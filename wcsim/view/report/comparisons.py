@@ -90,14 +90,14 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
     """
     found = []
     for word, chosen in (
-        ("above", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
-        ("below", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
+        ("higher score", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
+        ("lower score", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
     ):
         if chosen:
-            found.append(f"{word} it by the score: {', '.join(chosen)}")
+            found.append(f"{word}: {', '.join(chosen)}")
     left = [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated]
     if left:
-        found.append(f"not separated from it: {', '.join(left)}")
+        found.append(f"not different: {', '.join(left)}")
     sure = [pair for pair in pairs if pair.mcnemar_p < _SURE]
     for word, some in (
         ("fewer own crashes", [pair for pair in sure if pair.saved > pair.lost]),
@@ -112,10 +112,10 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
 def _lacking(pair: Paired) -> str:
     """Why two are not separated."""
     if pair.interval is None:
-        return f"{counted(pair.episodes, 'episode')}; fewer than {FEWEST} tell nothing"
+        return f"{counted(pair.episodes, 'episode')}; at least {FEWEST} are needed"
     if pair.enough is None:
         return "equal scores"
-    return f"{pair.difference:+.3f}; needs about {counted(pair.enough, 'episode')}"
+    return f"{pair.difference:+.3f}; would need about {counted(pair.enough, 'episode')}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,27 +140,27 @@ WEIGHTINGS: Final = (
     Weighting(name="the score", says="as in the tables", of=lambda record: record.score),
     Weighting(
         name="safety alone",
-        says="1 without own crash, drop and red entry, else 0: who stands still is best",
+        says="1 without an own crash or a red light, else 0: standing still is best",
         of=lambda record: float(_lawful(record)),
     ),
     Weighting(
         name="geometric mean",
-        says="cube root of way x pace x obedience; 0 as in the score",
+        says="cube root of route x pace x obedience; 0 as in the score",
         of=lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
     ),
     Weighting(
         name="obedience counts double",
-        says="way x pace x obedience squared; 0 as in the score",
+        says="route x pace x obedience squared; 0 as in the score",
         of=lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
     ),
     Weighting(
         name="red lights forgiven",
-        says="as the score, but a red entry does not make it 0",
+        says="as the score, but not 0 after a red light",
         of=lambda record: _product(record) if record.driven else 0.0,
     ),
     Weighting(
         name="way alone",
-        says="share of the way that was done, whatever ended it",
+        says="share of the route completed, however the episode ended",
         of=lambda record: record.score_parts[0] if record.steps else 0.0,
     ),
 )

@@ -22,10 +22,10 @@ from wcsim.view.report.verdict import verdict
 
 _BEST = 3
 _COLOURS_SAY = (
-    "Pictures: above the classes as the network gets them (violet road, pink pavement, green growth, grey houses, red "
-    "people and riders, dark red bicycles, dark blue cars, black unknown), below the depth (red near, blue far, black "
-    "out of range, white not measured); the last one is of the end. The camera looks ahead alone. Sticks are x to the "
-    "right and y ahead; asked is the user's, given the policy's. A command is typed in the folder "
+    "Pictures: above, the classes as the network gets them (violet road, pink pavement, green plants, grey houses, red "
+    "people and riders, dark red bicycles, dark blue cars, black unknown). Below, the depth (red near, blue far, black "
+    "out of range, white not measured). The last one is the end. The camera looks ahead only. Stick positions are x "
+    "right and y ahead: the user's, and the driven one. Run a command in the folder "
 )
 
 
@@ -61,7 +61,7 @@ def write_suite_page(
     pictured = el("p", f"{_COLOURS_SAY}{where_typed(result)}.", class_="says")
     sections = (
         Section(name="results", title="Results", body=joined((shown(pooled), legend(), _who(result, parts)))),
-        Section(name="decided", title="What the test decides", body=_decided(pairs, parts, against, weights)),
+        Section(name="decided", title="Comparisons", body=_decided(pairs, parts, against, weights)),
         Section(name="figures", title="Figures", body=el("div", *map(shown, drawn), class_="charts")),
         Section(name="failures", title="Failures", body=shown(listed, pictured)),
         Section(name="parts", title="Part by part", body=joined(map(shown, by_part))),
@@ -86,14 +86,14 @@ def _intro(result: KeptResult) -> Markup:
     count = sum(len(episodes) for episodes in result.episodes.values())
     best = sorted(result.pooled, key=lambda row: -float(row.get("score") or 0.0))
     ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best[:_BEST])
-    changed: object = el("strong", " ".join(result.changed)) if result.changed else "nothing: the list's own settings"
+    changed: object = el("strong", " ".join(result.changed)) if result.changed else "no settings of the list"
     told = facts(
         (
             ("suite", f"{result.suite}, set {result.set}"),
             ("list", el("code", result.list_sha256)),
             ("changed", changed),
             ("driven", f"{counted(count, 'episode')}, {km:.2f} km, by {_policies(result)}"),
-            ("best scores", ranked),
+            ("highest scores", ranked),
         )
     )
     return joined((el("p", el("strong", verdict(result))), told))
@@ -107,8 +107,8 @@ def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, we
             name = f"{part or 'All parts'} ({counted(max(pair.episodes for pair in here), 'episode')})"
             items.append(el("li", el("b", name), el("ul", *_against(here))))
     intro = (
-        "Policies over the same episodes. Separated is what the 95 % interval of the difference says; the figures are "
-        "in the table below."
+        "All policies drove the same episodes. Two are called different if the 95 % interval of the difference of "
+        "their scores excludes 0."
     )
     return joined((el("p", intro), el("ul", *items, class_="verdicts"), shown(against), shown(weights)))
 
@@ -119,7 +119,7 @@ def _against(pairs: Sequence[Paired]) -> list[Markup]:
     for rival in RIVALS:
         said = verdicts([pair for pair in pairs if pair.rival == rival])
         if said:
-            found.append(el("li", "against ", el("b", rival), f": {'; '.join(said)}."))
+            found.append(el("li", "compared with ", el("b", rival), f": {'; '.join(said)}."))
     return found
 
 

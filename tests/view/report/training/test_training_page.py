@@ -76,7 +76,7 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
     assert main(["report", "run", "alone"]) == 0
     told = capsys.readouterr().out
     assert "run/a: KPI 1, mean of 10 episodes, never below 0.1768" in told
-    assert "run/b: KPI 1, 1 episodes: too few for a mean that is told, 5 at least" in told
+    assert "run/b: KPI 1: 1 episode; a mean needs at least 5" in told
     assert "alone: KPI 1, mean of 11 episodes, below 0.1768 from step 50 on" in told
     page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
     assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page

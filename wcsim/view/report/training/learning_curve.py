@@ -12,7 +12,7 @@ from typing import Any, Final
 from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, read_json
-from wcsim.core.reading import is_file, shown_value
+from wcsim.core.reading import counted, is_file, shown_value
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
@@ -58,7 +58,7 @@ class LimitCrossing:
         'KPI 1, mean of 20 episodes, below 0.1768 from step 1200 on, above again since step 9000'
         """
         if self.episodes < LEAST:
-            return f"KPI 1, {self.episodes} episodes: too few for a mean that is told, {LEAST} at least"
+            return f"KPI 1: {counted(self.episodes, 'episode')}; a mean needs at least {LEAST}"
         mean = f"KPI 1, mean of {min(OVER, self.episodes)} episodes"
         if self.step is None:
             return f"{mean}, never below {KPI1_LIMIT}"

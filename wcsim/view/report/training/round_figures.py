@@ -16,12 +16,13 @@ from wcsim.view.report.page import Section, shown
 Runs = Mapping[str, tuple[TrainedRound, ...]]
 _THOUSAND: Final = 1000.0
 _LOSS_SAYS: Final = (
-    "Loss at the end of a round, smoothed over some 50 updates, all 81 positions together. Each round adds driving, "
-    "so it need not fall; a test says what the network is worth"
+    "Loss at the end of a round, smoothed over about 50 updates, over all 81 positions. Each round adds new driving "
+    "data, so the loss may rise although the network gets better"
 )
 _CRASH_SAYS: Final = (
-    "Crashes per 1,000 new steps of whoever drove in a round: users and oracle, and from the third round on, for a "
-    "share of the episodes, the network of the round before the last"
+    "Crashes per 1,000 new steps of data: users and the oracle drive, and from the third round on, in a share of the "
+    "episodes, the network of the round before the last. Their driving is disturbed on purpose, so this is no "
+    "measure of the network"
 )
 
 
@@ -84,8 +85,8 @@ def _table(runs: Runs) -> Exhibit:
     return Exhibit(
         name="rounds",
         title="Rounds",
-        says="Steps that can be learned from so far, those that this round added, and in how many of all some "
-        "position ends badly; crashes of this round; updates so far; the clock on the wall.",
+        says="Steps: all samples so far. New: added in this round. With dangers: share of all steps in which some "
+        "stick position ends in a crash. Crashes of this round. Updates so far. Times are wall-clock time.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )
