@@ -360,7 +360,7 @@ def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
 def test_a_video_of_a_policy_holds_all_its_frames(wcsim, folder, corner):
     words = ("--seconds", "0.8", "--width", "80", "--policy", "follow", "--out", "film.webm")
     told = wcsim("video", corner, *words)
-    assert told.code == 0 and "follow for a user inattentive" in told.out
+    assert told.code == 0 and "follow assists the user inattentive" in told.out
     assert cv2.VideoCapture(str(folder / "film.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 8
     later = wcsim("video", corner, *words, "--start", "0.5")
     assert later.code == 0 and "0.8 s after 0.5 s, follow" in later.out
