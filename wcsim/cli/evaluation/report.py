@@ -24,7 +24,7 @@ _MOST_PICTURES = 1000
 
 @dataclass
 class Options:
-    """Write report.html and its figures into the folder of a finished test on a suite, or of a training.
+    """Write report.html and figures into the folder of a test on a suite or a training.
 
     For several trainings, one page has the curves of all.
     """

@@ -42,16 +42,16 @@ UNEVENTFUL = "no danger occurred: all policies that follow the user did the same
 
 @dataclass
 class Options:
-    """Test policies: run folders (RUN, RUN:phase1), policy folders, shipped, your own module:Class, or baselines.
+    """Test policies: runs (RUN, RUN:phase1), shipped, your own module:Class, or baselines.
 
-    With --suite LIST they drive a fixed list of episodes (`wcsim test --suite dev -h`);
+    With --suite LIST they drive a fixed list (`wcsim test --suite dev -h`);
     --make-suite TOWN makes such a list.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
     """What to test. follow, random, zero, stop, dwa, oracle-visible and oracle are added unless --only."""
     town: str = "monaco"
-    """A town's name, its folder, or any .sumocfg; several are separated by commas."""
+    """A town's name, its folder, or anybody's .sumocfg; several are separated by commas."""
     profile: str = "inattentive"
     """User profiles, separated by commas; FILE.toml is your own, recorded:FILE replays a recording."""
     episodes: int = 5

@@ -20,10 +20,10 @@ _WIDTH_PX = 640
 
 @dataclass
 class Options:
-    """Take pictures of a chair in its street and from its camera, and film ten seconds; its user drives alone."""
+    """Take pictures of a chair and from its camera, and film it; its user drives alone."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or any .sumocfg."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     seed: int = 4
     """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")

@@ -21,10 +21,10 @@ OF_VIDEO = {"env.profile": "its user is competent; for another, use `wcsim video
 
 @dataclass
 class Options:
-    """Take a picture from a chair's camera in the traffic of a town: colours, classes and depth side by side."""
+    """Take a picture from a chair's camera in a town: colours, classes and depth."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or any .sumocfg."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")

@@ -24,11 +24,11 @@ MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 class Options:
     """Film a chair, driven by its user alone or by a policy: its camera next to a map.
 
-    With --policy the picture shows the user's stick, the driven stick, and warnings.
+    With --policy the picture shows the user's stick, the driven one, and warnings.
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
-    """A town's name, its folder, or any .sumocfg."""
+    """A town's name, its folder, or anybody's .sumocfg."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
