@@ -45,7 +45,7 @@ def open_suite(name_or_path: str) -> Suite:
     path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
     if not is_file(path):
         known = ", ".join(shipped()) or "(none)"
-        raise ConfigError(f"--suite {shown(name_or_path)!r}: no such list; expected {known}, or a file")
+        raise ConfigError(f"--suite {shown(name_or_path)!r}: there is no such list; expected {known}, or a file")
     return suite_of(parse(SuiteFile, read_json(path, _LIST), shown(path)))
 
 
