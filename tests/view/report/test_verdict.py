@@ -63,10 +63,15 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
 
 def test_own_policies_come_first_and_it_stays_short(result):
     said = verdict(result)
-    assert len(wrap(said, 80)) <= 3
+    assert len(wrap(said, 100)) <= 3
     assert "net@0.25 (it failed in 1)" in said and SCRIPT not in said
-    far = "runs/" + "x" * 200
     two = only(result, "follow", "dwa")
+    named = {**two.episodes, "own_policy:Careful": two.episodes["dwa"]}
+    rows = [*two.pooled, {**two.pooled[1], "policy": "own_policy:Careful"}]
+    both = verdict(replace(two, episodes=named, pooled=rows))
+    assert "0 with own_policy:Careful and 0 with dwa. dwa and own_policy:Careful cannot be told apart here." in both
+    assert both.endswith(" did 95 % as requested and dwa 95 %, with 0 and 0 unneeded interventions.")
+    far = "runs/" + "x" * 200
     rows = [{**row, "policy": far if row["policy"] == "dwa" else row["policy"]} for row in two.pooled]
     found = {**two.episodes, "net": two.episodes["dwa"], far: two.episodes["dwa"]}
     assert " 0 with net." in verdict(replace(two, episodes=found, pooled=[*rows, {**rows[1], "policy": "net"}]))

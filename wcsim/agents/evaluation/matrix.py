@@ -77,7 +77,8 @@ _FOLLOWING_LEGEND = (
     "KPI 2: steps of an episode until a crash or its end",
 )
 _THERE_LEGEND = (
-    "own crash: the chair's fault; at red: entered a crossing at red",
+    "own crash: the chair's fault",
+    "at red: entered a crossing at red",
     "s on road: seconds of standing on a carriageway",
 )
 

@@ -97,14 +97,14 @@ def show_sensitivity(console: Console, title: str, rows: Sequence[Mapping[str, A
     """Print the rows of `wcsim test --suite --sensitivity`, a table for each policy."""
     for policy in dict.fromkeys(row["policy"] for row in rows):
         own = [{**row, "policy": row["disturbance"]} for row in rows if row["policy"] == policy]
-        console.print(_table(f"{title}: {policy}, with each disturbance alone", _MOVED, own))
+        console.print(_table(f"{title}: {policy}, with each disturbance alone", _MOVED, own, "disturbance"))
     console.print("change of score: against the same episodes without noise and delay", style="dim")
 
 
-def _table(title: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> Table:
+def _table(title: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]], first: str = "policy") -> Table:
     table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
     deep = max(heading.count("\n") for _, heading, _ in columns)
-    table.add_column("\n" * deep + "policy", no_wrap=True)
+    table.add_column("\n" * deep + first, no_wrap=True)
     for _, heading, _ in columns:
         table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:

@@ -15,12 +15,12 @@ from wcsim.core.reading import counted
 from wcsim.view.report.comparisons import paired
 
 _NO_HELP: Final = (UNAIDED, "zero", "random", *UPPER_BOUNDS)  # they assist nobody, or could not be built
-_MOST_LINES, _LINE = 3, 80
+_MOST_LINES, _LINE = 3, 100  # of 80 characters where names are as short as `shipped`
 _MOST_POLICIES, _MOST_ALIKE = 3, 3
 
 
 def verdict(result: KeptResult) -> str:
-    """A few sentences, three lines of 80 characters where names are short; no policy is called best by chance.
+    """Three sentences, and as many lines; no policy is called best by chance.
 
     Policies of the user's own come first; of many only some are named.
     """
