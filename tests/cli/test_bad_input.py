@@ -92,7 +92,7 @@ OPTIONS = {
     "test --set env.profile=tremor": ("--set env.profile", "--profile NAME"),
     "test --set env={max_steps=5}": ("--set env.max_steps", "--max-steps N"),
     "test --suite dev --set env.profile=tremor": ("--set env.profile", "its own user"),
-    "test --suite dev --set env.max_steps=5": ("--set env.max_steps", "its own steps"),
+    "test --suite dev --set env.max_steps=5": ("--set env.max_steps", "its own step limit"),
     "test --episodes 0": ("--episodes 0", "1 or more"),
     "test --episodes -3": ("--episodes -3",),
     "test --max-steps 0": ("--max-steps 0",),
@@ -255,7 +255,7 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
         (known / "town.toml").write_text(re.sub(r'split = "\w+"', f'split = "{split}"', text))
         told = wcsim("test", "--town", scenario, *words)
         assert told.code == (2 if split == "train" else 0)
-    refused(told, "own is a training town, for it has the streets of", "--split test", "--allow-train-town")
+    refused(told, "own is a training town: it has the streets of", "--split test", "--allow-train-town")
 
 
 @pytest.mark.proof
@@ -263,7 +263,7 @@ def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_
     assert wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
     renamed = broken(corner, "unknown-key", tmp_path / "renamed")
     (renamed / "town.toml").write_text('name = "elsewhere"\nsplit = "test"\n')
-    refused(wcsim("test", "run", "--town", renamed), "elsewhere itself", "--allow-train-town")
+    refused(wcsim("test", "run", "--town", renamed), "was trained in elsewhere", "--allow-train-town")
 
 
 def test_two_towns_of_one_name_are_not_mixed_up(wcsim, folder, corner, tmp_path):

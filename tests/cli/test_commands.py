@@ -123,7 +123,7 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
     told = wcsim("test", "follow", "--town", corner, *words, *QUICK)
     assert told.code == 0
     assert fits(told.out)
-    words_shown = ("KPI 1", "KPI 2", "m/s", "mov.", "getting there", "own", "95 %")
+    words_shown = ("KPI 1", "KPI 2", "m/s", "moving", "getting there", "own", "95 %")
     for text in ("slow user, seed 4", "tremor user, seed 4", "SIMULATION ONLY", *words_shown):
         assert text in told.out
     result = read("t.json")
@@ -281,7 +281,7 @@ def test_video_holds_all_its_frames(wcsim, folder, corner):
 def test_a_video_without_a_policy_shows_the_user_who_was_asked_for(wcsim, folder, corner):
     for words, who in (((), "competent"), (("--profile", "slow"), "slow")):
         told = wcsim("video", corner, "--seconds", "0.2", "--width", "80", *words)
-        assert told.code == 0 and told.out.endswith(f"0.2 s, a user {who}\n")
+        assert told.code == 0 and told.out.endswith(f"0.2 s, the user {who}\n")
 
 
 def test_settings_are_laid_over_those_of_pictures_and_films(wcsim, folder, corner):
@@ -360,7 +360,7 @@ def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
 def test_a_video_of_a_policy_holds_all_its_frames(wcsim, folder, corner):
     words = ("--seconds", "0.8", "--width", "80", "--policy", "follow", "--out", "film.webm")
     told = wcsim("video", corner, *words)
-    assert told.code == 0 and "follow for a user inattentive" in told.out
+    assert told.code == 0 and "follow assists the user inattentive" in told.out
     assert cv2.VideoCapture(str(folder / "film.webm")).get(cv2.CAP_PROP_FRAME_COUNT) == 8
     later = wcsim("video", corner, *words, "--start", "0.5")
     assert later.code == 0 and "0.8 s after 0.5 s, follow" in later.out

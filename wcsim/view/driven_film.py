@@ -68,7 +68,7 @@ class DrivenFilm:
     def __init__(self, town: Town, seed: int, width: int, driver: FilmDriver, path: Path) -> None:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
-            raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
+            raise ConfigError(f"got a width of {width} pixels; expected 64 to 1920")
         own = settings_of(driver.policy, "quick", driver.settings)
         film = CameraConfig(name=FILM_CAMERA, width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         own = own.model_copy(update={"cameras": (*own.cameras, film)})

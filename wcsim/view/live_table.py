@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from wcsim.core.reading import counted
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, WorldStatus
 
@@ -79,7 +80,7 @@ def head_of(state: LaunchState) -> str:
     """The world, and for whom it waits."""
     world = state.world
     if world is None or state.world_standing != "running":
-        again = f" (started again {state.world_restarts} times)" if state.world_restarts else ""
+        again = f" (started again {counted(state.world_restarts, 'time')})" if state.world_restarts else ""
         is_so = "loading" if state.world_standing == "starting" else state.world_standing
         return f"the world is {is_so}{again}"
     parts = [
@@ -145,6 +146,6 @@ def _brief(client: ClientState) -> str:
     status = client.status
     far = "" if status is None else f" {status.step}/{status.total_steps}"
     kpi1 = "" if status is None or status.kpi1 is None else f", KPI 1 {status.kpi1:.3f}"
-    again = f", {client.restarts} restarts" if client.restarts else ""
+    again = f", {counted(client.restarts, 'restart')}" if client.restarts else ""
     standing = "" if client.standing == "running" else f" ({client.standing})"
     return f"{client.name}{far}{kpi1}{again}{standing}"

@@ -63,7 +63,7 @@ def _film_frame(view: MapView, steps: Sequence[PlayedStep], number: int, config:
     large = cv2.resize(seen, (width, _FILM_PX), interpolation=cv2.INTER_NEAREST)
     before_s = (len(steps) - 1 - number) * config.world.tick_s
     street = around_picture(view, step, steps[: number + 1])
-    said = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  asked {sticks(step)[0]}  given {sticks(step)[1]}"
+    said = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  user {sticks(step)[0]}  driven {sticks(step)[1]}"
     return side_by_side(np.asarray(large, np.uint8), captioned(street, said))
 
 

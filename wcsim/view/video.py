@@ -35,7 +35,7 @@ class VideoWriter:
             ConfigError: when the name, the rate or the size cannot be used, or the folder cannot be written.
         """
         if path.suffix != ".webm":
-            raise ConfigError(f"{path}: a video must end in .webm, the one format written here that browsers play")
+            raise ConfigError(f"{path}: expected a name that ends in .webm, the only video format that is written here")
         if fps <= 0 or min(size) < 2:
             raise ConfigError(f"{path}: got {fps} frames a second of {size} pixels; expected a positive rate and size")
         self.path = path
@@ -51,7 +51,7 @@ class VideoWriter:
                 self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"VP80"), fps, self._padded)
         if self._writer is None or not self._writer.isOpened():
             self._drop()
-            raise ConfigError(f"{path}: no video can be written there; choose a folder that exists and can be written")
+            raise ConfigError(f"{path}: cannot be written; choose a folder that exists and is writable")
 
     def __enter__(self) -> VideoWriter:
         return self

@@ -140,7 +140,7 @@ def test_the_table_calls_the_oracle_an_upper_bound():
     assert "upper bound" in shown(result)
     assert "upper bound" not in shown(replace(result, rows=(row,)))
     both = shown(replace(result, rows=(row, *(replace(row, policy=name) for name in ("oracle-visible", "oracle")))))
-    assert "upper bound" in both and "whom its cameras show" in " ".join(both.split())
+    assert "upper bound" in both and "road users in its cameras" in " ".join(both.split())
 
 
 def test_the_tables_show_what_was_counted_and_drops_when_there_are_some():

@@ -166,7 +166,7 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
     still = {**observation, "wheels": np.zeros(2, np.float32)}
     assert not np.array_equal(policy.values(observation), policy.values(still))
     assert load_policy(saved).values(observation).shape == (81,)
-    with pytest.raises(PolicyError, match=r"wants the sensors \{'wheels': 2\}.* this test has \{\}"):
+    with pytest.raises(PolicyError, match=r"needs the sensors \{'wheels': 2\}.* this test has \{\}"):
         open_policy(str(folder), config)
     rewrite(folder, sensors={"odometry": 2})
     assert open_policy(str(folder), with_overrides(config, ("sensors.odometry=typical",))).name == str(folder)

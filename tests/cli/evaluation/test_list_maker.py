@@ -26,10 +26,10 @@ def test_each_part_says_how_long_it_still_takes():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--suite-file", "My_Town.json"), "--suite-file: no list can be called 'My_Town'; .* such as my-town"),
+        (("--suite-file", "My_Town.json"), "--suite-file: got the name 'My_Town'; .* such as my-town"),
         (("--suite-file", f"{'a' * 33}.json"), "at most 32 .* such as a{32}$"),
-        (("--name", "Own suite"), "--name: no list can be called 'Own suite'; .* at most 64 .* such as own-suite"),
-        (("--name", "__"), "small letters, digits and -$"),
+        (("--name", "Own suite"), "--name: got the name 'Own suite'; .* at most 64 .* such as own-suite"),
+        (("--name", "__"), "lower-case letters, digits and -$"),
     ],
 )
 def test_a_name_that_no_list_can_have_is_refused_before_anything_is_drawn(words, said, tmp_path, monkeypatch):

@@ -77,7 +77,7 @@ def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
 @pytest.mark.parametrize(
     ("name", "said"),
     [("Nothing", "has no name, begin, reset, act; expected a class with"), ("Nobody", "has no class 'Nobody'"),
-     ("Plain", "'own_controller:Plain' could not be built with the configuration"), ("Missing", "'weights.zip'")],
+     ("Plain", "'own_controller:Plain' could not be created with the configuration"), ("Missing", "'weights.zip'")],
 )  # fmt: skip
 def test_a_class_that_is_no_controller_is_refused(wcsim, corner, own, name, said):
     told = wcsim("test", f"{own}:{name}", "--town", corner, "--only", "--allow-train-town", *QUICK)
@@ -91,16 +91,16 @@ def test_a_class_that_is_named_by_its_file_is_refused_with_the_name_that_works(w
 
 def test_in_a_suite_a_class_that_cannot_be_built_is_refused_before_anything_is_driven(wcsim, folder, listed, own):
     told = wcsim("test", "--suite", listed, f"{own}:Still", f"{own}:Missing", "--only", "--out", "out")
-    assert told.code == 2 and "'own_controller:Missing' could not be built" in told.err
+    assert told.code == 2 and "'own_controller:Missing' could not be created" in told.err
     assert "blocks" not in told.err and not (folder / "out").exists()
     played = wcsim("test", "--suite", listed, f"{own}:Missing", "--play", "0.0", "--out", "out")
-    assert played.code == 2 and "'own_controller:Missing' could not be built" in played.err
+    assert played.code == 2 and "'own_controller:Missing' could not be created" in played.err
 
 
 def test_in_a_suite_a_class_that_always_fails_is_told_with_its_reason(wcsim, folder, listed, own, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     told = wcsim("test", "--suite", listed, f"{own}:Boom", "--only", "--out", "out")
-    assert told.code == 1 and "own_controller:Boom: 2 of 2 episodes failed: KeyError: 'lidar'" in told.out
+    assert told.code == 1 and "own_controller:Boom: failed in 2 of 2 episodes: KeyError: 'lidar'" in told.out
     rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
     assert [rows[name]["status"]["policy_failed"] for name in ("follow", f"{own}:Boom")] == [0, 2]
 

@@ -11,7 +11,7 @@ def test_a_drive_of_another_town_is_refused_with_the_words_that_work(wcsim, fold
     write_drive(folder / "a.drive", [tick(1), tick(2)], **there)
     told = wcsim("test", "stop", "--profile", "recorded:a.drive")  # in monaco, unless it is said
     assert told.code == 2 and "was driven in helsinki" in told.err
-    assert told.err.rstrip().endswith("Say --town helsinki --allow-train-town")
+    assert told.err.rstrip().endswith("Use --town helsinki --allow-train-town")
 
 
 def test_nothing_is_proposed_for_a_town_that_is_not_here_as_it_was(wcsim, folder):

@@ -75,7 +75,7 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
         assert wcsim("report", "runs/out", "--pictures", "2").code == 0
     text = (tested / "report.html").read_text(encoding="utf-8")
     assert "wcsim test follow --suite corner.json --play 0.0 --out runs/out" in text
-    assert "No pictures: episode 0.0 went another way" in text and text.count('class="street"') == 1
+    assert "No pictures: episode 0.0 differs from the saved one" in text and text.count('class="street"') == 1
 
 
 def test_another_list_gives_a_page_without_pictures_and_says_why(wcsim, folder):
@@ -96,8 +96,6 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
     monkeypatch.setattr("wcsim.cli.evaluation.report.find_spec", lambda name: None)
     told = wcsim("report", "out")
     assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
-
-
 
 
 def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder):

@@ -49,7 +49,7 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
     own = run_of(tmp_path / "own", "quick", "reward.drop=false", "world.warmup_s=0")
     assert run("--suite", small, own, "--only", "--out", tmp_path / "out") == 2  # it has no weights
     told = " ".join(capsys.readouterr().err.split())
-    assert "learned with reward.drop=false; all policies of a list are tested alike, with reward.drop=true" in told
+    assert "was trained with reward.drop=false; all policies of a list are tested with reward.drop=true" in told
 
 
 @pytest.mark.parametrize(
@@ -57,8 +57,8 @@ def test_a_line_says_which_rules_of_a_run_stay_behind(small, tmp_path, capsys):
     [
         (("--suite", "nothing"), "no such list"),
         (("--suite", "dev", "--jobs", "0"), "--jobs"),
-        (("--suite", "dev", "--sensitivity", "--forks", "3"), "--sensitivity does not hear of --forks"),
-        (("stop", "--suite", "dev", "--play", "0.0", "--sensitivity"), "--play does not hear of --sensitivity"),
+        (("--suite", "dev", "--sensitivity", "--forks", "3"), "--sensitivity ignores --forks"),
+        (("stop", "--suite", "dev", "--play", "0.0", "--sensitivity"), "--play ignores --sensitivity"),
     ],
 )
 def test_what_cannot_be_is_refused(words, said, tmp_path, capsys, monkeypatch):
@@ -72,7 +72,7 @@ def test_an_episode_is_driven_again_and_must_be_the_same(small, tmp_path, capsys
     assert run("--suite", small, "--only", "--out", out) == 0
     words = ("follow", "--suite", small, "--out", out, "--play")
     assert run(*words, "0.1") == 0
-    assert "the same as the kept one" in capsys.readouterr().out
+    assert "the same as the saved one" in capsys.readouterr().out
     assert (out / "play" / "follow-0.1.webm").stat().st_size > 0
     episodes = json.loads((out / "episodes.json").read_text(encoding="utf-8"))
     episodes["follow"][1]["m"] += 0.5

@@ -125,7 +125,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
     }
     assert main(["report", str(run)]) == 0
     page = (run / "report.html").read_text(encoding="utf-8")
-    assert "Who learns the second phase" in page and (run / "report" / "selection.csv").is_file()
+    assert "Which client learns the second phase" in page and (run / "report" / "selection.csv").is_file()
     monkeypatch.chdir(tmp_path)
     assert main([str(word) for word in (*words, "--resume")]) == 0  # all is done: nothing is driven or learned
     check(run, best, left)

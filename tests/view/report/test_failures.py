@@ -53,7 +53,7 @@ def test_the_worst_come_first(tmp_path):
     assert [judged(item)[2] for item in order] == sorted(judged(item)[2] for item in order)
     assert [one.severity for one in failures] == sorted(one.severity for one in failures)
     worst = worst_of(failures, "net@0.25")
-    assert (worst.key, worst.reason, worst.unaided) == ((0, 0), "collision", "drop (own) after 2 s")
+    assert (worst.key, worst.reason, worst.unaided) == ((0, 0), "collision", "drop (own fault) after 2 s")
     assert worst_of(failures, "dwa") is None
     assert [one.key for one in chosen(failures, 1) if one.policy == "follow"] == [(0, 1)]  # with a car, not the fall
     assert all(one.episode.record.steps for one in chosen(failures, 100))
@@ -101,8 +101,8 @@ def test_the_command_says_all_that_was_changed_and_nothing_can_leave_its_word(tm
 
 def test_the_command_names_the_folder_as_the_test_did(tmp_path):
     write_result(tmp_path / "runs" / "out")
-    assert where_typed(read_result(tmp_path / "runs" / "out")) == "in which that of the test lies"
+    assert where_typed(read_result(tmp_path / "runs" / "out")) == "that contains the folder of the test"
     (tmp_path / "runs" / "out" / "asked.json").write_text('{"suite": "dev", "out": "runs/out"}')
     result = read_result(tmp_path / "runs" / "out")
     command = worst_of(failures_of(result, tmp_path / "runs" / "out"), SCRIPT).command
-    assert "--suite dev --play 0.0 --out runs/out" in command and where_typed(result) == "in which the test was typed"
+    assert "--suite dev --play 0.0 --out runs/out" in command and where_typed(result) == "in which you ran the test"

@@ -135,7 +135,7 @@ def test_what_was_not_recorded_is_said(tmp_path):
     result = read_result(tmp_path)
     failures = failures_of(result, tmp_path)
     text = write_suite_page(result, tmp_path, failures, {}, "No pictures: x", tmp_path).read_text("utf-8")
-    assert text.count("not recorded") >= 2 and "The ways were not recorded" in text and "No pictures: x" in text
+    assert text.count("not recorded") >= 2 and "Paths were not recorded" in text and "No pictures: x" in text
     assert json.loads((tmp_path / "episodes.json").read_text("utf-8"))["dwa"][0].keys().isdisjoint({"path_m"})
     assert not list((tmp_path / "report").glob("comfort*.svg"))
 
@@ -159,7 +159,7 @@ def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said)
     )
     drawn, without = (obedience_figure(one, places) for one in (result, low))
     assert "Not drawn" not in drawn.says
-    assert "Not drawn, since they do not obey half of the time: follow." in without.says
+    assert "Not drawn, below 50 %: follow." in without.says
     assert "follow" in without.csv and drawn.svg != without.svg
 
 
@@ -175,7 +175,7 @@ def test_a_town_that_was_made_for_a_list_is_drawn_from_the_results_folder(tmp_pa
 
 def test_the_legend_says_that_saved_and_lost_are_crashes_by_the_own_fault():
     says = {column.key: column.says for column in SAFETY}
-    assert all("by its own fault" in says[key] for key in ("saved", "lost"))
+    assert all("own crash" in says[key] for key in ("saved", "lost"))
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

@@ -41,33 +41,46 @@ _WIDE, _GAPS = 100, 11  # from so many characters on there is a second space bet
 
 Columns = tuple[tuple[str, str, str], ...]
 _FOLLOWING: Columns = (
-    ("kpi1_mean", "KPI 1", "{:.3f}"),
-    ("kpi1_within", "KPI 1\nwith.", "{:.0%}"),
-    ("kpi1_free_mean", "KPI 1\nfree", "{:.3f}"),
-    ("kpi1_moving_mean", "mov.\nfree", "{:.3f}"),
-    ("kpi1_moving_within", "\nwith.", "{:.0%}"),
-    ("free_share", "free\nsteps", "{:.0%}"),
-    ("blocked_share", "bloc-\nked", "{:.1%}"),
-    ("freezes", "free-\nzes", "{:d}"),
-    ("kpi2_mean_steps", "KPI 2\nsteps", "{:.0f}"),
-    ("speed_mps", "\nm/s", "{:.2f}"),
+    ("kpi1_mean", "\n\nKPI 1", "{:.3f}"),
+    ("kpi1_within", "close\nto\nuser", "{:.0%}"),
+    ("kpi1_free_mean", "KPI 1\nfree\nsteps", "{:.3f}"),
+    ("kpi1_moving_mean", "KPI 1\nfree,\nmoving", "{:.3f}"),
+    ("kpi1_moving_within", "close,\nfree,\nmoving", "{:.0%}"),
+    ("free_share", "\nfree\nsteps", "{:.0%}"),
+    ("blocked_share", "\n\nblocked", "{:.1%}"),
+    ("freezes", "\ntimes\nfrozen", "{:d}"),
+    ("kpi2_mean_steps", "\nKPI 2\nsteps", "{:.0f}"),
+    ("speed_mps", "\n\nm/s", "{:.2f}"),
 )
 _GETTING_THERE: Columns = (
-    ("crashes_own", "own\ncrash", "{:d}"),
-    ("crashes_other", "other\ncrash", "{:d}"),
-    ("km", "\nkm", "{:.2f}"),
-    ("crashes_per_km", "own\n/km", "{:.2f}"),
-    ("crashes_per_km_ci", "\n95 %", "{0[0]:.1f}-{0[1]:.1f}"),
-    ("routes_completed", "rout.\ndone", "{:d}"),
-    ("crossings", "cros-\nsings", "{:d}"),
-    ("red_entries", "at\nred", "{:d}"),
-    ("standing_on_carriageway_s", "s on\nroad", "{:.0f}"),
+    ("crashes_own", "\nown\ncrash", "{:d}"),
+    ("crashes_other", "\nother\ncrash", "{:d}"),
+    ("km", "\n\nkm", "{:.2f}"),
+    ("crashes_per_km", "own\nper\nkm", "{:.2f}"),
+    ("crashes_per_km_ci", "\n\n95 %", "{0[0]:.1f}-{0[1]:.1f}"),
+    ("routes_completed", "\nroutes\ndone", "{:d}"),
+    ("crossings", "\nroads\ncrossed", "{:d}"),
+    ("red_entries", "\nat\nred", "{:d}"),
+    ("standing_on_carriageway_s", "\ns on\nroad", "{:.0f}"),
 )
 _HEEDLESS = ("random", "zero")  # baselines that do not ask what the user wants
 _UPPER_BOUND_NOTES = {
-    UPPER_BOUND: "oracle sees the truth: an upper bound",
-    VISIBLE_BOUND: "oracle-visible sees it too, but of the others only those whom its cameras show",
+    UPPER_BOUND: "oracle knows the true state: an upper bound",
+    VISIBLE_BOUND: "oracle-visible: the true state, but only road users in its cameras",
 }
+_FOLLOWING_LEGEND = (
+    "KPI 1: distance between the driven and the user's stick",
+    "close: share of steps within 0.177 of the user's command",
+    "free: steps without danger; moving: the user's stick is out",
+    "blocked: free steps that give less than half of a push ahead",
+    "frozen: stood for 3 s or more while the user's stick was out",
+    "KPI 2: steps of an episode until a crash or its end",
+)
+_THERE_LEGEND = (
+    "own crash: the chair's fault",
+    "at red: entered a crossing at red",
+    "s on road: seconds of standing on a carriageway",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,11 +143,11 @@ class TestResult:
         labels = _labels([row.policy for row in self.rows], width - _NUMBERS_WIDTH - (_GAPS if width >= _WIDE else 0))
         named = zip(labels, self.rows, strict=True)
         legend = [_broken(f"{label}: {row.policy}") for label, row in named if label != row.policy]
-        if legend:
-            following.caption, following.caption_justify = Text("\n".join(legend), overflow="fold"), "left"
+        lines = Text("\n".join((*legend, *_FOLLOWING_LEGEND)), overflow="fold")
+        following.caption, following.caption_justify = lines, "left"
         bounds = [name for name in UPPER_BOUNDS if any(row.policy == name for row in self.rows)]
-        if bounds:
-            there.caption, there.caption_justify = "\n".join(_UPPER_BOUND_NOTES[name] for name in bounds), "left"
+        notes = [_UPPER_BOUND_NOTES[name] for name in bounds]
+        there.caption, there.caption_justify = "\n".join((*_THERE_LEGEND, *notes)), "left"
         for label, row in zip(labels, self.rows, strict=True):
             following.add_row(Text(label), *_cells(row, _FOLLOWING))
             fallen = [str(row.crash_reasons.get(DROP, 0)) for _ in drops]
@@ -200,27 +213,27 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
     camera, file = config.cameras[0], policy.file
     if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
         raise PolicyError(
-            f"policy {name!r} wants {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
-            f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it on its own"
+            f"policy {name!r} needs {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
+            f"this test has {camera.width_px}x{camera.height_px} and {config.env.actions}: test it alone"
         )
     numbers = imu_size(config.env.observe_gyro, config.env.observe_yaw) + JOYSTICK_SIZE
     wanted = file.vector_size - sum(file.sensors.values())
     if wanted != numbers:
         raise PolicyError(
-            f"policy {name!r} wants {wanted} numbers from IMU and joystick, this test gives {numbers}: "
+            f"policy {name!r} needs {wanted} numbers from IMU and joystick, this test gives {numbers}: "
             "set env.observe_gyro and env.observe_yaw as in its training"
         )
     given = {key: len(measure.parts) for key, measure in config.sensors.measures().items()}
     if not file.sensors.items() <= given.items():
         raise PolicyError(
-            f"policy {name!r} wants the sensors {file.sensors} (numbers of each), this test has {given}: "
+            f"policy {name!r} needs the sensors {file.sensors} (numbers of each), this test has {given}: "
             "set their sections of [sensors] as in its training"
         )
     other = [key for key in SIGHT_KEYS if getattr(file.camera, key) != getattr(camera, key)]
     if other or file.net.classes != config.env.classes:
         raise PolicyError(
-            f"policy {name!r} was trained with another camera or class form than this test has "
-            f"({', '.join(other) or 'env.classes'} differ): test it on its own"
+            f"policy {name!r} was trained with another camera or other classes than this test has "
+            f"({', '.join(other) or 'env.classes'} differ): test it alone"
         )
     policy.name = name
     return shielded(path, policy, config, split_level(name)[1], network)
@@ -261,8 +274,8 @@ def _table(title: str, columns: Columns, width: int, more: Sequence[str] = ()) -
     gap = (0, 1 if width >= _WIDE else 0, 0, 0)
     plain = escape(title)
     table = Table(title=plain, title_justify="left", box=box.SIMPLE_HEAD, padding=gap, pad_edge=False, show_edge=False)
-    table.add_column("\npolicy", no_wrap=True)
-    for heading in (*(heading for _, heading, _ in columns), *(f"\n{heading}" for heading in more)):
+    table.add_column("\n\npolicy", no_wrap=True)
+    for heading in (*(heading for _, heading, _ in columns), *(f"\n\n{heading}" for heading in more)):
         table.add_column(heading, justify="right", no_wrap=True)
     return table
 

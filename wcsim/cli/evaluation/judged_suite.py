@@ -42,45 +42,45 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
 _TOLD_EVERY_S = 20.0
 _KEPT = "kept/*.json"  # blocks that are done
 _LISTED = {
-    "env.profile": "each episode of a list has its own user: expected --town and --profile without --suite",
-    "env.max_steps": "each episode of a list has its own steps: expected --town and --max-steps without --suite",
+    "env.profile": "each episode of a list has its own user; choose it with --town and --profile, no --suite",
+    "env.max_steps": "each episode of a list has its own step limit; set it with --town and --max-steps, no --suite",
 }
 
 
 @dataclass
 class SuiteOptions:
-    """Judge policies on a fixed list of episodes: free ways, crossings, hazards, tight places."""
+    """Test policies on a fixed list of routes, crossings, hazards and tight places."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
-    """Run folders, policy folders, module:Class, or baselines; the baselines are added unless --only."""
+    """Run folders, policy folders, module:Class, or baselines. All baselines are added unless --only."""
     suite: str = ""
-    """The list: the name of one that comes with wcsim, or a file of --make-suite."""
+    """The list: one that comes with wcsim (dev, validation, v1), or a file of --make-suite."""
     jobs: int = 1
-    """Processes that drive side by side; the result is the same for any number."""
+    """Parallel processes; the result is the same for any number."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
-    """HOST:PORT of a Ray cluster whose nodes drive, or `local`: the same result (docs/cluster.md)."""
+    """HOST:PORT of a Ray cluster whose nodes drive, or `local`; the result is the same (docs/cluster.md)."""
     out: OutFolder = None
-    """Folder for the result and what is kept of it. (default: runs/suite-SET)"""
+    """Folder for the result and for finished blocks. (default: runs/suite-SET)"""
     resume: bool = False
-    """Go on in a folder where some of it has been driven."""
+    """Continue in a folder that holds finished blocks of this test."""
     only: bool = False
-    """Drive these policies and the user alone, without the other baselines."""
+    """Drive only these policies and the user alone, no other baselines."""
     clean: bool = False
-    """Turn the camera's noise and the delay off; IMU and odometry keep their errors."""
+    """Turn off camera noise and delay; IMU and odometry keep their errors."""
     sensitivity: bool = False
-    """Drive these policies and the user alone clean, and with each disturbance alone: which one moves the score?"""
+    """Drive these policies and the user alone without disturbances, and with each alone: which changes the score?"""
     forks: int | None = None
-    """Episodes whose interventions are judged by letting the user drive alone from there. (default: as in the list)"""
+    """Episodes whose interventions are judged: the user drives on alone in a copy. (default: as in the list)"""
     preset: str = "quick"
-    """Settings of policies that bring none; its street, chair and crashes are those of all policies."""
+    """Settings of policies that have none. Its rules for street, chair and crashes apply to all policies."""
     set: Repeated = ()
-    """section.key=value, laid over those of the list; the result says so."""
+    """section.key=value, over the settings of the list; the result names it."""
     network: str = ""
     """Your own network as module:Class, for runs that were trained with it."""
     play: Annotated[str, tyro.conf.arg(metavar="BLOCK.SEAT")] = ""
-    """Drive this episode of one policy again, film its last 10 s into --out, and say what happened."""
+    """Drive this episode of one policy again, film its last 10 s into --out, and print what happened."""
     json: OutFile = None
-    """Write the result to this file, too."""
+    """Also write the result to this file."""
 
 
 def run_suites(words: list[str]) -> int:
@@ -99,7 +99,7 @@ def run_suites(words: list[str]) -> int:
         return play_episode(_order(options, suite, out), options.policies, options.play)
     if (out / "kept").exists() and not options.resume:
         raise ConfigError(
-            f"--out {out}: something has been driven there; say --resume to go on, or name another folder"
+            f"--out {out}: it holds blocks of an earlier test; continue them with --resume, or choose another folder"
         )
     from wcsim.agents.evaluation.suite.list_rules import told_of_rules
     from wcsim.agents.evaluation.suite.run import UNAIDED, require_usable
@@ -123,7 +123,7 @@ def run_suites(words: list[str]) -> int:
     except KeyboardInterrupt:
         if not set(out.rglob(_KEPT)) - before:
             raise
-        raise InterruptedRunError(f"stopped; {out} keeps the blocks that are done; continue with --resume") from None
+        raise InterruptedRunError(f"stopped; finished blocks are saved in {out}; continue with --resume") from None
 
 
 def _require_heard(options: SuiteOptions) -> None:
@@ -133,18 +133,20 @@ def _require_heard(options: SuiteOptions) -> None:
     for option, is_asked, others in deaf:
         found = ", ".join(other for other in others if asked[other])
         if is_asked and found:
-            raise ConfigError(f"{option} does not hear of {found}; expected one without the other")
+            raise ConfigError(f"{option} ignores {found}; use one without the other")
 
 
 def _judge(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: Callable[[str], None]) -> int:
     """Drive the list with each policy; how the command ends."""
     from wcsim.agents.evaluation.suite.records import undriven
+    from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.agents.evaluation.suite.run import run_suite
+    from wcsim.view.report.verdict import verdict
 
     records = run_suite(order, names, lambda name, done, of: say(f"{name}: {done} of {of} blocks"))
     result = keep_result(order, options.suite, records)
     without = [line for name, found in records.items() for line in undriven(name, found)]
-    show_result(stdout_console(), result, order.settings, without)
+    show_result(stdout_console(), result, order.settings, without, verdict(read_result(order.out)))
     if options.json is not None:
         write_json(options.json, result)
     return _exit_of(result["pooled"])

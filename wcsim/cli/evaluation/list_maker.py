@@ -21,23 +21,23 @@ from wcsim.errors import ConfigError
 
 @dataclass
 class SuiteMakeOptions:
-    """Make a list of test episodes for towns of your own."""
+    """Make a list of test episodes for your own towns."""
 
     make_suite: str
-    """Where, joined by commas: a town's name, its folder, or a .sumocfg file;
-    made:SEED is a town without a map (`wcsim town make`)."""
+    """A town's name, its folder, or a .sumocfg file; several are separated by commas.
+    made:SEED is a generated town (`wcsim town make`)."""
     suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
-    """The list to write; its set is called as the file: small letters, digits and - alone."""
+    """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     name: str = "own-suite-v1"
-    """What it is called, with its version."""
+    """Name of the list, with its version."""
     free: int = 8
-    """Blocks of free ways for each town, six ways each."""
+    """Blocks of free routes for each town, six routes each."""
     attempts: int = 40
     """Attempts at crossings for each town."""
     hazards: int = 30
-    """Starts that end in a crash of the user alone, at most, for each town."""
+    """Largest number of starts, for each town, from which the user alone crashes."""
     more_ways: int = 0
-    """Blocks of free ways for each town that are looked through for such starts alone."""
+    """Further blocks of free routes for each town, only searched for such starts."""
     tight: int = 5
     """Generated scenes of each family of tight places."""
     tight_from: int = 0
@@ -45,7 +45,7 @@ class SuiteMakeOptions:
     forks: int = 1_000_000
     """Episodes of the list whose interventions are judged, evenly spread."""
     jobs: int = 1
-    """Processes that drive side by side."""
+    """Parallel processes."""
     seed: int = 0
     """Seed of the list."""
 
@@ -100,7 +100,7 @@ def _require_name(option: str, name: str, most: int) -> None:
         return
     proposed = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:most]
     raise ConfigError(
-        f"{option}: no list can be called {shown(name, 80)!r}; expected at most {most} small letters, digits and -"
+        f"{option}: got the name {shown(name, 80)!r}; expected at most {most} lower-case letters, digits and -"
         + f", such as {proposed}" * bool(proposed)
     )
 

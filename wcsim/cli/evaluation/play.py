@@ -1,4 +1,4 @@
-"""`wcsim test POLICY --suite LIST --play BLOCK.SEAT`: the end of one episode, driven once more and filmed."""
+"""`wcsim test POLICY --suite LIST --play BLOCK.SEAT`: the end of one episode, driven again and filmed."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     """
     index, seat = place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
-        raise ConfigError(f"--play takes one policy, got {len(policies)}: name the one whose episode is to be driven")
+        raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
     from wcsim.agents.evaluation.suite.list_rules import settings_in_list
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
@@ -73,7 +73,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     twin = next((item for item in kept if (item.record.block, item.record.seat) == (index, seat)), None)
     if twin is not None:
         require_same(played.record, twin.said)
-    compared = "the same as the kept one" if twin is not None else f"compared with nothing: none in {order.out}"
+    compared = "the same as the saved one" if twin is not None else f"not compared: none is saved in {order.out}"
     console.print(f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}", style="dim")
     return 0
 
@@ -82,7 +82,7 @@ def _tell(console: Console, played: Played, tick_s: float) -> None:
     record = played.record
     how = " ".join(word for word in (record.status, record.reason, record.fault, record.crash) if word)
     table = Table(title=escape(f"{record.part} {record.block}.{record.seat}, {record.town}, {record.profile}: {how}"))
-    for heading in ("s", "m/s", "asked", "given", "nearest"):
+    for heading in ("s", "m/s", "user", "driven", "nearest"):
         table.add_column(heading, justify="right", no_wrap=True)
     every = max(1, round(_TOLD_EVERY_S / tick_s))
     for number, step in reversed(list(enumerate(reversed(played.steps)))):

@@ -11,7 +11,7 @@ import tyro
 
 from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.core.reading import counted, is_file, is_folder, shown
 from wcsim.errors import ConfigError, FileError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -24,21 +24,21 @@ _MOST_PICTURES = 1000
 
 @dataclass
 class Options:
-    """Write report.html and its figures into the folder of a finished test on a suite, or of a training.
+    """Write report.html and figures into the folder of a test on a suite or a training.
 
-    Several trainings give one page with the curves of all.
+    For several trainings, one page has the curves of all.
     """
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
-    """What `wcsim test --suite` or `wcsim train` wrote."""
+    """Folders of `wcsim test --suite` or `wcsim train`."""
     out: OutFolder = None
     """Folder for the page. (default: the one folder, or runs/report for several)"""
     pictures: int = 8
-    """Failures that are shown in pictures, the worst of each policy; each is driven once more, up to a minute."""
+    """Failures with pictures, the worst of each policy. Each is driven again, which takes up to a minute."""
     own: Repeated = ()
-    """module:Class: a policy or network of your own in this test, whose code may run for pictures."""
+    """module:Class: a policy or network of your own in this test; its code may run for pictures."""
     jobs: int = 1
-    """Processes that drive them."""
+    """Parallel processes that drive them."""
 
 
 def run(words: list[str]) -> int:
@@ -48,11 +48,13 @@ def run(words: list[str]) -> int:
     in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
-        raise ConfigError(f"{len(kinds)} folders, {sum(kinds)} of tests; expected one, or several of `wcsim train`")
+        raise ConfigError(
+            f"got {counted(len(kinds), 'folder')}, {sum(kinds)} of tests; expected one, or several of `wcsim train`"
+        )
     out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
     check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
     if find_spec("matplotlib") is None:
-        raise ConfigError("figures are drawn by matplotlib, which is not here: python -m pip install 'wcsim[report]'")
+        raise ConfigError("figures need matplotlib, which is not installed: python -m pip install 'wcsim[report]'")
     path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
     stdout_console().print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
     return 0
@@ -63,7 +65,7 @@ def _is_test(folder: Path) -> bool:
     is_test, is_run = (is_file(folder / name) for name in ("result.json", "manifest.json"))
     if not is_folder(folder) or not (is_test or is_run):
         raise ConfigError(
-            f"{shown(folder)}: nothing to report; expected a folder that `wcsim test --suite` or `wcsim train` wrote"
+            f"{shown(folder)}: nothing to report; expected a folder of `wcsim test --suite` or `wcsim train`"
         )
     return is_test
 

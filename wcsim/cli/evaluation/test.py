@@ -1,4 +1,4 @@
-"""`wcsim test`: how trained networks do in a town that they have never seen, beside the baselines."""
+"""`wcsim test`: how trained networks do in a town that they have never seen, compared with baselines."""
 
 from __future__ import annotations
 
@@ -37,43 +37,43 @@ if TYPE_CHECKING:  # loads torch, which --help must not
 TRAFFIC_LOG = "wcsim.bridge.sumo.session"
 MAX_STEPS = 1_000_000  # as in env.max_steps
 SAID_ELSEWHERE = {"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"}
-UNEVENTFUL = "no danger was met: all who follow the user did the same; drive longer (--max-steps) or more (--episodes)"
+UNEVENTFUL = "no danger occurred: all policies that follow the user did the same; use more --max-steps or --episodes"
 
 
 @dataclass
 class Options:
-    """Test policies: run folders (RUN, RUN:phase1), policy folders, shipped, module:Class of your own, or baselines.
+    """Test policies: runs (RUN, RUN:phase1), shipped, your own module:Class, or baselines.
 
-    --suite LIST judges them on a fixed list of episodes instead (`wcsim test --suite dev -h`),
-    --make-suite TOWN makes one.
+    With --suite LIST they drive a fixed list (`wcsim test --suite dev -h`);
+    --make-suite TOWN makes such a list.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
-    """What to test; follow, random, zero, stop, dwa, oracle-visible and oracle are added unless --only."""
+    """What to test. follow, random, zero, stop, dwa, oracle-visible and oracle are added unless --only."""
     town: str = "monaco"
-    """Where, each a town's name, its folder, or a .sumocfg file; several are joined by commas."""
+    """A town's name, its folder, or a .sumocfg file; several are separated by commas."""
     profile: str = "inattentive"
-    """User profiles, joined by commas; FILE.toml is your own, recorded:FILE replays one."""
+    """User profiles, separated by commas; FILE.toml is your own, recorded:FILE replays a recording."""
     episodes: int = 5
     """Episodes for each policy, town and profile."""
     max_steps: int = 10_000
-    """Steps after which an episode ends well."""
+    """Steps after which an episode ends without a crash."""
     seed: int = 0
-    """Seed of the world; every policy meets the same one."""
+    """Seed of the world, the same for every policy."""
     preset: str = "quick"
-    """Settings, when no run folder brings its own."""
+    """Settings, if no run folder has its own."""
     set: Repeated = ()
-    """section.key=value, laid over them; may be given several times."""
+    """section.key=value, over these settings; may be given several times."""
     network: str = ""
     """Your own network as module:Class, for runs that were trained with it."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Drive these policies and the user alone, without the other baselines."""
+    """Drive only these policies and the user alone, no other baselines."""
     allow_train_town: bool = False
-    """Test in a town that is for training, or in the town that a run was trained in."""
+    """Allow a town that is for training, or the town that a run was trained in."""
     verbose: Verbose = False
-    """Show what is overridden of the town's SUMO options as a table, with the reasons."""
+    """Show which of the town's SUMO options are overridden, with the reasons."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -223,7 +223,7 @@ def _words_for(name: str, sha256: str) -> str:
         town = find_town(name)
         if content_hash(town) == sha256:
             school = " --allow-train-town" if town.declared and town.split == "train" else ""
-            return f". Say --town {name}{school}"
+            return f". Use --town {name}{school}"
     return ""
 
 
@@ -255,8 +255,8 @@ def checked_town(name: str, options: Options) -> Town:
     for policy in options.policies:
         if not is_plain(policy) and digest in _schools(policy):
             raise TownError(
-                f"{policy} was trained in {town.name} itself; expected a town it has never seen. "
-                "Choose another --town, or say --allow-train-town"
+                f"{policy} was trained in {town.name}; expected a town it has never seen. "
+                "Choose another --town, or add --allow-train-town"
             )
     return town
 
@@ -270,11 +270,11 @@ def _refuse_school(town: Town, digest: str) -> None:
     schools = (other for other in known if other.declared and other.split == "train")
     found = next((other for other in schools if streets_hash(other) == digest), None)
     if found is not None:
-        of_it = f", for it has the streets of {found.name}, which was not imported with --split test"
+        of_it = f": it has the streets of {found.name}, which was not imported with --split test"
         same = "" if town.declared else of_it
         raise TownError(
             f"{town.name} is a training town{same}; expected a town of split test (wcsim town list), or a scenario of "
-            "your own. Choose another --town, or say --allow-train-town"
+            "your own. Choose another --town, or add --allow-train-town"
         )
 
 

@@ -20,18 +20,18 @@ _WIDTH_PX = 640
 
 @dataclass
 class Options:
-    """Take pictures of a chair in its street and through its camera, and film ten seconds; its user drives alone."""
+    """Take pictures of a chair and from its camera, and film it; its user drives alone."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 4
-    """Seed of the traffic and of the chair's place."""
+    """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")
-    """Where TOWN-street.png, TOWN.png and TOWN.webm go."""
+    """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
     seconds: float = 10.0
-    """How long it is filmed; the pictures are of the busiest moment of these in which the chair faces its way."""
+    """Length of the film. The pictures show its busiest moment in which the chair faces its route."""
     set: Repeated = ()
-    """section.key=value, laid over the settings, such as chair.plant=mine.toml; may be given several times."""
+    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:

@@ -16,25 +16,25 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.view.filming import Shot
 
 MAX_SECONDS = 3600.0
-OF_VIDEO = {"env.profile": "its user is competent; expected `wcsim video --profile NAME` for another"}
+OF_VIDEO = {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
 
 
 @dataclass
 class Options:
-    """Take a picture from a chair's camera in the traffic of a town: colours, classes and depth side by side."""
+    """Take a picture from a chair's camera in a town: colours, classes and depth."""
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
-    """Seed of the traffic and of the chair's place."""
+    """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")
     """The picture (PNG)."""
     width: int = 640
     """Width of each of the three images, in pixels."""
     seconds: float = 20.0
-    """How long the chair may drive until most is in view."""
+    """Time to drive; the picture shows the moment with most road users in view."""
     set: Repeated = ()
-    """section.key=value, laid over the settings, such as chair.plant=mine.toml; may be given several times."""
+    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:

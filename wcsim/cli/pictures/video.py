@@ -1,4 +1,4 @@
-"""`wcsim video TOWN --policy NAME --out x.webm`: ten seconds from a chair's camera, beside a map."""
+"""`wcsim video TOWN --policy NAME --out x.webm`: ten seconds from a chair's camera, next to a map."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
 @dataclass
 class Options:
-    """Film a chair, driven by its user alone or by a policy: its camera beside a map.
+    """Film a chair, driven by its user alone or by a policy: its camera next to a map.
 
-    With --policy the picture shows the user's stick, the one that was driven, and warnings.
+    With --policy the picture shows the user's stick, the driven one, and warnings.
     """
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
-    """Seed of the traffic and of the chair's place."""
+    """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
     """The video (WebM)."""
     seconds: float = 10.0
-    """How long."""
+    """Length of the film."""
     start: float = 0.0
-    """Drive so many seconds before the film begins; the picture's clock counts them."""
+    """Seconds to drive before the film begins; the clock in the picture counts them."""
     width: int = 480
     """Width of the camera image in pixels."""
     policy: str = ""
-    """Who drives: a run, shipped, a baseline, module:Class of your own; "" gives the user what the stick says."""
+    """What drives: a run, shipped, a baseline, or your own module:Class; "" is the user alone."""
     network: str = ""
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
-    """The simulated user, whose stick a policy sees. (default: inattentive with --policy, competent without)"""
+    """The simulated user. (default: inattentive with --policy, competent without)"""
     set: Repeated = ()
-    """section.key=value, laid over those of the policy, such as chair.plant=mine.toml; may be given several times."""
+    """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""
 
 
 def run(words: list[str]) -> int:
@@ -59,7 +59,7 @@ def run(words: list[str]) -> int:
     if options.policy:
         require_driver(options.policy, options.network)
     elif options.network:
-        raise ConfigError("--network is for a run that was trained with it; expected --policy RUN beside it")
+        raise ConfigError("--network is for a run that was trained with it; expected --policy RUN, too")
     require_user(options.profile)
     town = find_town(options.town)
     missing = missing_folder(options.out)
@@ -73,9 +73,10 @@ def run(words: list[str]) -> int:
             second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
             bar.show(done / (before + frames), second)
     tell_made(missing)
-    who = f"{options.policy} for a user" if options.policy else "a user"
+    user = f"the user {options.profile}"
+    who = f"{options.policy} assists {user}" if options.policy else user
     after = f" after {options.start:g} s" if before else ""
-    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who} {options.profile}")
+    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who}")
     return 0
 
 

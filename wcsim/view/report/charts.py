@@ -136,7 +136,7 @@ def obedience_chart(
             )
         axes.set_xlim(left=0.0)
         axes.set_xlabel("own crashes per km (left is better)")
-        axes.set_ylabel("obeyed, share of moving free steps")
+        axes.set_ylabel("close to user, share of safe steps")
         _legend(axes, len(points))
     return out.getvalue()
 

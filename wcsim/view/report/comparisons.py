@@ -10,7 +10,6 @@ from typing import Final
 from wcsim.agents.evaluation.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.agents.policies.baseline_names import UPPER_BOUNDS
 from wcsim.core.reading import counted
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
@@ -91,14 +90,14 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
     """
     found = []
     for word, chosen in (
-        ("above", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
-        ("below", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
+        ("higher score", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
+        ("lower score", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
     ):
         if chosen:
-            found.append(f"{word} it by the score: {', '.join(chosen)}")
+            found.append(f"{word}: {', '.join(chosen)}")
     left = [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated]
     if left:
-        found.append(f"not separated from it: {', '.join(left)}")
+        found.append(f"not different: {', '.join(left)}")
     sure = [pair for pair in pairs if pair.mcnemar_p < _SURE]
     for word, some in (
         ("fewer own crashes", [pair for pair in sure if pair.saved > pair.lost]),
@@ -113,48 +112,10 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
 def _lacking(pair: Paired) -> str:
     """Why two are not separated."""
     if pair.interval is None:
-        return f"{counted(pair.episodes, 'episode')}; fewer than {FEWEST} tell nothing"
+        return f"{counted(pair.episodes, 'episode')}; at least {FEWEST} are needed"
     if pair.enough is None:
         return "equal scores"
-    return f"{pair.difference:+.3f}; needs about {counted(pair.enough, 'episode')}"
-
-
-def conclusion(result: KeptResult) -> str:
-    """The first sentence of the page: who helps best, or who cannot be told apart, without those that see the truth."""
-    scores = {row["policy"]: float(row.get("score") or 0.0) for row in result.pooled}
-    real = sorted((name for name in scores if name not in UPPER_BOUNDS), key=lambda name: -scores[name])
-    if not real:
-        return "Only bounds were tested."
-    pairs = {name: paired(result, real[0], name, "") for name in real[1:]}
-    alike = [real[0], *(name for name, pair in pairs.items() if pair is None or not pair.separated)]
-    best = f"Best of those that see what a chair can see: {real[0]}"
-    told = best if len(alike) == 1 else f"{_and(alike)} cannot be told apart here"
-    bounds = [name for name in scores if name in UPPER_BOUNDS]
-    more = f" {_and(bounds)} see the truth and are bounds, no helpers." if bounds else ""
-    return f"{told}{_prevented(result, alike)}.{more} Simulation only: these figures say nothing about a real street."
-
-
-def _prevented(result: KeptResult, policies: Sequence[str]) -> str:
-    """How many of the own crashes of the user alone these prevent, and how many they cause; "" where nobody knows."""
-    alone = RIVALS[0]
-    helping = [name for name in policies if name != alone] if alone in result.episodes else []
-    pairs = [pair for name in helping if (pair := paired(result, name, alone, "")) is not None]
-    crashes = sum(episode.record.own for episode in result.episodes.get(alone, ()))
-    if not pairs or not crashes:
-        return ""
-    who, s = (pairs[0].policy, "s") if len(pairs) == 1 else ("both" if len(pairs) == 2 else "they", "")
-    saved, lost = (_range([getattr(pair, what) for pair in pairs]) for what in ("saved", "lost"))
-    told = f"; {who} prevent{s} {saved} of the user's {counted(crashes, 'crash')}"
-    return told if lost == "0" else f"{told}, and cause{s} {lost} where the user has none"
-
-
-def _range(counts: Sequence[int]) -> str:
-    low, high = min(counts), max(counts)
-    return f"{low}" if low == high else f"{low} to {high}"
-
-
-def _and(names: Sequence[str]) -> str:
-    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else names[0]
+    return f"{pair.difference:+.3f}; would need about {counted(pair.enough, 'episode')}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,27 +140,27 @@ WEIGHTINGS: Final = (
     Weighting(name="the score", says="as in the tables", of=lambda record: record.score),
     Weighting(
         name="safety alone",
-        says="1 without own crash, drop and red entry, else 0: who stands still is best",
+        says="1 without an own crash or a red light, else 0: standing still is best",
         of=lambda record: float(_lawful(record)),
     ),
     Weighting(
         name="geometric mean",
-        says="cube root of way x pace x obedience; 0 as in the score",
+        says="cube root of route x pace x obedience; 0 as in the score",
         of=lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
     ),
     Weighting(
         name="obedience counts double",
-        says="way x pace x obedience squared; 0 as in the score",
+        says="route x pace x obedience squared; 0 as in the score",
         of=lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
     ),
     Weighting(
         name="red lights forgiven",
-        says="as the score, but a red entry does not make it 0",
+        says="as the score, but not 0 after a red light",
         of=lambda record: _product(record) if record.driven else 0.0,
     ),
     Weighting(
         name="way alone",
-        says="share of the way that was done, whatever ended it",
+        says="share of the route completed, however the episode ended",
         of=lambda record: record.score_parts[0] if record.steps else 0.0,
     ),
 )

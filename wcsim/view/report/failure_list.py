@@ -6,15 +6,16 @@ from collections.abc import Mapping, Sequence
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
+from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
 from wcsim.view.report.failures import WORST, FailedEpisode, worst_of
 from wcsim.view.report.illustrate import Illustration, Key, SeenMoment
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, data_uri, el, joined
 
 _HEADINGS = (
-    *(("policy", "policy"), ("reason", "reason"), ("whose", "fault"), ("partner", "with")),
+    *(("policy", "policy"), ("reason", "what happened"), ("whose", "fault"), ("partner", "with")),
     ("speed", "m/s in the last second"),
-    *(("part", "part"), ("place", "place"), ("user", "user"), ("unaided", "the user alone, same episode")),
+    *(("part", "part"), ("place", "place (x, y in m)"), ("user", "user"), ("unaided", "the user alone")),
 )
 
 
@@ -29,8 +30,8 @@ def worst_link(failures: Sequence[FailedEpisode], names: Sequence[str], policy: 
     worst = worst_of(failures, policy)
     if worst is None:
         return "–"
-    return el("a", f"{worst.reason}{' with ' + worst.episode.record.partner if worst.episode.record.partner else ''}",
-              href=f"#{anchor_of(worst, names)}")  # fmt: skip
+    partner = _partner(worst.episode.record)
+    return el("a", f"{worst.reason}{f' with {partner}' if partner else ''}", href=f"#{anchor_of(worst, names)}")
 
 
 def failure_exhibit(
@@ -81,11 +82,11 @@ def _entry(number: int, failure: FailedEpisode, anchor: str, pictures: Illustrat
         ("policy", failure.policy),
         ("reason", failure.reason),
         ("whose", failure.whose),
-        ("partner", record.partner),
+        ("partner", _partner(record)),
         ("speed", speed),
         ("part", record.part),
         ("place", f"{record.town} ({record.end_m[0]:.0f}, {record.end_m[1]:.0f})"),
-        ("user", record.profile),
+        ("user", record.profile.replace(RECORDED, "recording ", 1)),
         ("unaided", failure.unaided),
     )
     row = el("summary", *(el("span", text, class_=f"c-{key}") for key, text in cells), class_="row")
@@ -103,14 +104,14 @@ def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) 
     said = (
         f"Episode {record.block}.{record.seat}: {record.m:.1f} m and {record.time_s:.1f} s driven, "
         f"{_done(record)}score {record.score:.3f}, "
-        f"{interventions}{', none in the 5 s before the crash' if record.missed else ''}. "
+        f"{interventions}{', none in the last 5 s before the crash' if record.missed else ''}. "
         f"{f'It {record.crash}. ' if record.crash else ''}The user alone in the same episode: {failure.unaided}."
     )
     parts: list[object] = [el("p", said)]
     if record.status == "policy_failed" or record.status == "refused":
         parts.append(el("p", record.reason, class_="note"))
     if pictures is None:
-        parts.append(el("p", "No pictures of this one; the command drives it again and films it.", class_="note"))
+        parts.append(el("p", "No pictures of this one; the command below repeats and films it.", class_="note"))
     elif pictures.missing:
         parts.append(el("p", f"No pictures: {pictures.missing}", class_="note"))
     else:
@@ -119,17 +120,21 @@ def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) 
     return el("div", *parts, id=anchor, class_="detail")
 
 
+def _partner(record: EpisodeRecord) -> str:
+    return "a fixed object" if record.partner == "static" else record.partner
+
+
 def _done(record: EpisodeRecord) -> str:
     """How much of the way was done; nothing where there is none to do."""
-    return f"{record.done_m:.0f} of {record.route_m:.0f} m of the way done, " if record.route_m > 0.0 else ""
+    return f"{record.done_m:.0f} of {record.route_m:.0f} m of the route done, " if record.route_m > 0.0 else ""
 
 
 def _pictures(pictures: Illustration) -> Markup:
     street = el(
         "figure",
         el("img", src=data_uri("image/png", pictures.street_png), alt="the street around at the end", width=300),
-        el("figcaption", "The end from above, 24 m wide: chair yellow, its way green. "
-                         f"Nearest: {', '.join(pictures.near) or 'nobody'}."),
+        el("figcaption", "The end from above, 24 m wide: the chair is yellow, its path green. "
+                         f"Nearest: {', '.join(pictures.near) or 'no road user'}."),
         class_="street",
     )  # fmt: skip
     return el("div", el("div", *(_seen(each) for each in pictures.seen), class_="strip"), street, class_="moment")
@@ -139,7 +144,7 @@ def _seen(moment: SeenMoment) -> Markup:
     when = f"−{moment.before_s:.1f} s" if moment.before_s > 0.05 else "the end"
     caption = joined((
         el("b", when), f" {moment.speed_mps:.2f} m/s", el("br"),
-        f"asked {moment.asked}", el("br"), f"given {moment.given}",
+        f"user {moment.asked}", el("br"), f"driven {moment.given}",
     ))  # fmt: skip
     picture = data_uri("image/png", moment.png)
     return el("figure", el("img", src=picture, alt=f"seen {moment.before_s:.1f} s before"), el("figcaption", caption))

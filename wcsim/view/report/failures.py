@@ -21,14 +21,16 @@ from wcsim.agents.evaluation.suite.records import (
 )
 from wcsim.agents.evaluation.suite.result_files import KeptEpisode, KeptResult
 from wcsim.agents.evaluation.suite.run import UNAIDED
+from wcsim.core.reading import counted
 from wcsim.types import ActorKind
 
 WORST: Final = (
-    "Worst first: own crashes with somebody in the street, own crashes with things and falls, crashes that were the "
-    "other's, policies that failed, red lights, ways given up or not done in time, crashes before the policy took "
-    "over; within each the faster in the last second first."
+    "Worst first: own crashes with road users, own crashes with objects and falls, crashes by others, failed policies, "
+    "red lights, routes given up or not completed in time, crashes before the policy took over. In each group the "
+    "faster in the last second come first."
 )
 _SOMEBODY: Final = frozenset(kind.value for kind in ActorKind)
+_FAULTS: Final = {"own": "own fault", "other": "other's fault"}
 _SHORT_S: Final = 0.3  # a last leg of the path below this says nothing of the speed
 
 
@@ -97,10 +99,10 @@ def fate(record: EpisodeRecord) -> str:
     """What became of an episode, in words."""
     if record.status == CRASHED:
         with_ = f" with {record.partner}" if record.partner else ""
-        return f"{record.reason}{with_} ({record.fault}) after {record.time_s:.0f} s"
-    said = "came through" if record.status == TIMED_OUT and record.part not in ON_THE_WAY else ""
+        return f"{record.reason}{with_} ({_FAULTS.get(record.fault, record.fault)}) after {record.time_s:.0f} s"
+    said = "no crash" if record.status == TIMED_OUT and record.part not in ON_THE_WAY else ""
     said = said or ("arrived" if record.status == FINISHED else record.status.replace("_", " "))
-    return f"{said}, {record.red_entries} at red" if record.red_entries else said
+    return f"{said}, {counted(record.red_entries, 'red light')}" if record.red_entries else said
 
 
 def last_speed_mps(episode: KeptEpisode) -> float | None:
@@ -130,7 +132,7 @@ def command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRec
 
 def where_typed(result: KeptResult) -> str:
     """Where the commands of a page run, in words."""
-    return "in which the test was typed" if result.out else "in which that of the test lies"
+    return "in which you ran the test" if result.out else "that contains the folder of the test"
 
 
 def worst_of(failures: Sequence[FailedEpisode], policy: str) -> FailedEpisode | None:

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.list_file import TIGHT
-from wcsim.agents.evaluation.suite.records import STATUSES
+from wcsim.agents.evaluation.suite.records import (
+    CRASHED,
+    FINISHED,
+    GAVE_UP,
+    POLICY_FAILED,
+    REFUSED,
+    STATUSES,
+    TIMED_OUT,
+)
 from wcsim.agents.evaluation.suite.result_files import TOWNS, KeptEpisode, KeptResult, Row
 from wcsim.view.report.charts import (
     DrivenWay,
@@ -24,6 +32,14 @@ from wcsim.view.report.ground import ground_around
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
 
 _OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
+ENDINGS: Final = {
+    FINISHED: "arrived",
+    CRASHED: "crashed",
+    GAVE_UP: "user gave up",
+    TIMED_OUT: "time up",
+    POLICY_FAILED: "policy failed",
+    REFUSED: "policy refused",
+}
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
 
@@ -72,7 +88,7 @@ def _scores(result: KeptResult, places: dict[str, int]) -> Exhibit:
     return figure(
         "scores",
         "Scores",
-        "A point a policy, with its 95 % interval. The parts are driven by the same policies.",
+        "One point per policy, with its 95 % interval.",
         csv_of(("part", "policy", "score", "low", "high"), plain),
         score_chart(groups, places),
     )
@@ -90,13 +106,13 @@ def obedience_figure(result: KeptResult, places: dict[str, int]) -> Exhibit:
             plain.append([row["policy"], *figures])
     columns = ("policy", "own_crashes_per_km", "low", "high", "obeyed", "obeyed_low", "obeyed_high")
     says = (
-        "Upper left is best. Bars are 95 % intervals, over all parts. A line joins the assistance levels of one policy "
+        "Upper left is best. Bars are 95 % intervals over all parts. A line joins the assistance levels of one policy "
         "(NAME@LEVEL)."
     )
     shown = {name: point for name, point in points.items() if point[1].value >= _OBEYS}
     if 0 < len(shown) < len(points):
         left_out = [name for name in points if name not in shown]
-        says += f" Not drawn, since they do not obey half of the time: {', '.join(left_out)}."
+        says += f" Not drawn, below 50 %: {', '.join(left_out)}."
     else:
         shown = points
     return figure(
@@ -159,13 +175,13 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     own = made / town
     ground = ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
     plain = [row for name, e in here for row in _way_rows(name, e)]
-    missing = "" if any(way.points_m for way in ways) else " The ways were not recorded: crashes alone are shown."
-    missing += "" if ground is not None or not points else " The town itself is not on this machine."
+    missing = "" if any(way.points_m for way in ways) else " Paths were not recorded; only crashes are shown."
+    missing += "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."
     return figure(
         f"town-{town}",
-        f"Ways in {town}",
-        f"Ways of the episodes in this town, a colour a policy; crosses are own crashes. Tight places have streets of "
-        f"their own and are not on it.{missing}",
+        f"Paths in {town}",
+        f"Paths of all episodes in this town, one colour per policy; crosses are own crashes. Scenes of the part tight "
+        f"have their own streets and are not shown.{missing}",
         csv_of(("policy", "block", "seat", "what", "s", "x_m", "y_m"), plain),
         town_chart(town, ground, ways, places),
     )
@@ -188,7 +204,7 @@ def _comfort(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
     csv = csv_of(("policy", *columns), plain)
     kinds = (
         ("comfort-acceleration", "Comfort: acceleration", "root mean square of the acceleration, m/s²", 0),
-        ("comfort-stick", "Comfort: movement of the stick", "way of the given stick, a second", 1),
+        ("comfort-stick", "Comfort: movement of the stick", "travel of the driven stick per second", 1),
     )
     exhibits = []
     for name, title, label, place in kinds:
@@ -197,7 +213,7 @@ def _comfort(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
             says = f"{label[0].upper()}{label[1:]}; less is smoother."
             exhibits.append(figure(name, title, says, csv, bar_chart(name, label, values, places)))
         else:
-            says = "Not recorded: this test was made by a version that did not keep it."
+            says = "Not recorded by the version of wcsim that ran this test."
             exhibits.append(Exhibit(name=name, title=title, says=says, body=el("p", "not recorded"), csv=csv))
     return exhibits
 
@@ -212,11 +228,12 @@ def _statuses(result: KeptResult) -> Exhibit:
         name: {status: sum(e.record.status == status for e in episodes) for status in STATUSES}
         for name, episodes in result.episodes.items()
     }
+    named = {name: {ENDINGS[status]: count for status, count in row.items()} for name, row in counts.items()}
     plain: list[list[Cell]] = [[name, *(row[status] for status in STATUSES)] for name, row in counts.items()]
     return figure(
         "status",
         "How episodes ended",
-        "In the parts hazard and tight it is enough to come through: timed_out is good there.",
+        "In the parts hazard and tight, time up is good: it means no crash until the end.",
         csv_of(("policy", *STATUSES), plain),
-        share_chart("status", counts),
+        share_chart("status", named),
     )

@@ -28,7 +28,7 @@ PICTURES: Final = 8
 LAST_S: Final = 2.0
 _MAP_PX, _MAP_SPAN_M = 360, 24.0
 _TRAIL_S: Final = 10.0
-_NOT_NAMED: Final = "it is code of its own, which runs when you name it: --own module:Class"
+_NOT_NAMED: Final = "it is code of your own, which runs when you name it: --own module:Class"
 
 Key = tuple[str, int, int]  # policy, block, seat
 
@@ -121,7 +121,7 @@ def order_of(result: KeptResult, folder: Path, own: Collection[str]) -> SuiteOrd
     if suite.sha256 != result.list_sha256:
         raise ConfigError(
             f"list {result.list_name} has the hash {suite.sha256[:12]}; expected {result.list_sha256[:12]}, that of "
-            "the test: run the test again, or go back to the wcsim that made it"
+            "the test: run the test again, or use the version of wcsim that made it"
         )
     network = result.network if result.network in own else ""
     return SuiteOrder(suite=suite, out=folder, preset=result.preset, settings=result.changed, network=network, forks=0)

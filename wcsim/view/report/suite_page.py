@@ -9,7 +9,7 @@ from pathlib import Path
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.core.reading import counted
-from wcsim.view.report.comparisons import RIVALS, Paired, compared, conclusion, verdicts
+from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import FailedEpisode, where_typed
 from wcsim.view.report.figures import figures_of
@@ -18,13 +18,14 @@ from wcsim.view.report.illustrate import Illustration, Key
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.tables import comparison_table, legend, result_table, weights_table
+from wcsim.view.report.verdict import verdict
 
 _BEST = 3
 _COLOURS_SAY = (
-    "Pictures: above the classes as the network gets them (violet road, pink pavement, green growth, grey houses, red "
-    "people and riders, dark red bicycles, dark blue cars, black unknown), below the depth (red near, blue far, black "
-    "out of range, white not measured); the last one is of the end. The camera looks ahead alone. Sticks are x to the "
-    "right and y ahead; asked is the user's, given the policy's. A command is typed in the folder "
+    "Pictures: above, the classes as the network gets them (violet road, pink pavement, green plants, grey houses, red "
+    "people and riders, dark red bicycles, dark blue cars, black unknown). Below, the depth (red near, blue far, black "
+    "out of range, white not measured). The last one is the end. The camera looks ahead only. Stick positions are x "
+    "right and y ahead: the user's, and the driven one. Run a command in the folder "
 )
 
 
@@ -60,7 +61,7 @@ def write_suite_page(
     pictured = el("p", f"{_COLOURS_SAY}{where_typed(result)}.", class_="says")
     sections = (
         Section(name="results", title="Results", body=joined((shown(pooled), legend(), _who(result, parts)))),
-        Section(name="decided", title="What the test decides", body=_decided(pairs, parts, against, weights)),
+        Section(name="decided", title="Comparisons", body=_decided(pairs, parts, against, weights)),
         Section(name="figures", title="Figures", body=el("div", *map(shown, drawn), class_="charts")),
         Section(name="failures", title="Failures", body=shown(listed, pictured)),
         Section(name="parts", title="Part by part", body=joined(map(shown, by_part))),
@@ -85,17 +86,17 @@ def _intro(result: KeptResult) -> Markup:
     count = sum(len(episodes) for episodes in result.episodes.values())
     best = sorted(result.pooled, key=lambda row: -float(row.get("score") or 0.0))
     ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best[:_BEST])
-    changed: object = el("strong", " ".join(result.changed)) if result.changed else "nothing: the list's own settings"
+    changed: object = el("strong", " ".join(result.changed)) if result.changed else "no settings of the list"
     told = facts(
         (
             ("suite", f"{result.suite}, set {result.set}"),
             ("list", el("code", result.list_sha256)),
             ("changed", changed),
             ("driven", f"{counted(count, 'episode')}, {km:.2f} km, by {_policies(result)}"),
-            ("best scores", ranked),
+            ("highest scores", ranked),
         )
     )
-    return joined((el("p", el("strong", conclusion(result))), told))
+    return joined((el("p", el("strong", verdict(result))), told))
 
 
 def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, weights: Exhibit) -> Markup:
@@ -106,8 +107,8 @@ def _decided(pairs: Sequence[Paired], parts: Sequence[str], against: Exhibit, we
             name = f"{part or 'All parts'} ({counted(max(pair.episodes for pair in here), 'episode')})"
             items.append(el("li", el("b", name), el("ul", *_against(here))))
     intro = (
-        "Policies over the same episodes. Separated is what the 95 % interval of the difference says; the figures are "
-        "in the table below."
+        "All policies drove the same episodes. Two are called different if the 95 % interval of the difference of "
+        "their scores excludes 0."
     )
     return joined((el("p", intro), el("ul", *items, class_="verdicts"), shown(against), shown(weights)))
 
@@ -118,7 +119,7 @@ def _against(pairs: Sequence[Paired]) -> list[Markup]:
     for rival in RIVALS:
         said = verdicts([pair for pair in pairs if pair.rival == rival])
         if said:
-            found.append(el("li", "against ", el("b", rival), f": {'; '.join(said)}."))
+            found.append(el("li", "compared with ", el("b", rival), f": {'; '.join(said)}."))
     return found
 
 

@@ -1,4 +1,4 @@
-"""The tables of a test: every figure with its interval, and a line for each column that says what it is."""
+"""The tables of a test: every figure with its interval, and a line for each column that explains it."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ SAFETY: Final = (
         heading="score",
         key="score",
         interval="score_ci",
-        says="0 after an own crash or a red entry, else share of the way x pace x obedience; mean over episodes",
+        says="0 after an own crash or a red light, else share of the route x pace x obedience; mean over episodes",
         form="{:.3f}",
     ),
-    Column(heading="own crashes", key="crashes_own", says="by the chair's own fault, falls off kerbs among them"),
+    Column(heading="own crashes", key="crashes_own", says="crashes and falls by the chair's fault"),
     Column(
-        heading="own / km",
+        heading="own crashes per km",
         key="crashes_per_km",
         interval="crashes_per_km_ci",
-        says="the same a kilometre; Garwood's interval",
+        says="with Garwood's interval",
         form="{:.2f}",
     ),
     Column(
-        heading="obeyed",
+        heading="close to user",
         key="kpi1_free_within",
         interval="kpi1_free_within_ci",
-        says="share of the steps without danger, in which the user moves, that the stick was followed within 0.1768",
+        says="obedience: share of moving steps without danger within 0.1768 of the user's command",
         form="{:.1%}",
     ),
-    Column(heading="episodes", key="episodes", says="how many; every one counts, whatever became of it"),
-    Column(heading="km", key="km", says="way that was driven", form="{:.2f}"),
-    Column(heading="others'", key="crashes_other", says="crashes that were the other's fault"),
-    Column(heading="drops", key="drops", says="falls off a kerb, counted in own crashes too"),
-    Column(heading="at red", key="red_entries", says="times that it drove onto a crossing at red"),
+    Column(heading="episodes", key="episodes", says="all count, however they ended"),
+    Column(heading="km", key="km", says="distance driven", form="{:.2f}"),
+    Column(heading="crashes by others", key="crashes_other", says="crashes by another's fault"),
+    Column(heading="falls off kerbs", key="drops", says="also counted as own crashes"),
+    Column(heading="red lights", key="red_entries", says="times that the chair entered a crossing at red"),
     Column(
-        heading="alive",
+        heading="without a crash",
         key="alive_at_end",
         interval="alive_at_end_ci",
         says="share of episodes that were driven to their end without any crash",
@@ -62,56 +62,70 @@ SAFETY: Final = (
     Column(
         heading="saved",
         key="saved",
-        says="episodes in which the user alone crashes by its own fault and the policy does not",
+        says="episodes with an own crash of the user alone, and none with the policy",
     ),
     Column(
         heading="lost",
         key="lost",
-        says="episodes in which the policy crashes by its own fault and the user alone does not",
+        says="episodes with an own crash with the policy, and none of the user alone",
     ),
     Column(heading="p", key="mcnemar_p", says="McNemar's exact p-value of saved against lost", form="{:.2g}"),
 )
 SERVICE: Final = (
-    Column(heading="distance", key="kpi1", says="mean joystick distance over all steps (KPI 1)", form="{:.3f}"),
-    Column(heading="steps", key="kpi2_median", says="median of the steps of an episode (KPI 2)", form="{:.0f}"),
     Column(
-        heading="arrived",
-        key="arrivals",
-        says="episodes of the parts free and crossing that ended at their destination",
+        heading="KPI 1",
+        key="kpi1",
+        says="mean distance between the driven and the user's stick, over all steps",
+        form="{:.3f}",
     ),
-    Column(heading="m/s", key="speed_mps", says="mean speed", form="{:.2f}"),
-    Column(heading="s on road", key="road_s", says="seconds that the chair stood on a carriageway", form="{:.0f}"),
-    Column(heading="blocked", key="blocked_share", says="share of free steps that go nowhere", form="{:.1%}"),
-    Column(heading="froze", key="freezes", says="times that it stood for 3 s and more against a stick that was out"),
+    Column(heading="KPI 2", key="kpi2_median", says="steps of an episode, median", form="{:.0f}"),
+    Column(
+        heading="arrivals",
+        key="arrivals",
+        says="episodes of the parts free and crossing that reached their destination",
+    ),
+    Column(heading="speed, m/s", key="speed_mps", says="mean", form="{:.2f}"),
+    Column(heading="seconds on road", key="road_s", says="time of standing on a carriageway", form="{:.0f}"),
+    Column(
+        heading="blocked",
+        key="blocked_share",
+        says="share of steps without danger that give less than half of the user's push ahead",
+        form="{:.1%}",
+    ),
+    Column(heading="times frozen", key="freezes", says="stood for 3 s or more while the user's stick was out"),
 )
 JUDGED: Final = (
     Column(
         heading="interventions",
         key="interventions",
-        says="runs of steps in which it did not do as asked, in all episodes",
+        says="stretches in which the policy did not do what was requested, in all episodes",
     ),
-    Column(heading="missed", key="missed", says="own crashes without an intervention in the 5 s before"),
-    Column(heading="judged", key="judged_episodes", says="episodes in which forks tell what came of the user's wish"),
+    Column(heading="missed crashes", key="missed", says="own crashes without an intervention in the last 5 s"),
+    Column(
+        heading="judged episodes",
+        key="judged_episodes",
+        says="their interventions were judged in copies of the world in which the user drives on alone",
+    ),
     Column(
         heading="needed",
         key="needed",
-        says="interventions of the judged episodes without which the user would have crashed in 5 s",
+        says="judged interventions without which the user crashes within 5 s",
     ),
     Column(
-        heading="needless",
+        heading="unneeded",
         key="needless",
-        says="interventions of the judged episodes without which nothing would have happened in 5 s",
+        says="judged interventions without which nothing happens within 5 s",
     ),
     Column(
-        heading="warned",
+        heading="warned in time",
         key="warned_share",
-        says="share of dangers warned of at least 1 s ahead; 0 % also of a policy that cannot warn",
+        says="share of dangers with a warning at least 1 s ahead; 0 % if the policy cannot warn",
         form="{:.0%}",
     ),
     Column(
-        heading="false warnings/km",
+        heading="false warnings per km",
         key="false_warnings_per_km",
-        says="warnings a km that no danger followed",
+        says="warnings that no danger follows",
         form="{:.0f}",
     ),
 )
@@ -130,7 +144,7 @@ def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> E
     return Exhibit(
         name=name,
         title=f"Part {part}" if part else "All parts",
-        says="Below a figure: its 95 % interval.",
+        says="Small figures are 95 % intervals.",
         body=joined((safety, service, judged)),
         csv=csv_of(["policy", *keys], plain),
     )
@@ -155,17 +169,17 @@ def legend() -> Markup:
 def comparison_table(pairs: Sequence[Paired]) -> Exhibit:
     """Policies against their rivals over the same episodes."""
     counted = ("episodes", "saved", "lost", "p (McNemar)")
-    headings = ("policy", "against", "part", *counted, "score, difference", "separated")
+    headings = ("policy", "against", "part", *counted, "difference of scores", "different")
     whole = table(headings, [_pair_row(pair) for pair in pairs if not pair.part], "comparison")
     parts = table(headings, [_pair_row(pair) for pair in pairs if pair.part], "comparison-parts")
     columns = ("policy", "rival", "part", "episodes", "saved", "lost", "mcnemar_p", "difference")
     plain = [[*(getattr(pair, name) for name in columns), *(pair.interval or (None, None))] for pair in pairs]
     return Exhibit(
         name="comparison",
-        title="The same episodes, driven by two",
-        says="saved: the rival crashes by its own fault and the policy does not; lost: the other way round. The "
-        "interval is drawn over the differences of single episodes. Each holds for itself: of twenty comparisons "
-        "of equals one is separated by chance.",
+        title="Paired comparisons over the same episodes",
+        says="saved: only the policy that it is compared with has an own crash; lost: only this policy has one. "
+        "Intervals are bootstrapped over the differences of single episodes. Each comparison stands alone: of twenty "
+        "between equal policies, about one looks different by chance.",
         body=joined((whole, el("details", el("summary", "The same, part by part"), parts, class_="more"))),
         csv=csv_of((*columns, "low", "high"), plain),
     )
@@ -201,7 +215,7 @@ def weights_table(result: KeptResult) -> Exhibit:
     says = "; ".join(f"{way.name}: {way.says}" for way in WEIGHTINGS)
     return Exhibit(
         name="weights",
-        title="What other weights would say",
+        title="Scores with other weights",
         says=f"{says}.",
         body=table(headings, shown, "weights"),
         csv=csv_of(columns, plain),

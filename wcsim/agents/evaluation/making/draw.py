@@ -72,7 +72,7 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
         who = wanted.profiles[number % len(wanted.profiles)]
         episodes = _apart(_ways(place, wanted, who, rng))
         if not episodes:
-            raise TownError(f"{place.name}: no way of {wanted.way_m[0]:g} m could be drawn; expected a larger town")
+            raise TownError(f"{place.name}: no route of {wanted.way_m[0]:g} m was found; expected a larger town")
         made.append(_block(place, wanted, seed, number, episodes))
     return made
 
@@ -98,7 +98,9 @@ def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) 
             found.append(attempt)
             ways.append((crossing, back))
     if not found:
-        raise TownError(f"{place.name}: no crossing with pavements at both ends; expected one: see `wcsim town check`")
+        raise TownError(
+            f"{place.name}: no crossing with pavements at both ends; expected at least one: see `wcsim town check`"
+        )
     made: list[BlockFile] = []
     while found:
         taken = _apart(iter(found))

@@ -21,6 +21,7 @@ from wcsim.agents.evaluation.suite.tight import tight_blocks
 from wcsim.config import RunConfig, load_run_config
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
+from wcsim.core.reading import counted
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
 from wcsim.towns.street import load_street
@@ -31,7 +32,7 @@ HANDOVER_S: Final = 10.0  # before the crash of the user alone the policy takes 
 SOONEST_S: Final = 12.0  # a crash before this leaves no time for that
 AFTER_S: Final = 20.0  # so long after the handover a hazard lasts
 SETTINGS: Final = ("cameras.0.noise=typical", "world.action_delay_ticks=2", "env.max_steps=10000")
-_MORE: Final = "ask for more ways to look through (--more-ways 6), or for no hazards (--hazards 0)"
+_MORE: Final = "search more routes (--more-ways 6), or leave hazards out (--hazards 0)"
 CARELESS_STREET: Final = "world.attention_share=0.7"
 USUAL_STREET: Final = "world.attention_share=0.95"
 
@@ -71,9 +72,9 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     places = [place_of(own, street, config, name) for name, own, street in streets]
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
-    drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free ways and {len(crossing)} of attempts at crossings"
-    told(f"{drawn} are drawn", 0.0)
-    free = settled(order, named, free, told, "free ways", _starts_well)
+    drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free routes and {len(crossing)} of attempts at crossings"
+    told(f"drew {drawn}", 0.0)
+    free = settled(order, named, free, told, "free routes", _starts_well)
     crossing = settled(order, named, crossing, told, "attempts", _starts_well)
     more = [block for place in places for block in _free(place, order, more=True)] if order.more_ways else []
     hazard = _hazards(order, named, [*free, *more], config, told) if order.hazards else []
@@ -118,11 +119,11 @@ def _crossing(place: DrawPlace, order: MakeOrder) -> list[BlockFile]:
 def _hazards(
     order: MakeOrder, towns: tuple[TownOfSuite, ...], free: Sequence[BlockFile], config: RunConfig, told: Told
 ) -> list[BlockFile]:
-    first = _alone(order, towns, free, told, "free ways")
+    first = _alone(order, towns, free, told, "free routes")
     candidates = [_crashing(block, first, index, config) for index, block in enumerate(free)]
     blocks = [block for block in candidates if block is not None]
     if not blocks:
-        raise TownError(f"the user alone crashed nowhere; expected some crashes: {_MORE}")
+        raise TownError(f"no drive of the user alone ended in an own crash; expected some: {_MORE}")
     again = _alone(order, towns, blocks, told, "hazards")
     found: list[BlockFile] = []
     left = {town.name: order.hazards for town in towns}
@@ -134,8 +135,8 @@ def _hazards(
             found.append(taken.model_copy(update={"episodes": episodes}))
     settled_ones = settled(order, towns, found, told, "hazards to the end", _ends_in_time)
     number = sum(len(block.episodes) for block in settled_ones)
-    none = f"no hazards found: nobody who crashed alone did so again without the others; {_MORE}"
-    told(f"{number} hazard{'s' * (number > 1)} found" if number else none, 0.0)
+    none = f"no hazards found: no crash of the user alone happened again without the other chairs; {_MORE}"
+    told(f"found {counted(number, 'hazard')}" if number else none, 0.0)
     return settled_ones
 
 

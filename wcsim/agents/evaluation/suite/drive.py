@@ -253,7 +253,7 @@ def _at_most(limit_s: float) -> Iterator[None]:
     """Raise PolicyError in this thread, the process's main one, after `limit_s` of wall clock."""
 
     def late(_number: int, _frame: FrameType | None) -> None:
-        raise PolicyError(f"the policy gave no answer for {limit_s:g} s; expected one a tick: make it faster")
+        raise PolicyError(f"the policy gave no answer for {limit_s:g} s; expected one per tick: make it faster")
 
     before = signal.signal(signal.SIGALRM, late)
     signal.setitimer(signal.ITIMER_REAL, limit_s)

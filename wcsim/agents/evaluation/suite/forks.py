@@ -44,7 +44,9 @@ def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) ->
     os.waitpid(pid, 0)
     if len(answer) != _ANSWER.size:
         said = answer.decode(errors="replace") or "no answer"
-        raise PhysicsError(f"the copy of the world that judges seat {seat} gave {said}; expected seconds: try again")
+        raise PhysicsError(
+            f"the copy of the world that judges seat {seat} returned {said}; expected seconds: try again"
+        )
     (crash_s,) = _ANSWER.unpack(answer)
     return None if math.isinf(crash_s) else float(crash_s)
 

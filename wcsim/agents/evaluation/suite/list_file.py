@@ -84,8 +84,8 @@ def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
         got = content_hash(town)
         if got != wanted.sha256:
             raise TownError(
-                f"town {wanted.name} hashes to {got[:12]}; expected {wanted.sha256[:12]}, the one that the list "
-                f"{file.suite} {file.set} was made for: make a list of your own with --make-suite {wanted.name}"
+                f"town {wanted.name} has the hash {got[:12]}; expected {wanted.sha256[:12]}, for which the list "
+                f"{file.suite} {file.set} was made: make your own list with --make-suite {wanted.name}"
             )
         found[wanted.name] = town
     return found
@@ -126,7 +126,7 @@ def require_towns(file: SuiteFile) -> None:
     named = {town.name for town in file.towns}
     for block in file.blocks:
         if block.part != TIGHT and block.town not in named:
-            raise ConfigError(f"a block is in town {block.town!r}; expected one of {sorted(named)}: name it in `towns`")
+            raise ConfigError(f"a block is in town {block.town!r}; expected one of {sorted(named)}: add it to `towns`")
 
 
 def block_key(suite: Suite, index: int, policy: str) -> str:

@@ -29,7 +29,7 @@ def settings_in_list(policy: str, preset: str, settings: tuple[str, ...]) -> Run
 
 
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
-    """A line for each policy that learned under other rules than the list's. Raises as `settings_in_list` does."""
+    """A line for each policy that was trained under other rules than the list's. Raises as `settings_in_list` does."""
     for policy in policies:
         if is_plain(policy) and not is_onnx(policy):
             continue
@@ -38,7 +38,7 @@ def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...
         if other:
             was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)
             now = ", ".join(f"{name}={_text(value)}" for name, _, value in other)
-            yield f"{policy} learned with {was}; all policies of a list are tested alike, with {now}"
+            yield f"{policy} was trained with {was}; all policies of a list are tested with {now}"
 
 
 def _others(learned: RunConfig, tested: RunConfig) -> Iterator[tuple[str, Any, Any]]:

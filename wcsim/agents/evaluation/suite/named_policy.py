@@ -108,7 +108,7 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
         raise
     except Exception as fault:  # the user's own class may raise anything
         raise PolicyError(
-            f"policy {name!r} could not be built with the configuration as its one argument: "
+            f"policy {name!r} could not be created with the configuration as its only argument: "
             f"{type(fault).__name__}: {fault}"
         ) from fault
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]

@@ -90,9 +90,9 @@ def require_same(record: EpisodeRecord, kept: Mapping[str, Any]) -> None:
     if wrong:
         name = wrong[0]
         raise ConfigError(
-            f"episode {record.block}.{record.seat} went another way than the one that was kept: {name} is "
+            f"episode {record.block}.{record.seat} differs from the saved one: {name} is "
             f"{str(got.get(name))[:60]}, expected {str(kept.get(name))[:60]}; wcsim, the policy, its settings or the "
-            "list is another one than in the test: run the test again"
+            "list has changed since the test: run the test again"
         )
 
 

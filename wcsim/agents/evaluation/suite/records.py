@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -126,15 +126,17 @@ def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
 
     >>> place = {"block": 0, "seat": 0, "part": "free", "town": "helsinki", "profile": "ataxic"}
     >>> undriven("mine", [EpisodeRecord(**place, status=REFUSED, reason="it has no weights")])
-    ['mine: 1 of 1 episodes refused: it has no weights']
+    ['mine: refused in 1 of 1 episode: it has no weights']
     """
     told = []
     for status, word in ((REFUSED, "refused"), (POLICY_FAILED, "failed")):
         reasons = Counter(record.reason for record in records if record.status == status)
         if reasons:
-            more = f" (and {len(reasons) - 1} other reasons, see episodes.json)" if len(reasons) > 1 else ""
+            other = counted(len(reasons) - 1, "other reason")
+            more = f" (and {other}, see episodes.json)" if len(reasons) > 1 else ""
             reason = " ".join(reasons.most_common(1)[0][0].split())
-            told.append(f"{policy}: {reasons.total()} of {len(records)} episodes {word}: {shown(reason, 400)}{more}")
+            of = counted(len(records), "episode")
+            told.append(f"{policy}: {word} in {reasons.total()} of {of}: {shown(reason, 400)}{more}")
     return told
 
 
@@ -142,7 +144,7 @@ def record_of(data: Mapping[str, Any]) -> EpisodeRecord:
     """A record from `to_json`. Raises ConfigError for anything else."""
     known = {field.name for field in fields(EpisodeRecord)}
     if not isinstance(data, Mapping) or not set(data) <= known:
-        raise ConfigError("a kept result is not one of this version; expected the fields of an episode: remove it")
+        raise ConfigError("a saved block is not of this version; expected the fields of an episode: remove it")
     values = dict(data)
     values["interventions"] = tuple(Intervention(**item) for item in values.get("interventions", ()))
     values["end_m"] = tuple(values.get("end_m", (0.0, 0.0)))

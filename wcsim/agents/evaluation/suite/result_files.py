@@ -76,7 +76,7 @@ def read_result(folder: Path) -> KeptResult:
     names = [row["policy"] for row in pooled]
     changed = data.get("changed", [])
     if set(names) != set(episodes) or not isinstance(changed, list):
-        raise ConfigError(f"{shown(path)}: does not name the policies of {EPISODES}; run the test again with --resume")
+        raise ConfigError(f"{shown(path)}: names other policies than {EPISODES}; run the test again with --resume")
     asked = read_json(folder / ASKED, _KIND) if is_file(folder / ASKED) else {}
     return KeptResult(
         suite=_text(data.get("suite"), path),
@@ -128,7 +128,7 @@ def _episode(data: object, path: Path) -> KeptEpisode:
         expected = _PLAIN.get(str(field.type))
         fits = not there or expected is None or _is(data[field.name], expected)
         if not fits or (not there and field.default is MISSING):
-            raise ConfigError(f"{shown(path)}: is damaged; {field.name} of an episode is no {field.type}")
+            raise ConfigError(f"{shown(path)}: is damaged; {field.name} of an episode is not {field.type}")
     beside = {"path_m", *_MEASURED} - own
     try:
         record = record_of({key: value for key, value in data.items() if key not in beside})
@@ -159,5 +159,5 @@ def _is(value: object, expected: tuple[type, ...]) -> bool:
 def _points(items: Any) -> tuple[tuple[float, float], ...]:
     points = tuple((x, y) for x, y in items)
     if not all(_is(value, (int, float)) for point in points for value in point):
-        raise ValueError("a place that is none")
+        raise ValueError("a place that is not two numbers")
     return points

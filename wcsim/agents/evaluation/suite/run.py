@@ -43,7 +43,7 @@ from wcsim.server.workers.machines import HERE, Machines
 from wcsim.server.workers.worker_api import At, Parcel, Work, Workers
 
 UNAIDED: Final = "follow"  # the user alone, on the grid of actions
-_KEPT: Final = FileKind(what="a kept result of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
+_KEPT: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
 _LEAST_LATE_S: Final = 1800.0  # blocks differ by much
 _LOOK_S: Final = 1.0
@@ -199,7 +199,7 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
         policies = {piece.policy for piece in pieces}
         for policy in sorted(policies):
             if is_served(policy):
-                told = "is a process of this machine; expected others, or --jobs without --cluster"
+                told = "is a process of this machine; test other policies, or use --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
         own = [policy for policy in policies if is_own_class(policy)]
         require_travels(RunConfig(), _all_settings(order), (*own, order.network), _users(order))

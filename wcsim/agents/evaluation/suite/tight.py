@@ -33,7 +33,7 @@ def open_tight(block: BlockFile, work: Path) -> Town:
     if got != block.scene_sha256:
         raise TownError(
             f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
-            "the list says: it was made by another version of wcsim"
+            "the list says: the list was made by another version of wcsim"
         )
     return build_scene(folder, work / _TOWN)[0]
 

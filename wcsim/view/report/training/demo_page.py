@@ -15,14 +15,14 @@ from wcsim.view.report.page import Section, page
 DEMO_PAGE: Final = "demo.html"
 _COLUMNS: Final = (
     ("crashes_own", "own crashes", "{:d}"),
-    ("crashes_other", "crashes caused by others", "{:d}"),
+    ("crashes_other", "crashes by others", "{:d}"),
     ("km", "km", "{:.2f}"),
     ("kpi1_mean", "KPI 1: distance to the user's stick", "{:.3f}"),
-    ("kpi1_within", "steps close to it (0.18)", "{:.0%}"),
-    ("kpi2_mean_steps", "KPI 2: steps without a crash", "{:.0f}"),
-    ("routes_completed", "routes completed", "{:d}"),
+    ("kpi1_within", "close to user: steps within 0.18", "{:.0%}"),
+    ("kpi2_mean_steps", "KPI 2: steps of an episode", "{:.0f}"),
+    ("routes_completed", "routes done", "{:d}"),
     ("crossings", "crossings", "{:d}"),
-    ("red_entries", "crossings at red", "{:d}"),
+    ("red_entries", "red lights", "{:d}"),
 )
 
 
@@ -43,7 +43,7 @@ def write_demo_page(folder: Path, what: DemoShown) -> Path:
     still = el("img", src=data_uri("image/png", what.still_png), alt=what.film_says, width="100%")
     film = joined((el("p", el("a", still, href=what.film)), el("p", what.film_says, class_="says")))
     tables = joined(joined((el("h3", _title(result)), _table(result))) for result in what.results)
-    told = "Do not compare policies by a single column: a chair that stands still never crashes, and never arrives."
+    told = "No single column decides: a chair that stands still never crashes, and never arrives."
     steps = el("ul", *(el("li", el("code", command), f" {does}") for command, does in what.commands))
     sections = (
         Section(name="film", title="The film", body=film),

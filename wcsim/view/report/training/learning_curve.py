@@ -58,8 +58,8 @@ class LimitCrossing:
         'KPI 1 (mean of 20 episodes) is below 0.1768 from step 1200 on, above it again since step 9000'
         """
         if self.episodes < LEAST:
-            return f"KPI 1: {counted(self.episodes, 'episode')}, too few for a mean (at least {LEAST})"
-        mean = f"KPI 1 (mean of {min(OVER, self.episodes)} episodes)"
+            return f"KPI 1: {counted(self.episodes, 'episode')}; a mean needs at least {LEAST}"
+        mean = f"KPI 1, mean of {min(OVER, self.episodes)} episodes"
         if self.step is None:
             return f"{mean} never falls below {KPI1_LIMIT}"
         after = f", above it again since step {self.left}" if self.left is not None else ""

@@ -16,12 +16,13 @@ from wcsim.view.report.page import Section, shown
 Runs = Mapping[str, tuple[TrainedRound, ...]]
 _THOUSAND: Final = 1000.0
 _LOSS_SAYS: Final = (
-    "Loss at the end of each round, smoothed over about 50 updates, for all 81 positions. Each round adds data, so the "
-    "loss need not fall. Test the network to judge it: wcsim test"
+    "Loss at the end of a round, smoothed over about 50 updates, over all 81 positions. Each round adds new driving "
+    "data, so the loss may rise although the network gets better"
 )
 _CRASH_SAYS: Final = (
-    "Crashes per 1,000 new steps of a round, of all drivers: users and oracle. From the third round on, the network of "
-    "two rounds earlier also drives a share of the episodes, so more crashes do not mean a worse network"
+    "Crashes per 1,000 new steps of data: users and the oracle drive, and from the third round on, in a share of the "
+    "episodes, the network of the round before the last. Their driving is disturbed on purpose, so this is no "
+    "measure of the network"
 )
 
 
@@ -84,8 +85,8 @@ def _table(runs: Runs) -> Exhibit:
     return Exhibit(
         name="rounds",
         title="Rounds",
-        says="Training steps so far, new ones of this round, and the share of all in which a position is unsafe. "
-        "Crashes of this round, updates so far, wall clock times.",
+        says="Steps: all samples so far. New: added in this round. With dangers: share of all steps in which some "
+        "stick position ends in a crash. Crashes of this round. Updates so far. Times are wall-clock time.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )

@@ -42,11 +42,11 @@ def _section(run: Path, number: int) -> tuple[Section, Exhibit]:
         name="selection" if number == 0 else f"selection-{number + 1}",
         title=f"{run.resolve().name}: {result.suite} {result.set}",
         says=f"Each client after its first phase, tested on {result.set}; follow is the user alone. The client with "
-        f"the highest score learns the second phase. Details: wcsim report {shlex.quote(str(run / SELECTION))}",
+        f"the highest score continues. Details: wcsim report {shlex.quote(str(run / SELECTION))}",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )
-    return Section(name=exhibit.name, title="Who learns the second phase", body=shown(exhibit)), exhibit
+    return Section(name=exhibit.name, title="Which client learns the second phase", body=shown(exhibit)), exhibit
 
 
 def _cell(value: object) -> Cell:

@@ -1,8 +1,9 @@
-"""The page of a training: how each client came to follow its user, and to stay alive (Fig. 7a, 7b), or its rounds."""
+"""The page of a training: how each client learned to follow its user without crashes (Fig. 7a, 7b), or its rounds."""
 
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ from typing import Final
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure
-from wcsim.view.report.markup import Cell, Exhibit, csv_of, el, table
+from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, table
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.training.learning_curve import (
     KPI1_LIMIT,
@@ -25,18 +26,18 @@ from wcsim.view.report.training.learning_curve import (
 from wcsim.view.report.training.round_figures import round_sections
 
 _KPI1_SAYS: Final = (
-    f"Mean distance between the user's and the agent's joystick over an episode, with the limit {KPI1_LIMIT}. In the "
-    "first phase, of the actions that the agent would have chosen. Triangle: the mean falls below the limit"
+    f"Mean distance between the driven and the user's stick in an episode, and its limit {KPI1_LIMIT}. In the first "
+    "phase it is that of the actions that the agent would have chosen. Triangle: the mean falls below the limit"
 )
 _OVER_SAYS: Final = (
-    "Overestimation: value of the best action at the start of an episode minus the actual discounted return, in units "
-    "of the scaled reward. It is higher without double Q-learning (learn.double_q). In the first phase the user's "
-    "actions were executed"
+    "Value of the best action at the start of an episode minus the discounted return that followed, both scaled. "
+    "Above 0 the network overestimates, more so without double Q-learning (learn.double_q). In the first phase the "
+    "user's actions were executed"
 )
 _Value = Callable[[TrainedEpisode], float | None]
 _FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
     ("kpi1", "Fig. 7a: ", "KPI 1, mean joystick distance", _KPI1_SAYS, lambda e: e.kpi1),
-    ("length", "Fig. 7b: ", "KPI 2, steps without a crash", "Length of each episode in steps, at most its limit: KPI 2",
+    ("length", "Fig. 7b: ", "KPI 2, steps of an episode", "Steps until a crash, or until the limit of an episode",
      lambda e: float(e.length)),
     ("overestimate", "", "value minus return", _OVER_SAYS, lambda e: e.overestimate),
 )  # fmt: skip
@@ -63,9 +64,18 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
         clients = _table(training)
         parts.append((Section(name="clients", title="Clients", body=shown(clients)), (clients,)))
     intro = facts([("clients", ", ".join((*training.clients, *training.rounds))), *_runs(training)])
+    intro = joined((intro, _worth(training)))
     title = f"Training {folder.resolve().name}"
     exhibits = [exhibit for _, held in parts for exhibit in held]
     return write_page(folder, page(title, intro, [section for section, _ in parts]), exhibits)
+
+
+def _worth(training: Training) -> Markup:
+    """What the curves do not say, and the command that does."""
+    runs = [name for name, manifest in training.manifests.items() if "clients" not in manifest]
+    policies = " ".join(map(shlex.quote, runs)) or "RUN/CLIENT"
+    told = "Curves of a training do not say how good a policy is: whoever drives them also explores. A test does: "
+    return el("p", told, el("code", f"wcsim test {policies} --suite dev --jobs 2"))
 
 
 def _curves(training: Training) -> list[tuple[Section, Sequence[Exhibit]]]:
@@ -120,9 +130,8 @@ def _figure(training: Training, key: str, number: str, label: str, says: str, of
     return figure(
         _NAMES[key],
         f"{number}{label}",
-        f"{says}. Each dot is an episode, at the step of its end. Lines are means of the last {OVER} episodes. Dashed, "
-        "in a client's colour: the end of its first phase, in which the user's actions are executed. The curves "
-        "include exploration; wcsim test judges the policy itself.",
+        f"{says}. One dot per episode, at its last step; lines are means of the last {OVER} episodes. Dashed, in the "
+        "client's colour: the end of its first phase, in which the user's action is executed. Exploration is included.",
         csv_of(("client", "step", "phase", key, f"mean_of_{OVER}", "crashed"), plain),
         curve_chart(_NAMES[key], label, curves, limit),
     )
@@ -144,8 +153,8 @@ def _table(training: Training) -> Exhibit:
     return Exhibit(
         name="clients",
         title="Clients",
-        says="Steps up to the last finished episode. Means are over the last episodes. KPI 1 falls below its limit "
-        "where the mean in the figure does.",
+        says="Steps until the last finished episode; means over the last episodes. KPI 1 counts as below its limit "
+        "where the line of the figure is.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
         csv=csv_of(headings, rows),
     )

@@ -43,11 +43,11 @@ def _section(run: Path, number: int, times: PaidTimes) -> tuple[Section, Exhibit
     headings, rows = waiting_rows(times)
     exhibit = Exhibit(
         name="waiting" if number == 0 else f"waiting-{number + 1}",
-        title=f"{run.resolve().name}: waiting times",
-        says="Seconds of each client, over all its restarts. A client waits for the world's own work, or for other "
-        "clients and messages. It may learn while it waits; the rest is idle. Learning costs nothing while another "
-        "client is late. The last columns show how long each client, once it had acted, waited for each other "
-        "one. If several were late, the time is shared among them. World work and messages are not included",
+        title=f"{run.resolve().name}: waiting between clients",
+        says="Seconds of each client, restarts included. A client waits for the world's own work, or for other clients "
+        "and messages. It may learn meanwhile; the rest is idle time. Learning costs nothing while another client is "
+        "waited for. The last columns: how long a client that had acted waited for each of the others; time for which "
+        "several were late is divided among them. These columns leave out the world's work and messages.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
         csv=csv_of(headings, rows),
     )

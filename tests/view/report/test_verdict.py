@@ -1,0 +1,84 @@
+"""The verdict of a test: figures of the result in plain words, and no winner by chance."""
+
+from dataclasses import replace
+from textwrap import wrap
+
+import pytest
+
+from tests.view.report.results import SCRIPT, crashed, record, write_result
+from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
+from wcsim.agents.evaluation.suite.result_files import read_result
+from wcsim.view.report.comparisons import paired
+from wcsim.view.report.verdict import verdict
+
+
+@pytest.fixture
+def result(tmp_path):
+    write_result(tmp_path)
+    return read_result(tmp_path)
+
+
+def only(result, *names):
+    kept = {name: result.episodes[name] for name in names}
+    return replace(result, episodes=kept, pooled=[row for row in result.pooled if row["policy"] in names])
+
+
+def driven(result, policy, records):
+    """The result with other episodes of a policy."""
+    kept = result.episodes["follow"][0]
+    return replace(result, episodes={**result.episodes, policy: tuple(replace(kept, record=one) for one in records)})
+
+
+def test_it_counts_crashes_by_the_chairs_fault_and_says_what_help_costs(result):
+    said = verdict(only(result, "follow", "dwa"))
+    assert said.startswith("Of 6 drives, the chair caused a crash in 4 with the user alone and 0 with dwa. ")
+    assert said.endswith(" In safe moments dwa did 95 % as requested, with 0 unneeded interventions.")
+    needless = Intervention(first=1, last=2, verdict=NEEDLESS)
+    busy = driven(
+        only(result, "follow", "dwa"), "dwa", [record(0, interventions=(needless,)), *map(record, range(1, 6))]
+    )
+    assert verdict(busy).endswith("with 1 unneeded intervention.")
+    some = driven(busy, "dwa", [record(0, interventions=(needless,)), *(record(n, judged=False) for n in range(1, 6))])
+    assert verdict(some).endswith("with 1 unneeded intervention in 1 judged drive.")
+    blind = driven(busy, "dwa", [record(n, judged=False) for n in range(6)])
+    assert verdict(blind).endswith(" as requested.")
+
+
+def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
+    assert paired(result, "dwa", "follow", "").separated
+    assert " dwa has the highest score. " in verdict(only(result, "follow", "dwa"))
+    apart = [paired(result, "dwa", name, "").separated for name in result.episodes if name != "dwa"]
+    assert not all(apart)
+    said = verdict(result)
+    assert "highest" not in said and " cannot be told apart here." in said
+    assert f"The best {1 + apart.count(False)} of 5 policies" in said
+    three = only(result, "dwa", "net@0.25", "net@0.75")
+    assert " dwa, net@0.25 and net@0.75 cannot be told apart here. " in verdict(three)
+    strangers = replace(result, episodes={**result.episodes, "follow": result.episodes["follow"][:0]})
+    assert "the user alone among them" in verdict(strangers), "they share no episode"
+    few = only(result, "follow", "dwa")
+    few = replace(few, episodes={name: found[:2] for name, found in few.episodes.items()})
+    assert "Of 2 drives, " in verdict(few) and "Fewer than 6 drives cannot tell policies apart." in verdict(few)
+
+
+def test_own_policies_come_first_and_it_stays_short(result):
+    said = verdict(result)
+    assert len(wrap(said, 100)) <= 3
+    assert "net@0.25 (it failed in 1)" in said and SCRIPT not in said
+    two = only(result, "follow", "dwa")
+    named = {**two.episodes, "own_policy:Careful": two.episodes["dwa"]}
+    rows = [*two.pooled, {**two.pooled[1], "policy": "own_policy:Careful"}]
+    both = verdict(replace(two, episodes=named, pooled=rows))
+    assert "0 with own_policy:Careful and 0 with dwa. dwa and own_policy:Careful cannot be told apart here." in both
+    assert both.endswith(" did 95 % as requested and dwa 95 %, with 0 and 0 unneeded interventions.")
+    far = "runs/" + "x" * 200
+    rows = [{**row, "policy": far if row["policy"] == "dwa" else row["policy"]} for row in two.pooled]
+    found = {**two.episodes, "net": two.episodes["dwa"], far: two.episodes["dwa"]}
+    assert " 0 with net." in verdict(replace(two, episodes=found, pooled=[*rows, {**rows[1], "policy": "net"}]))
+
+
+def test_a_test_of_the_user_alone_or_of_bounds_crowns_nothing(result):
+    assert verdict(only(result, "follow")) == "Of 6 drives, the chair caused a crash in 4 with the user alone."
+    assert verdict(only(result, "dwa")).startswith("Of 6 drives, the chair caused a crash in 0 with dwa. In safe")
+    one = driven(only(result, "follow"), "follow", [crashed(0)])
+    assert verdict(one) == "Of 1 drive, the chair caused a crash in 1 with the user alone."
