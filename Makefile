@@ -21,7 +21,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@echo "installing into .venv (the first time takes some minutes) ..."
 	@echo "1/3 PyTorch ..."
-	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--retries 2 --extra-index-url $(TORCH_INDEX)) torch
 	@echo "2/3 SUMO, PyBullet and the other packages ..."
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt $$($(BIN)/python tools/dev_requirements.py)
 	@echo "3/3 wcsim ..."
@@ -71,7 +71,7 @@ release: $(STAMP)
 	$(BIN)/python -m build --no-isolation
 	$(PYTHON) -m venv build/release
 	@echo "installing the wheel into a fresh venv ..."
-	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt $(if $(TORCH_INDEX),--retries 2 --extra-index-url $(TORCH_INDEX)) torch
 	build/release/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
 	cd build/release && bin/wcsim doctor && bin/wcsim scene run car-at-zebra
 	@ls -l dist

@@ -20,7 +20,7 @@ def missing_library(said: str) -> str:
     """What to do where the loader says that a library of the system is not there; "" where it says nothing of the kind.
 
     >>> missing_library("ImportError: libXrender.so.1: cannot open shared object file: No such file or directory")[:35]
-    'the library libXrender.so.1 is missi'
+    'the library libXrender.so.1 is miss'
     >>> missing_library("cannot open shared object file")
     ''
     """

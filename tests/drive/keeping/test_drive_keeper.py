@@ -254,7 +254,7 @@ def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str
 
 
 def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
-    with pytest.raises(TownError, match="this wcsim draws another"):
+    with pytest.raises(TownError, match="this wcsim generates another"):
         town_of_scene(made_scene_of(f"car-door 7 {'0' * 64}"))
     for text in ("car-door 7", f"../car 7 {'0' * 64}", f"car-doors 7 {'0' * 64}"):
         with pytest.raises(TownError, match="which this wcsim does not know"):

@@ -78,28 +78,31 @@ def _told_apart(result: KeptResult) -> str:
 
 def _price(result: KeptResult, helping: Sequence[str]) -> str:
     """How often each did what the user requested, and intervened without need."""
-    close: list[str] = []
-    unneeded: list[int] = []
-    judged: list[tuple[int, int]] = []  # episodes that forks judged, of how many
-    for name in helping:
-        records = _records(result, name)
-        moving = sum(record.moving_steps for record in records)
-        if not moving:
-            continue
-        share = 100.0 * sum(record.moving_within for record in records) / moving
-        looked_at = [record for record in records if record.judged]
-        close.append(f"{name} {share:.0f} %" if close else f"{name} did {share:.0f} % as requested")
-        unneeded.append(sum(item.verdict == NEEDLESS for record in looked_at for item in record.interventions))
-        judged.append((len(looked_at), len(records)))
-    if not close:
+    driven = [(name, _records(result, name)) for name in helping]
+    moved = [(name, records) for name, records in driven if sum(record.moving_steps for record in records)]
+    if not moved:
         return ""
-    told = f"In safe moments {_and(close)}"
-    if not all(some for some, _ in judged):
-        return f"{told}."
-    among = "" if all(some == of for some, of in judged) else f" in {counted(judged[0][0], 'judged drive')}"
-    counts = _and([str(count) for count in unneeded])
+    shares = [(name, _close_percent(records)) for name, records in moved]
+    close = [f"{name} {share:.0f} %" for name, share in shares]
+    close[0] = f"{shares[0][0]} did {shares[0][1]:.0f} % as requested"
+    return f"In safe moments {_and(close)}{_needless([records for _, records in moved])}."
+
+
+def _close_percent(records: Sequence[EpisodeRecord]) -> float:
+    moving = sum(record.moving_steps for record in records)
+    return 100.0 * sum(record.moving_within for record in records) / moving
+
+
+def _needless(policies: Sequence[Sequence[EpisodeRecord]]) -> str:
+    """Interventions without need of each policy, where its episodes were judged by counterfactual rollouts."""
+    judged = [[record for record in records if record.judged] for records in policies]
+    if not all(judged):
+        return ""
+    unneeded = [sum(item.verdict == NEEDLESS for record in seen for item in record.interventions) for seen in judged]
+    whole = [len(seen) for seen in judged] == [len(records) for records in policies]
+    among = "" if whole else f" in {counted(len(judged[0]), 'judged drive')}"
     word = "unneeded intervention" if unneeded == [1] else "unneeded interventions"
-    return f"{told}, with {counts} {word}{among}."
+    return f", with {_and([str(count) for count in unneeded])} {word}{among}"
 
 
 def _called(name: str) -> str:

@@ -109,6 +109,14 @@ class Sleeps(Held):
         return self.action
 
 
+class Waits(Held):
+    """Each answer takes longer by the wall clock than it may by the processor's."""
+
+    def act(self, observation: object) -> int:
+        time.sleep(0.3)
+        return self.action
+
+
 class Starts(Held):
     """Is never ready."""
 

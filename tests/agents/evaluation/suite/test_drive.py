@@ -10,6 +10,7 @@ from tests.agents.evaluation.suite.lists import (
     OutOfTheGrid,
     Sleeps,
     Starts,
+    Waits,
     WarnsAlways,
     block_of,
     config,
@@ -47,7 +48,7 @@ def test_who_follows_obeys_and_ends_in_one_of_the_ways_that_there_are(corner):
         (OutOfTheGrid, 10.0, "0 to 80"),
         (NoNumber, 10.0, "nan"),
         (Sleeps, 0.2, "0.2 s"),
-        (Starts, 0.2, "1.2 s"),
+        (Starts, 0.05, "0.3 s"),
     ],
 )
 def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, policy, late_s, said):
@@ -56,6 +57,11 @@ def test_a_policy_that_fails_fails_its_episode_and_the_others_go_on(corner, poli
     assert failed.status == "policy_failed" and said in failed.reason
     assert failed.steps == {Dies: 5, Sleeps: 1}.get(policy, 0) and failed.score == 0.0
     assert other.status != "policy_failed" and other.steps > 5
+
+
+def test_a_policy_that_a_busy_machine_keeps_waiting_has_not_failed(corner):
+    records = drive_block(order_of(corner, block_of(corner, max_steps=3), late_s=0.1), lambda: Waits(0.0, 0.0))
+    assert [record.status for record in records] == ["timed_out", "timed_out"]
 
 
 def test_before_the_handover_the_user_drives_alone(corner):

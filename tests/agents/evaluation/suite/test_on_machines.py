@@ -54,7 +54,7 @@ def test_what_does_not_travel_is_refused_before_a_cluster_is_asked(corner, tmp_p
     order = SuiteOrder(
         suite=suite_in(corner, block_of(corner)), out=tmp_path, machines=Machines(cluster="10.255.255.1:6379")
     )
-    with pytest.raises(ConfigError, match=r"class tests.*does not travel"):
+    with pytest.raises(ConfigError, match=r"class tests.*cannot be sent"):
         run_suite(order, ["tests.agents.evaluation.suite.lists:Held"], lambda *said: None)
 
 

@@ -135,7 +135,7 @@ def test_garbage_is_refused_in_a_line(run: Path, tmp_path: Path) -> None:
     data = bytearray((run / "journal").read_bytes())
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "journal").write_bytes(data)
-    with pytest.raises(JournalError, match="is damaged after"):
+    with pytest.raises(JournalError, match="is damaged at byte"):
         Filmed(journal_film(tmp_path / "journal", None, ""))
     assert not world_in_this_process()
 

@@ -75,9 +75,9 @@ def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatc
     log(alone, *(row(10 * k, kpi1_greedy=0.1) for k in range(1, 11)), row(110, phase=2))
     assert main(["report", "run", "alone"]) == 0
     told = capsys.readouterr().out
-    assert "run/a: KPI 1, mean of 10 episodes, never below 0.1768" in told
+    assert "run/a: KPI 1 (mean of 10 episodes) never falls below 0.1768" in told
     assert "run/b: KPI 1: 1 episode; a mean needs at least 5" in told
-    assert "alone: KPI 1, mean of 11 episodes, below 0.1768 from step 50 on" in told
+    assert "alone: KPI 1 (mean of 11 episodes) is below 0.1768 from step 50 on" in told
     page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
     assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page
     with (tmp_path / "runs" / "report" / "report" / "clients.csv").open() as file:

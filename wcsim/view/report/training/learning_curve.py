@@ -59,7 +59,7 @@ class LimitCrossing:
         """
         if self.episodes < LEAST:
             return f"KPI 1: {counted(self.episodes, 'episode')}; a mean needs at least {LEAST}"
-        mean = f"KPI 1, mean of {min(OVER, self.episodes)} episodes"
+        mean = f"KPI 1 (mean of {min(OVER, self.episodes)} episodes)"
         if self.step is None:
             return f"{mean} never falls below {KPI1_LIMIT}"
         after = f", above it again since step {self.left}" if self.left is not None else ""

@@ -1,4 +1,4 @@
-"""The size of the project and its ceilings: `python -m tests.api.ceilings` prints a row a number, 1 when one is broken.
+"""Numbers of the project, each with its ceiling.
 
 Numbers only fall. A ceiling that stands more than `SLACK` above today's number is lowered in the same change; one rises
 only by what was agreed before, with the reason in the commit.
@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from tests.api import measures
+from tests.api.ceilings import measures
 
-SLACK: Final = 0.03  # of the number, so that no fall is given back unseen
+SLACK: Final = 0.05  # of the number, so that no fall is given back unseen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +69,9 @@ def faults(now: dict[str, float], rows: tuple[Row, ...] = ROWS) -> list[str]:
         if number > row.ceiling:
             found.append(f"{row.name}: {number:g}, expected at most {row.ceiling:g}; remove something or agree on more")
         elif row.ceiling > number * (1 + SLACK) + 1:
-            found.append(f"{row.name}: {number:g}, the ceiling is {row.ceiling:g}; lower it in tests/api/ceilings.py")
+            found.append(
+                f"{row.name}: {number:g}, the ceiling is {row.ceiling:g}; lower it in tests/api/ceilings"
+            )
     return found
 
 
@@ -80,7 +82,3 @@ def main() -> int:
     lines += [f"{row.name:<42}{row.first:>9,g}{row.ceiling:>9,g}{now[row.name]:>9,g}" for row in ROWS]
     sys.stdout.write("\n".join([*lines, *faults(now)]) + "\n")
     return int(bool(faults(now)))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -6,23 +6,23 @@ from dataclasses import replace
 
 import pytest
 
-from tests.api import ceilings, measures
+from tests.api.ceilings import measures, table
 
 
 @pytest.fixture(scope="module")
 def now() -> dict[str, float]:
-    return ceilings.counted()
+    return table.counted()
 
 
 def test_no_ceiling_is_broken_and_none_has_room(now: dict[str, float]) -> None:
-    assert ceilings.faults(now) == []
+    assert table.faults(now) == []
 
 
-@pytest.mark.parametrize("row", ceilings.ROWS, ids=lambda row: row.name)
-def test_a_number_that_grows_or_falls_is_noticed(row: ceilings.Row, now: dict[str, float]) -> None:
+@pytest.mark.parametrize("row", table.ROWS, ids=lambda row: row.name)
+def test_a_number_that_grows_or_falls_is_noticed(row: table.Row, now: dict[str, float]) -> None:
     low = replace(row, ceiling=now[row.name] - 1)
     high = replace(row, ceiling=1.5 * now[row.name] + 2)
-    assert [fault.partition(": ")[0] for fault in ceilings.faults(now, (low, high))] == [row.name, row.name]
+    assert [fault.partition(": ")[0] for fault in table.faults(now, (low, high))] == [row.name, row.name]
     assert row.ceiling <= row.first
 
 
