@@ -8,8 +8,7 @@ import pytest
 from tests.view.report.results import SCRIPT, crashed, record, write_result
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.comparisons import paired
-from wcsim.view.report.verdict import verdict
+from wcsim.view.report.comparisons import paired, verdict
 
 
 @pytest.fixture

@@ -141,7 +141,7 @@ def _judge(order: SuiteOrder, options: SuiteOptions, names: Sequence[str], say: 
     from wcsim.agents.evaluation.suite.records import undriven
     from wcsim.agents.evaluation.suite.result_files import read_result
     from wcsim.agents.evaluation.suite.run import run_suite
-    from wcsim.view.report.verdict import verdict
+    from wcsim.view.report.comparisons import verdict
 
     records = run_suite(order, names, lambda name, done, of: say(f"{name}: {done} of {of} blocks"))
     result = keep_result(order, options.suite, records)

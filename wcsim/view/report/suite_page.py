@@ -9,7 +9,7 @@ from pathlib import Path
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.core.reading import counted
-from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdicts
+from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdict, verdicts
 from wcsim.view.report.failure_list import failure_exhibit, worst_link
 from wcsim.view.report.failures import FailedEpisode, where_typed
 from wcsim.view.report.figures import figures_of
@@ -18,7 +18,6 @@ from wcsim.view.report.illustrate import Illustration, Key
 from wcsim.view.report.markup import Exhibit, Markup, csv_of, el, joined
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.tables import comparison_table, legend, result_table, weights_table
-from wcsim.view.report.verdict import verdict
 
 _BEST = 3
 _COLOURS_SAY = (
