@@ -15,7 +15,7 @@ from wcsim.types import U8
 from wcsim.view.driven_film import DrivenFilm, FilmDriver
 
 TOWN, SEED, POLICY, PROFILE = "helsinki", 1, "shipped", "inattentive"
-FIRST_TICK, TICKS = 578, 72  # somebody stops in front of the chair, and the user pushes on
+FIRST_TICK, TICKS = 578, 72  # a pedestrian stops in front of the chair, and the user pushes on
 WIDTH_PX, MAP_PX, STRIP_PX, EDGE_PX = 640, 168, 20, 6
 MAP_SHARE = 0.55  # of the film's map, from edge to edge
 QUALITY, MOST_BYTES = 75, 2_500_000
