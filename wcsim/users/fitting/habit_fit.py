@@ -113,7 +113,7 @@ def _smooth(item: HandSeries) -> F64:
 
 def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> FittedNumber:
     """A number of the rows (n, k) of all episodes, and its interval by drawing stretches of 10 s anew."""
-    rng = seeding.generator(0, "stretches drawn anew")
+    rng = seeding.generator(0, "stretches resampled")
     parts: list[F64] = []
     for table, item in zip(rows, series, strict=True):
         seconds = len(item.intents) * item.tick_s

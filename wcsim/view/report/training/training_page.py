@@ -74,7 +74,7 @@ def _worth(training: Training) -> Markup:
     """What the curves do not say, and the command that does."""
     runs = [name for name, manifest in training.manifests.items() if "clients" not in manifest]
     policies = " ".join(map(shlex.quote, runs)) or "RUN/CLIENT"
-    told = "Curves of a training do not say how good a policy is: whoever drives them also explores. A test does: "
+    told = "Curves of a training do not say how good a policy is, for it explores while it learns. A test does: "
     return el("p", told, el("code", f"wcsim test {policies} --suite dev --jobs 2"))
 
 
