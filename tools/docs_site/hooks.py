@@ -26,8 +26,11 @@ TOP_PAGES = {
 """Pages of the repository's first folder, and what they are called in the site."""
 
 SAME_PAGE = {there: here for here, there in TOP_PAGES.items()}
-STYLE = ".md-typeset pre > code { padding-right: 3rem; white-space: pre-wrap; overflow-wrap: anywhere; }\n"
-"""Long lines of code are wrapped, beside the button that copies them."""
+STYLE = (
+    ".md-typeset pre > code { padding-right: 3rem; white-space: pre-wrap; overflow-wrap: anywhere; }\n"
+    ".md-typeset table:not([class]) :is(th, td) { min-width: 0; padding: 0.5em 0.7em; }\n"
+)
+"""Long lines of code are wrapped, and tables are no wider than they must be."""
 LINK_OR_CODE = re.compile(r"(?P<text>\[[^\]\n]*\])\((?P<to>[^)\s]+)\)|`(?P<code>[\w./-]+)`")
 API_SECTION = re.compile(r"^## (.+)\n((?:(?!## ).*\n)*)", re.MULTILINE)
 ENV_OPTIONS = "wcsim.agents.envs.env_spec.EnvOptions"
