@@ -9,8 +9,9 @@ from textwrap import wrap
 from typing import Final
 
 from wcsim.agents.evaluation.intervals import FEWEST, Interval, bootstrapped, mcnemar
-from wcsim.agents.evaluation.suite.records import NEEDLESS, EpisodeRecord, saved_and_lost
+from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import KeptResult
+from wcsim.agents.evaluation.suite.rows import Row, row_of, undone
 from wcsim.agents.evaluation.suite.run import UNAIDED
 from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
 from wcsim.core.reading import counted
@@ -193,34 +194,30 @@ def verdict(result: KeptResult) -> str:
     """
     helping = [name for name in result.episodes if name not in _NO_HELP]
     helping.sort(key=lambda name: name.partition("@")[0] in NAMES)
+    driven = {name: result.episodes.get(name, ()) for name in (UNAIDED, *helping[:_MOST_POLICIES])}
+    # Of the episodes, not those of the file: of a file of others they are what was checked.
+    rows = [row_of(name, "", [episode.record for episode in found], ()) for name, found in driven.items() if found]
     said = ""
     for many in range(min(_MOST_POLICIES, len(helping)), -1, -1):
-        chosen = helping[:many]
-        sentences = (_crashes(result, chosen), _told_apart(result), _price(result, chosen))
+        chosen = [row for row in rows if row["policy"] in (UNAIDED, *helping[:many])]
+        sentences = (_crashes(chosen), _told_apart(result), _price(chosen))
         said = " ".join(sentence for sentence in sentences if sentence)
         if many <= 1 or len(wrap(said, _LINE)) <= _MOST_LINES:
             break
     return said
 
 
-def _records(result: KeptResult, name: str) -> list[EpisodeRecord]:
-    return [episode.record for episode in result.episodes.get(name, ())]
-
-
-def _crashes(result: KeptResult, helping: Sequence[str]) -> str:
+def _crashes(rows: Sequence[Row]) -> str:
     """How many drives ended with a crash by the chair's fault, without and with help."""
-    driven = {name: _records(result, name) for name in (UNAIDED, *helping)}
-    driven = {name: records for name, records in driven.items() if records}
-    if not driven:
+    if not rows:
         return ""
-    drives = len(next(iter(driven.values())))
+    drives = rows[0]["episodes"]
     counts = []
-    for name, records in driven.items():
-        of = "" if len(records) == drives else f" of {len(records)}"
-        left = sum(not record.held for record in records)
+    for row in rows:
+        of = "" if row["episodes"] == drives else f" of {row['episodes']}"
+        left = undone(row)
         failed = f" (it failed in {left})" if left else ""
-        own = sum(record.own for record in records)
-        counts.append(f"{own}{of} with {_called(name)}{failed}")
+        counts.append(f"{row['crashes_own']}{of} with {_called(row['policy'])}{failed}")
     return f"Of {counted(drives, 'drive')}, the chair caused a crash in {_and(counts)}."
 
 
@@ -243,33 +240,26 @@ def _told_apart(result: KeptResult) -> str:
     return f"{_first_upper(_and(named))} cannot be told apart here."
 
 
-def _price(result: KeptResult, helping: Sequence[str]) -> str:
+def _price(rows: Sequence[Row]) -> str:
     """How often each did what the user requested, and intervened without need."""
-    driven = [(name, _records(result, name)) for name in helping]
-    moved = [(name, records) for name, records in driven if sum(record.moving_steps for record in records)]
+    moved = [row for row in rows if row["policy"] != UNAIDED and row["kpi1_free_within"] is not None]
     if not moved:
         return ""
-    shares = [(name, _close_percent(records)) for name, records in moved]
+    shares = [(row["policy"], 100.0 * row["kpi1_free_within"]) for row in moved]
     close = [f"{name} {share:.0f} %" for name, share in shares]
     close[0] = f"{shares[0][0]} did {shares[0][1]:.0f} % as requested"
-    return f"In safe moments {_and(close)}{_needless([records for _, records in moved])}."
+    return f"In safe moments {_and(close)}{_unneeded(moved)}."
 
 
-def _close_percent(records: Sequence[EpisodeRecord]) -> float:
-    moving = sum(record.moving_steps for record in records)
-    return 100.0 * sum(record.moving_within for record in records) / moving
-
-
-def _needless(policies: Sequence[Sequence[EpisodeRecord]]) -> str:
+def _unneeded(rows: Sequence[Row]) -> str:
     """Interventions without need of each policy, where its episodes were judged by counterfactual rollouts."""
-    judged = [[record for record in records if record.judged] for records in policies]
+    judged = [row["judged_episodes"] for row in rows]
     if not all(judged):
         return ""
-    unneeded = [sum(item.verdict == NEEDLESS for record in seen for item in record.interventions) for seen in judged]
-    whole = [len(seen) for seen in judged] == [len(records) for records in policies]
-    among = "" if whole else f" in {counted(len(judged[0]), 'judged drive')}"
-    word = "unneeded intervention" if unneeded == [1] else "unneeded interventions"
-    return f", with {_and([str(count) for count in unneeded])} {word}{among}"
+    counts = [row["needless"] for row in rows]
+    among = "" if judged == [row["episodes"] for row in rows] else f" in {counted(judged[0], 'judged drive')}"
+    word = "unneeded intervention" if counts == [1] else "unneeded interventions"
+    return f", with {_and([str(count) for count in counts])} {word}{among}"
 
 
 def _called(name: str) -> str:

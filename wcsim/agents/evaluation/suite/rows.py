@@ -146,10 +146,10 @@ def pooled_rows(
     return rows, row_of(policy, "", records, unaided)
 
 
-def drove_nothing(row: Mapping[str, Any]) -> bool:
-    """Whether the policy of a row came to the end of no episode: it failed or was refused in all of them."""
+def undone(row: Mapping[str, Any]) -> int:
+    """Episodes of a row that its policy did not bring to an end: it failed or was refused."""
     status: dict[str, int] = row["status"]
-    return status[POLICY_FAILED] + status[REFUSED] == int(row["episodes"]) > 0
+    return status[POLICY_FAILED] + status[REFUSED]
 
 
 def result_of(file: SuiteFile, sha256: str, rows: Sequence[Row], pooled: Sequence[Row]) -> dict[str, Any]:
