@@ -112,13 +112,12 @@ def loaded(out, seed):
         learner.replay_buffer.close()
 
 
-def test_a_checkpoint_restores_pass_and_states(tmp_path):
+def test_a_checkpoint_restores_states(tmp_path):
     wrote = build_model(config(), DummyVecEnv([Fixed]), 1, tmp_path / "replay")
     wrote.learn(200)
     save_checkpoint(tmp_path / "checkpoints", wrote, {})
     again = build_model(config(), DummyVecEnv([Fixed]), 2, shutil.copytree(tmp_path / "replay", tmp_path / "copy"))
     load_checkpoint(tmp_path / "checkpoints", again)
-    assert again.replay_buffer.groups.at == 0 < len(again.replay_buffer.groups.order), "within a pass"
     assert len(again.replay_buffer.groups.states) > 10
     assert same_from_here_on(wrote, again, batch=16)
     for each in (wrote, again):

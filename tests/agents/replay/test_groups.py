@@ -1,4 +1,4 @@
-"""Memory (a) of the paper: every group once a pass, in place, inside its episode, with the state that was stored."""
+"""Memory (a) of the paper: groups shuffled before each draw, inside their episode, with the state that was stored."""
 
 import gymnasium as gym
 import numpy as np
@@ -69,7 +69,7 @@ def expected_groups(buffer, reference, length, burn_in):
 
 @settings(max_examples=60, deadline=None)
 @given(PLANS, st.integers(1, 6), st.integers(0, 7), st.sampled_from((0, 1)), st.integers(20, 70))
-def test_a_pass_visits_every_whole_group_once(plan, length, burn_in, state_size, rows):
+def test_a_draw_shuffles_all_whole_groups(plan, length, burn_in, state_size, rows):
     buffer, reference = driven(plan, length=length, burn_in=burn_in, state_size=state_size, rows=rows)
     wanted = expected_groups(buffer, reference, length, burn_in)
     assert {tuple(row) for row in buffer.groups.whole(buffer).tolist()} == set(wanted)
@@ -77,13 +77,10 @@ def test_a_pass_visits_every_whole_group_once(plan, length, burn_in, state_size,
         with pytest.raises(ValueError, match="no whole group"):
             buffer.sample_groups(32)
         return
-    for _ in range(2):
-        seen = [tuple(int(v[0]) for v in buffer.groups.draw(buffer, 1)) for _ in wanted]
-        assert sorted(seen) == sorted(wanted)
     starts, seats = buffer.groups.draw(buffer, len(wanted))
-    assert [wanted[key] for key in zip(starts.tolist(), seats.tolist(), strict=True)] == buffer.groups.lengths(
-        buffer, starts, seats
-    ).tolist()
+    drawn = list(zip(starts.tolist(), seats.tolist(), strict=True))
+    assert sorted(drawn) == sorted(wanted), "none is left out, none comes twice"
+    assert [wanted[key] for key in drawn] == buffer.groups.lengths(buffer, starts, seats).tolist()
 
 
 @settings(max_examples=60, deadline=None)
@@ -144,9 +141,9 @@ def test_a_network_without_a_state_learns_from_all_steps_of_groups(plan, length,
 
 def drawn_groups(buffer, size):
     """The groups that the next batch is made of."""
-    order, at, state = buffer.groups.order, buffer.groups.at, buffer.rng.bit_generator.state
+    state = buffer.rng.bit_generator.state
     found = buffer.groups.draw(buffer, max(1, round(size / buffer.groups.length)))
-    buffer.groups.order, buffer.groups.at, buffer.rng.bit_generator.state = order, at, state
+    buffer.rng.bit_generator.state = state
     return list(zip(found[0].tolist(), found[1].tolist(), strict=True))
 
 
@@ -158,30 +155,24 @@ def memory_steps(buffer, size):
         buffer.gather,
         lambda starts, seats: seen.extend(zip(starts.tolist(), seats.tolist(), strict=True)),
     )
-    order, at, state = buffer.groups.order, buffer.groups.at, buffer.rng.bit_generator.state
+    state = buffer.rng.bit_generator.state
     buffer.sample(size)
     buffer.gather = gather
-    buffer.groups.order, buffer.groups.at, buffer.rng.bit_generator.state = order, at, state
+    buffer.rng.bit_generator.state = state
     assert {(s, k) for s, k in groups} <= set(seen)
     return seen
 
 
-def test_a_pass_goes_on_while_steps_come_and_go():
-    """What is overwritten meanwhile is left out, what is new waits for the next pass, and nothing is visited twice."""
+def test_a_group_can_be_drawn_as_soon_as_it_is_whole():
     buffer, _ = driven([["go"]] * 60, rows=60, length=4, burn_in=0)
-    wanted = {(int(k), 0) for k, _ in buffer.groups.whole(buffer)}
-    seen = [int(buffer.groups.draw(buffer, 1)[0][0]) for _ in range(5)]
-    for step in range(12):
-        number = 1000 + step
+    before = {int(k) for k, _ in buffer.groups.whole(buffer)}
+    buffer.groups.draw(buffer, 5)
+    for number in range(1000, 1012):
         one = (stack([number]), stack([number + 1]), np.array([0]), np.zeros(1), np.zeros(1, bool), [{}])
         FrameReplay.add(buffer, *one)
-    gone = {k for k, _ in wanted} - {int(k) for k, _ in buffer.groups.whole(buffer)}
-    assert len(gone) == 3
-    left = {k for k, _ in wanted} - gone - set(seen)
-    for _ in range(len(left)):
-        seen.append(int(buffer.groups.draw(buffer, 1)[0][0]))
-    assert len(set(seen)) == len(seen)
-    assert set(seen) >= {k for k, _ in wanted} - gone
+    now = {int(k) for k, _ in buffer.groups.whole(buffer)}
+    assert len(before - now) == len(now - before) == 3
+    assert set(buffer.groups.draw(buffer, len(now))[0].tolist()) == now
 
 
 def test_equal_seeds_draw_equally_and_in_no_order():
@@ -206,7 +197,7 @@ def test_states_go_with_their_steps():
     assert all(float(state[0]) == index + 1 for (index, _), state in buffer.groups.states.items())
 
 
-def test_a_restored_memory_goes_on_in_the_same_pass():
+def test_a_restored_memory_draws_the_same():
     plan = [["go", "crash" if k % 11 == 10 else "go"] for k in range(50)]
     buffer, _ = driven(plan, state_size=1)
     buffer.groups.draw(buffer, 5)

@@ -67,6 +67,7 @@ def net_spec(config: RunConfig) -> NetSpec:
     return NetSpec(
         network=learn.network,
         head=learn.head,
+        dueling=learn.duel,
         actions=config.env.actions,
         classes=config.env.classes,
         prior=prior,

@@ -7,7 +7,7 @@ GRU can also be unrolled from a state that the caller carries (`unroll`).
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import torch
 from torch import nn
@@ -17,13 +17,11 @@ from wcsim.agents.networks.convolutional import FEATURES, PATCH_CHANNELS, PATCH_
 _MEMORY = 128  # units of the recurrent layer
 _REMEMBERS = 1.0  # bias of an LSTM's forget gates: three images later, 0.73 ** 3 = 0.39 of the cell is left
 Shape = tuple[int, int, int, int]  # T, C, H, W
+Recurrent = TypeVar("Recurrent", nn.LSTM, nn.GRU)
 
 
 class RecurrentNet(nn.Module):
-    """Each image to 128 numbers, then a recurrent layer over the window; its last output and the vector are features.
-
-    The recurrent layer starts with orthogonal recurrent weights, Glorot's input weights and biases of zero.
-    """
+    """Each image to 128 numbers, then a recurrent layer over the window; its last output and the vector are features."""
 
     windowed: ClassVar[bool] = True
     window: ClassVar[int] = 4
@@ -34,14 +32,6 @@ class RecurrentNet(nn.Module):
         self.eye = PatchNet((channels, height, width), 0)
         self.memory = memory
         self.state_size = (2 if isinstance(memory, nn.LSTM) else 1) * _MEMORY
-        with torch.no_grad():
-            for name, values in memory.named_parameters():
-                if name.startswith("bias"):
-                    values.zero_()
-                    continue
-                fill = nn.init.orthogonal_ if name.startswith("weight_hh") else nn.init.xavier_uniform_
-                for first in range(0, len(values), _MEMORY):
-                    fill(values[first : first + _MEMORY])  # gate by gate
 
     def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
@@ -55,14 +45,8 @@ class RecurrentNet(nn.Module):
 
         The state (B, state_size) is the one before them: zeros where an episode begins.
         """
-        before = state[None].contiguous()
-        if isinstance(self.memory, nn.LSTM):
-            hidden, cell = (part.contiguous() for part in before.chunk(2, dim=2))
-            remembered, after = self.memory(self._seen(image), (hidden, cell))
-            after = torch.cat(after, dim=2)
-        else:
-            remembered, after = self.memory(self._seen(image), before)
-        return torch.cat([remembered, vector], dim=2), after[0]
+        remembered, after = carried(self.memory, self._seen(image), state)
+        return torch.cat([remembered, vector], dim=2), after
 
     def _seen(self, image: torch.Tensor) -> torch.Tensor:
         seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
@@ -74,11 +58,7 @@ class Figure6Net(RecurrentNet):
 
     def __init__(self, image_shape: Shape, vector_size: int) -> None:
         del vector_size
-        memory = nn.LSTM(FEATURES, _MEMORY, batch_first=True)
-        super().__init__(image_shape, memory)
-        with torch.no_grad():
-            biases = memory.get_parameter("bias_ih_l0")  # of the gates input, forget, cell, output
-            biases[_MEMORY : 2 * _MEMORY] = _REMEMBERS
+        super().__init__(image_shape, lstm())
 
 
 class GruNet(RecurrentNet):
@@ -86,7 +66,41 @@ class GruNet(RecurrentNet):
 
     def __init__(self, image_shape: Shape, vector_size: int) -> None:
         del vector_size
-        super().__init__(image_shape, nn.GRU(FEATURES, _MEMORY, batch_first=True))
+        super().__init__(image_shape, _begun(nn.GRU(FEATURES, _MEMORY, batch_first=True)))
+
+
+def lstm() -> nn.LSTM:
+    """128 numbers to 128, one layer, batch first; it begins by remembering."""
+    memory = _begun(nn.LSTM(FEATURES, _MEMORY, batch_first=True))
+    with torch.no_grad():
+        biases = memory.get_parameter("bias_ih_l0")  # of the gates input, forget, cell, output
+        biases[_MEMORY : 2 * _MEMORY] = _REMEMBERS
+    return memory
+
+
+def carried(memory: nn.LSTM | nn.GRU, seen: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Outputs (B, T, 128) for `seen` (B, T, 128) in a row, and the flat state (B, S) after them; `state` is before."""
+    before = state[None]
+    if isinstance(memory, nn.LSTM):
+        hidden, cell = (part.contiguous() for part in before.chunk(2, dim=2))
+        remembered, after = memory(seen, (hidden, cell))
+        after = torch.cat(after, dim=2)
+    else:
+        remembered, after = memory(seen, before.contiguous())
+    return remembered, after[0]
+
+
+def _begun(memory: Recurrent) -> Recurrent:
+    """The same with orthogonal recurrent weights, Glorot's input weights and biases of zero."""
+    with torch.no_grad():
+        for name, values in memory.named_parameters():
+            if name.startswith("bias"):
+                values.zero_()
+                continue
+            fill = nn.init.orthogonal_ if name.startswith("weight_hh") else nn.init.xavier_uniform_
+            for first in range(0, len(values), _MEMORY):
+                fill(values[first : first + _MEMORY])  # gate by gate
+    return memory
 
 
 class StackNet(StridedNet):

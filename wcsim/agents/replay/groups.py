@@ -1,9 +1,9 @@
-"""Memory (a) of the paper: groups of consecutive steps, each of them once in every pass.
+"""Memory (a) of the paper: groups of consecutive steps, shuffled before each update.
 
 A group is a run of `length` steps of one episode, cut at multiples of `length` from the episode's start, so groups
-never overlap and never cross the end of an episode; the last one of an episode is shorter. A pass visits all whole
-groups that are in the memory when it begins in a random order, without replacement; one that was overwritten meanwhile
-is left out.
+never overlap and never cross the end of an episode; the last one of an episode is shorter. Each update shuffles all
+whole groups that are in the memory and takes the first ones, so a group is as likely as any other from the moment when
+it is whole.
 
 The state of a recurrent network is stored, as it was when driven, `burn_in` steps before each group (or at the start of
 the episode, where it is zero): learning runs the network over these steps again, without loss, so that a state which
@@ -44,7 +44,7 @@ class SequenceBatch:
 
 
 class Groups:
-    """The passes over a memory's groups, and the states that were stored for them."""
+    """Draws a memory's groups, and holds the states that were stored for them."""
 
     def __init__(self, length: int, burn_in: int) -> None:
         self.length, self.burn_in = length, burn_in
@@ -53,8 +53,6 @@ class Groups:
 
     def reset(self) -> None:
         """Forget everything."""
-        self.order: I64 = np.zeros((0, 2), dtype=np.int64)  # (absolute index of the first step, seat) of this pass
-        self.at = 0  # how many of them were visited
         self.states: dict[tuple[int, int], F32] = {}  # (S,) before the step of (absolute index, seat)
         self.coming: F32 | None = None  # (seats, S) before the step that is added next
 
@@ -70,18 +68,16 @@ class Groups:
             self.states[index, seat] = coming[seat].copy()
 
     def draw(self, memory: FrameReplay, count: int) -> tuple[I64, I64]:
-        """First steps (absolute) and seats of the next `count` groups. Raises ValueError when there is no whole one."""
-        picked: list[I64] = []
-        left = count
-        while left > 0:
-            if self.at >= len(self.order):
-                self._begin_pass(memory)
-            taken = self.order[self.at : self.at + left]
-            self.at += len(taken)
-            kept = taken[self._reaches_back(memory, taken[:, 0], taken[:, 1])]
-            picked.append(kept)
-            left -= len(kept)
-        index, seats = np.concatenate(picked).T
+        """First steps (absolute) and seats of `count` groups; none twice, unless there are fewer.
+
+        Raises ValueError when there is no whole one.
+        """
+        found = self.whole(memory)
+        if len(found) == 0:
+            raise ValueError(
+                f"replay holds {memory.total} steps and no whole group of {self.length}: raise learn.learning_starts"
+            )
+        index, seats = found[memory.rng.choice(len(found), count, replace=count > len(found))].T
         return index, seats
 
     def whole(self, memory: FrameReplay) -> I64:
@@ -122,14 +118,6 @@ class Groups:
         first = memory.total - memory.size()
         here = index >= first
         return here & (index - self._burned(memory, np.where(here, index, first), seats) >= first)
-
-    def _begin_pass(self, memory: FrameReplay) -> None:
-        found = self.whole(memory)
-        if len(found) == 0:
-            raise ValueError(
-                f"replay holds {memory.total} steps and no whole group of {self.length}: raise learn.learning_starts"
-            )
-        self.order, self.at = found[memory.rng.permutation(len(found))], 0
 
 
 def gather_groups(memory: FrameReplay, groups: Groups, index: I64, seats: I64) -> SequenceBatch:

@@ -63,7 +63,7 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
 
 
 def _group_arrays(replay: FrameReplay) -> Arrays:
-    """The pass over the groups, and the stored states."""
+    """The states that were stored for groups."""
     groups = replay.groups
     if groups is None:
         return {}
@@ -71,7 +71,6 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
     for row, state in zip(states, groups.states.values(), strict=True):
         row[:] = state
     return {
-        "pass_order": groups.order[groups.at :],
         "state_at": np.array(list(groups.states), dtype=np.int64).reshape(-1, 2),
         "states": states,
     }
@@ -143,9 +142,8 @@ def _expected(replay: FrameReplay, arrays: Arrays, size: int) -> dict[str, tuple
 
 
 def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
-    visits, states = (len(arrays[name]) for name in ("pass_order", "state_at"))
+    states = len(arrays["state_at"])
     return {
-        "pass_order": ((visits, 2), np.int64),
         "state_at": ((states, 2), np.int64),
         "states": ((states, groups.state_size), np.float32),
     }
@@ -169,7 +167,6 @@ def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obje
     if replay.advice is not None:
         replay.advice.restore(arrays, index)
     if replay.groups is not None:
-        replay.groups.order = arrays["pass_order"]
         keys = map(tuple, arrays["state_at"].tolist())
         replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
     if replay.disk is None:

@@ -32,6 +32,9 @@ class LearnConfig(Model):
     head: Literal["residual", "plain", "danger"] = (
         "residual"  # Follow reward plus a residual, plain values, or dangers.
     )
+    duel: Annotated[bool, Field(exclude_if=lambda duels: duels)] = (
+        True  # Whether the head splits values into one of the state and advantages of the actions (dueling).
+    )
     danger: Annotated[Text, Field(exclude_if=lambda path: not path)] = (
         ""  # Run or policy of a frozen danger network below the values (head="residual").
     )
