@@ -21,7 +21,9 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
+from wcsim.agents.learning.callbacks import TrainingLogs
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ServerGoneError
@@ -44,6 +46,12 @@ def toy_camera(height_px: int = 24, width_px: int = 32) -> CameraConfig:
 def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **info: Any) -> ResolvedRun:
     """A run of these settings; what else its manifest says is left out unless it is given."""
     return ResolvedRun(config=config, out=out, info=RunInfo(seed=seed, **info), resume=resume)
+
+
+def logs_in(folder: Path) -> TrainingLogs:
+    """Fresh logs of a training."""
+    steps = MetricsFile(folder / "steps.csv", columns=STEP_COLUMNS)
+    return TrainingLogs(episodes=MetricsFile(folder / "metrics.csv"), steps=steps)
 
 
 def full_once(monkeypatch: Any, where: str, stage: str) -> None:

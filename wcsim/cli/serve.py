@@ -203,5 +203,5 @@ def _order(options: Options, town: Town, config: RunConfig, place: Path) -> Worl
         listen=options.listen,
         keys="" if options.keys is None else str(options.keys.absolute()),
         recovery=options.recovery,
-        epochs_end=options.run is not None,
+        epoch_ticks=config.epoch_ticks if options.run is not None else 0,
     )

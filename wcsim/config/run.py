@@ -19,7 +19,9 @@ from wcsim.config.sensors import (
     ImuConfig,
     SensorsConfig,
 )
-from wcsim.config.world import WorldConfig
+from wcsim.config.world import EPOCH_TICKS, WorldConfig
+
+_EPOCH_EPISODES = 10  # of the longest kind, in the life of a shared world
 
 MAX_SEEN_PX = 1 << 22  # of all images in an observation
 
@@ -44,6 +46,12 @@ class RunConfig(Model):
     vary: VaryConfig = VaryConfig()
     collect: Annotated[CollectConfig, Field(exclude_if=lambda part: part == CollectConfig())] = CollectConfig()
     danger: Annotated[DangerConfig, Field(exclude_if=lambda part: part == DangerConfig())] = DangerConfig()
+
+    @property
+    def epoch_ticks(self) -> int:
+        """Ticks after which a new world replaces a shared one: as few episodes as possible are cut by it. 0: never."""
+        given = self.world.epoch_ticks
+        return max(EPOCH_TICKS, _EPOCH_EPISODES * self.learn.episode_steps) if given is None else given
 
     @model_validator(mode="after")
     def _parts_fit(self) -> RunConfig:

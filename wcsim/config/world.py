@@ -75,8 +75,8 @@ class WorldConfig(Model):
     visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = (
         1.0  # Time for which a road user stays known after it was visible.
     )
-    epoch_ticks: Annotated[int, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks == EPOCH_TICKS)] = (
-        EPOCH_TICKS  # Ticks after which a new world replaces a shared one. 0: never.
+    epoch_ticks: Annotated[int | None, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks is None)] = (
+        None  # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0: never.
     )
     epoch_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == EPOCH_GROWTH_MB)] = (
         EPOCH_GROWTH_MB  # Memory in MB by which the process of a shared world may grow before it is replaced.

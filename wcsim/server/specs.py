@@ -62,7 +62,7 @@ class WorldSpec:
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
     recovery: Recovery = "new_epoch"
-    epochs_end: bool = False  # by world.epoch_ticks and world.epoch_growth_mb; whoever starts it has to start it again
+    epoch_ticks: int = 0  # after which it ends, or by world.epoch_growth_mb; whoever starts it has to start it again
     begins: bool = False  # no world of this launch has been there yet, and its clients take their time to load
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too
@@ -156,7 +156,7 @@ class ClientStatus:
     phase: int = 1
     episodes: int = 0
     crashes: int = 0
-    kpi1: float | None = None  # of the last finished episode
+    kpi1: float | None = None  # of the agent's own choice, mean of the last 2,000 steps
     simulation_s: float = 0.0  # waiting for the world's own work
     barrier_s: float = 0.0  # waiting for others, and for messages
     inference_s: float = 0.0

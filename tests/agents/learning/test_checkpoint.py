@@ -8,9 +8,12 @@ import shutil
 import signal
 
 import pytest
+import torch
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.toy import a_run
 from tests.attack.files.checkpoints import Bench, config, content, street
+from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import MODEL, STATE, step_folders
 from wcsim.agents.learning.train import train
@@ -176,3 +179,26 @@ def test_two_cannot_learn_in_one_folder(tmp_path):
             train(a_run(config(), tmp_path / "run", 5, resume=True), street)
 
     train(a_run(config(), tmp_path / "run", 5), street, again, progress_every=60)
+
+
+def test_checkpoints_of_weights_share_the_newest_replay_and_restore(tmp_path):
+    wrote = build_model(config(), DummyVecEnv([street]), 1)
+    wrote.learn(60)
+    first = save_checkpoint(tmp_path, wrote, {})
+    for _ in range(4):
+        wrote.learn(20, reset_num_timesteps=False)
+        newest = save_checkpoint(tmp_path, wrote, {}, replay=False)
+    assert newest.name == "step-00000140"
+    assert (newest / "replay.safetensors").samefile(next(tmp_path.glob("step-*")) / "replay.safetensors")
+    again = build_model(config(), DummyVecEnv([street]), 2)
+    assert load_checkpoint(tmp_path, again).path == newest
+    assert (again.num_timesteps, again.replay_buffer.total) == (140, 60)
+    assert all(torch.equal(a, b) for a, b in zip(wrote.q_net.parameters(), again.q_net.parameters(), strict=True))
+    save_checkpoint(tmp_path, wrote, {})
+    for _ in range(4):
+        wrote.learn(20, reset_num_timesteps=False)
+        newest = save_checkpoint(tmp_path, wrote, {}, replay=False)
+    assert not first.exists()
+    (newest / "replay.safetensors").write_bytes(b"damaged")  # all that share it
+    found = load_checkpoint(tmp_path, build_model(config(), DummyVecEnv([street]), 2))
+    assert found.path.name == "step-00000140" and len(found.passed_over) == 3

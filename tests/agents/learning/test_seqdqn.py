@@ -8,13 +8,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
-from tests.agents.toy import ToyStreet, toy_camera
+from tests.agents.toy import ToyStreet, logs_in, toy_camera
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
-from wcsim.agents.learning.watching.metrics import MetricsFile, read_metrics
+from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.config import LearnConfig, RunConfig
@@ -185,7 +185,7 @@ def test_the_running_means_of_a_network_are_its_target_s_too_and_those_that_it_a
         cameras=(CAMERA,), learn=LearnConfig(**SMALL, network=f"{__name__}:Normed", updates="while_waiting")
     )
     learner = build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=9)]), 0)
-    learner.learn(60, callback=EpisodeMetrics(MetricsFile(tmp_path / "metrics.csv"), 0.0))
+    learner.learn(60, callback=EpisodeMetrics(logs_in(tmp_path), 0.0))
     learner.catch_up()
     assert len(read_metrics(tmp_path / "metrics.csv")) >= 6
     nets = (learner.q_net, learner.q_net_target)

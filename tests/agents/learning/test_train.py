@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import gymnasium as gym
@@ -20,12 +21,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, same_from_here_on, toy_camera
 from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.callbacks import EverySeconds
 from wcsim.agents.learning.checkpoint import generator_state, load_checkpoint, restored_generator, save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
-from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile, read_metrics
+from wcsim.agents.learning.watching.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
@@ -87,7 +90,7 @@ def run(tmp_path_factory):
 
 def test_a_run_folder_says_everything(run):
     path, seen = run
-    names = {"manifest.json", "config.json", "metrics.csv", "events.jsonl", "checkpoints", "policies"}
+    names = {"manifest.json", "config.json", "metrics.csv", "steps.csv", "events.jsonl", "checkpoints", "policies"}
     assert {p.name for p in path.iterdir()} == names
     opened = open_run(path)
     assert opened.config == config()
@@ -102,7 +105,44 @@ def test_a_run_folder_says_everything(run):
     assert seen[-1].episodes == len(rows)
     assert seen[-1].crashes == sum(int(row["crashed"]) for row in rows)
     assert float(rows[0]["kpi1"]) <= 0.1768  # the user's own action is executed first
+    steps = read_metrics(path / "steps.csv", STEP_COLUMNS)
+    assert [(row["step"], row["phase"]) for row in steps] == [("100", "2"), ("200", "2")]
+    assert seen[-1].kpi1 == pytest.approx(sum(float(row["kpi1_greedy"]) for row in steps) / 2, abs=1e-5)
     assert sorted(p.name for p in (path / "checkpoints").glob("step*")) == [f"step-{k:08d}" for k in (120, 180, 240)]
+
+
+class Cut(ToyStreet):
+    """The toy street, whose world ends in step 75."""
+
+    steps = 0
+
+    def step(self, action):
+        self.steps += 1
+        if self.steps == 75:
+            _, _, _, _, info = super().step(action)
+            return self.seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED}
+        self.seen, *rest = super().step(action)
+        return self.seen, *rest
+
+
+def test_an_episode_that_its_world_cut_says_so_and_counts_no_step_that_nobody_drove(tmp_path):
+    path = train(a_run(config(total_steps=120), tmp_path / "run", 5), lambda: Cut(CAMERA, max_steps=1000))
+    rows = read_metrics(path / "metrics.csv")
+    (cut,) = (row for row in rows if row["cut"] == "1")
+    assert int(cut["step"]) == 75 and cut["crashed"] == "0"
+    assert sum(int(row["length"]) for row in rows if int(row["step"]) <= 75) == 74
+
+
+def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
+    """Weights every 60 s, weights and replay every 900 s; here each reading of the clock is 10 s later."""
+    clock = count(0, 10)
+    monkeypatch.setattr(EverySeconds.__init__, "__defaults__", (lambda: float(next(clock)),))
+    path = train(a_run(config(checkpoint_every=10**6), tmp_path / "run", 5), street)
+    events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
+    kinds = [event["event"] for event in events if event["event"] in ("weights", "checkpoint")]
+    assert kinds.count("weights") > 5 * kinds.count("checkpoint") > 0, kinds
+    last = max(event["step"] for event in events if event["event"] == "weights")
+    assert 240 - last <= 40
 
 
 def test_both_policies_can_be_named(run):
@@ -246,7 +286,7 @@ def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkey
 
 
 def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch):
-    def full(*given):
+    def full(*given, **named):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     def stop():
@@ -336,14 +376,6 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
     path.write_text("a,b\n1,2\n")
     with pytest.raises(PolicyError, match="columns a, b"):
         read_metrics(path)
-
-
-def test_the_log_of_a_run_that_was_begun_before_values_were_watched_is_gone_on_with(tmp_path):
-    path, old = tmp_path / "metrics.csv", COLUMNS[: COLUMNS.index("value_start")]
-    path.write_text(",".join(old) + "\n" + ",".join(["10", *["1"] * (len(old) - 1)]) + "\n")
-    assert read_metrics(path)[0]["overestimate"] == ""
-    MetricsFile(path, keep_to_step=10).add({**dict.fromkeys(COLUMNS), "step": 20, "overestimate": 0.5})
-    assert [row["overestimate"] for row in read_metrics(path)] == ["", "0.5"]
 
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):

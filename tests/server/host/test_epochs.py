@@ -44,7 +44,7 @@ def capped(folder, **changes):
     """A stand-in whose epochs end after CAP ticks."""
     config = with_overrides(quick_config(), (f"world.epoch_ticks={CAP}",)).model_dump_json()
     order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, config_json=config, **changes)
-    return replace(order, epochs_end=True)
+    return replace(order, epoch_ticks=CAP)
 
 
 def kept_up(server, codes, until):
@@ -164,7 +164,7 @@ def ready_at(tick):
 def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     sizes = iter((500.0, 1400.0, 1600.0))
     monkeypatch.setattr("wcsim.server.host.epoch_cap.rss_mb", lambda: next(sizes))
-    order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epochs_end=True)
+    order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=6000)
     cap = EpochCap(order)
     cap.weigh(SETTLED_TICKS - 1)
     for grown in (False, False, True):
@@ -173,8 +173,8 @@ def test_an_epoch_ends_early_when_its_process_has_grown(tmp_path, monkeypatch):
     assert "from 500 to 1600 MB" in cap.reached
 
 
-@pytest.mark.parametrize(("ends", "tick", "over"), [(True, 5999, False), (True, 6000, True), (False, 6000, False)])
+@pytest.mark.parametrize(("ends", "tick", "over"), [(6000, 5999, False), (6000, 6000, True), (0, 6000, False)])
 def test_an_epoch_ends_at_a_full_barrier_of_its_last_tick_where_somebody_goes_on(tmp_path, ends, tick, over):
-    order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epochs_end=ends)
+    order = replace(stand_in_order(tmp_path, run=str(tmp_path)), epoch_ticks=ends)
     assert EpochCap(order).is_reached(ready_at(tick)) == over
     assert not EpochCap(order).is_reached(ServerCore(BOTH, 0, tick).cycle), "somebody has not seen its last tick yet"

@@ -87,8 +87,14 @@ def world_order(run: GroupRun, town: str, folder: ClientsFolder, place: Path, te
         run=str(folder.path.absolute()),
         hook=run.info.hook,
         recovery=terms.recovery,
-        epochs_end=True,
+        epoch_ticks=_epoch_ticks(run),
     )
+
+
+def _epoch_ticks(run: GroupRun) -> int:
+    """Of the client with the longest episodes; 0 where one client wants no end."""
+    ticks = [client.config.epoch_ticks for client in run.clients]
+    return max(ticks) if all(ticks) else 0
 
 
 def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:

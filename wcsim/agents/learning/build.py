@@ -35,15 +35,20 @@ class FadingRate:
 
 
 def with_window(config: RunConfig) -> RunConfig:
-    """The configuration with the window that its network prefers, where `env.window` is not set.
+    """The configuration with the memory of its network's kind, and the window it prefers where `env.window` is not set.
+
+    Groups are for networks that carry a state; another network of windows learns from windows.
 
     Raises:
         PolicyError: There is no such network.
         ConfigError: It prefers a window that `env.observation` cannot have.
     """
+    network = config.learn.network
+    if config.learn.memory == "groups" and registry.is_windowed(network) and not registry.carries_state(network):
+        config = with_overrides(config, ("learn.memory=windows",))
     if config.env.window is not None:
         return config
-    window = 1 if _is_stateful(config) else registry.preferred_window(config.learn.network)
+    window = 1 if _is_stateful(config) else registry.preferred_window(network)
     return with_overrides(config, (f"env.window={window}",))
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any
 
+import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from wcsim.agents.learning.phases import LearningPhase
+from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.watching.metrics import MetricsFile, Value
 from wcsim.agents.learning.watching.tensorboard import BoardLog
@@ -22,7 +24,9 @@ from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.types import Events
 
-GREEDY_EVERY = 5  # steps between two looks at what the agent would do while the user's action is executed
+GREEDY_EVERY = 5  # steps between two looks at the agent's own choice
+ROW_STEPS = 100  # steps in a row of steps.csv
+KPI1_STEPS = 2_000  # steps that the mean of KPI 1 goes over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +38,7 @@ class TrainProgress:
     phase: int
     episodes: int
     crashes: int
-    kpi1: float | None  # of the last finished episode
+    kpi1: float | None  # of the agent's own choice, mean of the last `KPI1_STEPS` steps
 
 
 @dataclass(slots=True)
@@ -62,7 +66,7 @@ class EpisodeSums:
         self.arrivals += int(events is not None and events.arrived)
 
     def row(self, info: dict[str, Any], crashed: bool) -> dict[str, float | int | str | None]:
-        """What metrics.csv says of an episode that ended with this step."""
+        """What metrics.csv says of an episode that ended with this step; `cut` is 1 where its world ended it."""
         events = info.get("events")
         return {
             "return": self.reward,
@@ -74,6 +78,7 @@ class EpisodeSums:
             "speed_mps": self.speed / self.steps,
             "progress_m": self.progress_m,
             "arrivals": self.arrivals,
+            "cut": int(info.get("reason") == WORLD_RESTARTED),
         }
 
 
@@ -117,17 +122,30 @@ def report_events(report: Callable[..., None], step: int, events: Sequence[Event
             report("crash", step=step, reason=each.crash_reason, told=each.crash)
 
 
-class EpisodeMetrics(SeqCallback):
-    """Writes a row of metrics.csv at the end of each episode, and to TensorBoard where that is wanted."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainingLogs:
+    """Where a run writes what it learns by."""
 
-    def __init__(
-        self, metrics: MetricsFile, begun_s: float, episodes: int = 0, crashes: int = 0, board: BoardLog | None = None
-    ) -> None:
+    episodes: MetricsFile  # metrics.csv
+    steps: MetricsFile  # steps.csv
+    board: BoardLog | None = None  # TensorBoard, where that is wanted
+
+
+class EpisodeMetrics(SeqCallback):
+    """Writes a row at the end of each episode, and KPI 1 of the agent's own choice every `ROW_STEPS` steps."""
+
+    def __init__(self, logs: TrainingLogs, begun_s: float, episodes: int = 0, crashes: int = 0) -> None:
         super().__init__()
-        self.metrics, self.begun_s, self.board = metrics, begun_s, board
+        self.logs, self.begun_s = logs, begun_s
         self.episodes, self.crashes = episodes, crashes  # of what was done before
-        self.kpi1: float | None = None
         self.sums: list[EpisodeSums] = []
+        self._looks: list[float] = []  # distances since the last row of steps.csv
+        self._rows: deque[float] = deque(maxlen=KPI1_STEPS // ROW_STEPS)
+
+    @property
+    def kpi1(self) -> float | None:
+        """Mean joystick distance of the agent's own choice over the last `KPI1_STEPS` steps."""
+        return sum(self._rows) / len(self._rows) if self._rows else None
 
     def _on_training_start(self) -> None:
         self.sums = [EpisodeSums() for _ in range(self.training_env.num_envs)]
@@ -137,23 +155,41 @@ class EpisodeMetrics(SeqCallback):
         self._look_greedy()
         self._look_at_starts()
         for seat, info in enumerate(self.locals["infos"]):
-            self.sums[seat].add(float(self.locals["rewards"][seat]), info)
+            if info.get("reason") != WORLD_RESTARTED:  # a step that nobody drove
+                self.sums[seat].add(float(self.locals["rewards"][seat]), info)
             if self.locals["dones"][seat]:
                 self._finish(seat, info)
         return True
 
     def _look_greedy(self) -> None:
-        """KPI 1 of the first phase is about what the agent would choose; executed is the user's action."""
+        """KPI 1 is about what the agent chooses; in the first phase the user's action is executed."""
         learner, observation = self.learner, self.learner._last_obs
-        if (
-            learner.phase is not LearningPhase.ACTION_DRIVEN
-            or self.n_calls % GREEDY_EVERY
-            or not isinstance(observation, dict)
-        ):
+        if self.n_calls % GREEDY_EVERY or not isinstance(observation, dict):
             return
         for seat, action in enumerate(learner.greedy(observation)):
             distance = learner.action_points.distance(int(action), observation[JOYSTICK_KEY][seat])
             self.sums[seat].greedy.append(distance)
+            self._looks.append(distance)
+        if self.num_timesteps % ROW_STEPS < GREEDY_EVERY * learner.n_envs:  # one look of each hundred steps
+            self._note_steps()
+
+    def _note_steps(self) -> None:
+        """A row of steps.csv."""
+        self._rows.append(float(np.mean(self._looks)))
+        self._looks = []
+        row: dict[str, Value] = {
+            "step": self.num_timesteps,
+            "phase": self._phase(),
+            "kpi1_greedy": self._rows[-1],
+            "elapsed_s_wall": time.monotonic() - self.begun_s,
+        }
+        self.logs.steps.add(row)
+
+    def _phase(self) -> int:
+        """The phase of the step that was just done."""
+        learner = self.learner
+        plan = learner.plan
+        return int(learner.phase if plan is None else plan.phase(self.num_timesteps - learner.n_envs))
 
     def _look_at_starts(self) -> None:
         """The value of what the agent saw when its episode began."""
@@ -171,17 +207,18 @@ class EpisodeMetrics(SeqCallback):
 
     def _finish(self, seat: int, info: dict[str, Any]) -> None:
         sums, learner = self.sums[seat], self.learner
+        if sums.steps == 0:  # its world ended before its first step
+            return
         crashed = not info.get("TimeLimit.truncated", False)
         self.episodes += 1
         self.crashes += int(crashed)
-        self.kpi1 = sums.distance / sums.steps
         plan = learner.plan
         check = sums.values.check(ended=crashed)
         self._write(
             {
                 "step": self.num_timesteps,
                 "episode": self.episodes,
-                "phase": int(learner.phase if plan is None else plan.phase(self.num_timesteps - learner.n_envs)),
+                "phase": self._phase(),
                 **sums.row(info, crashed),
                 "epsilon": learner.exploration_rate,
                 "margin_weight": 0.0 if plan is None else plan.margin_weight(self.num_timesteps),
@@ -197,9 +234,9 @@ class EpisodeMetrics(SeqCallback):
         self.sums[seat] = EpisodeSums()
 
     def _write(self, row: dict[str, Value]) -> None:
-        self.metrics.add(row)
-        if self.board is not None:
-            self.board.add(row)
+        self.logs.episodes.add(row)
+        if self.logs.board is not None:
+            self.logs.board.add(row)
 
 
 class Every(SeqCallback):
@@ -217,6 +254,23 @@ class Every(SeqCallback):
         if self.num_timesteps >= self.next_at:
             self.next_at = (self.num_timesteps // self.steps + 1) * self.steps
             self.call()
+
+
+class EverySeconds(SeqCallback):
+    """Calls a function between rollouts whenever so many more seconds of wall time have passed."""
+
+    def __init__(self, seconds: float, call: Callable[[], None], now_s: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self.seconds, self.call, self.now_s = seconds, call, now_s
+        self.next_s = 0.0
+
+    def _on_training_start(self) -> None:
+        self.next_s = self.now_s() + self.seconds
+
+    def _on_rollout_start(self) -> None:
+        if self.now_s() >= self.next_s:
+            self.call()
+            self.next_s = self.now_s() + self.seconds  # counted from its end: a slow disk must not be all that is done
 
 
 class StopWhenAsked(SeqCallback):

@@ -1,6 +1,7 @@
 """Checkpoints of a learner: weights, target, optimiser, replay, counters and random states, in safetensors and JSON.
 
-Taken between rollouts, where every step is stored. A world cannot be saved, so a resumed run begins a new episode and
+Taken between rollouts, where every step is stored. Weights are small and saved often; the replay is not, so most
+checkpoints share the file of the newest one that was saved with its replay, as a hard link. A world cannot be saved, so a resumed run begins a new episode and
 with it a new exploration offset; everything else that the learner holds is restored exactly. All of a checkpoint is
 under a hash; one that is damaged in any place is passed over for the one before it, and the learner is not touched.
 """
@@ -8,6 +9,7 @@ under a hash; one that is damaged in any place is passed over for the one before
 from __future__ import annotations
 
 import copy
+import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +29,7 @@ from wcsim.agents.learning.checkpoint_file import (
     State,
     left_behind,
     read_state,
+    replay_hash,
     step_folders,
     step_name,
     step_of,
@@ -67,20 +70,27 @@ def save_checkpoint(
     model: SeqDQN,
     extra: Mapping[str, int | float | str | bool],
     alive: Callable[[], object] = lambda: None,
+    *,
+    replay: bool = True,
 ) -> Path:
-    """Write `folder/step-N` in one step, point LATEST to it, drop all but it and the newest three; returns it.
+    """Write `folder/step-N` in one step, point LATEST to it, drop all but it and the newest ones; returns it.
 
-    `alive` is called now and then while it is being written.
+    `alive` is called now and then while it is being written. Without `replay` it takes that of the newest checkpoint
+    along, if there is one.
 
     Raises:
         DiskFullError: It could not be written; those before are whole.
         SafetensorError: The same, in other words.
     """
     target = folder / step_name(model.num_timesteps)
+    held = None if replay else _newest_replay(folder)
 
     def fill(work: Path) -> None:
         save_file(_model_arrays(model), work / MODEL)
-        save_file(replay_arrays(_replay(model), alive), work / REPLAY)
+        if held is None:
+            save_file(replay_arrays(_replay(model), alive), work / REPLAY)
+        else:
+            _link(held[0] / REPLAY, work / REPLAY)
         alive()
         values = {
             "num_timesteps": model.num_timesteps,
@@ -90,7 +100,7 @@ def save_checkpoint(
             "replay_rng": generator_state(_replay(model).rng),
             "extra": dict(extra),
         }
-        write_state(work, values)
+        write_state(work, values, "" if held is None else held[1])
 
     files.write_folder(target, fill)
     files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
@@ -99,11 +109,36 @@ def save_checkpoint(
     return target
 
 
+def _newest_replay(folder: Path) -> tuple[Path, str] | None:
+    """The newest checkpoint of a run, and its replay's hash; None where there is none."""
+    return next(((path, sha) for path in reversed(step_folders(folder)) if (sha := replay_hash(path))), None)
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(source, target)
+
+
 def drop_old(folder: Path, newest: Path) -> None:
-    """Remove all checkpoints of a run but `newest` and the last ones, and what is left of half-written ones."""
-    for old in (*step_folders(folder)[:-KEEP], *left_behind(folder)):
-        if old != newest:
+    """Remove all checkpoints but `newest`, the last ones and one with another replay, and what is half-written."""
+    older = step_folders(folder)
+    kept = {newest, *older[-KEEP:]}
+    replays = {_file_of(path) for path in kept}
+    if len(replays) == 1:  # a damaged file must not take all of them
+        kept.update([path for path in older if _file_of(path) not in replays][-1:])
+    for old in (*older, *left_behind(folder)):
+        if old not in kept:
             shutil.rmtree(old, ignore_errors=True)
+
+
+def _file_of(checkpoint: Path) -> object:
+    """Which file a checkpoint has its replay in: linked ones have the same."""
+    try:
+        return (checkpoint / REPLAY).stat().st_ino
+    except OSError:  # of a kind of run that has none
+        return checkpoint
 
 
 def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Loaded:

@@ -94,9 +94,9 @@ def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[
     return data, sealed
 
 
-def write_state(folder: Path, values: Mapping[str, Any]) -> None:
-    """Write `state.json` with hashes of the files that are there, and one over itself."""
-    hashes = {name: files.sha256(folder / name) for name in (MODEL, REPLAY)}
+def write_state(folder: Path, values: Mapping[str, Any], replay_sha256: str = "") -> None:
+    """Write `state.json` with hashes of the files that are there, and one over itself; the replay's may be known."""
+    hashes = {MODEL: files.sha256(folder / MODEL), REPLAY: replay_sha256 or files.sha256(folder / REPLAY)}
     write_sealed(folder / STATE, {**values, "sha256": hashes})
 
 
@@ -114,6 +114,15 @@ def read_state(folder: Path) -> State:
     )
     _require_hashes(folder, data["sha256"])
     return state
+
+
+def replay_hash(folder: Path) -> str:
+    """The hash that a checkpoint has of its replay, not compared with it; "" where it has none."""
+    try:
+        data, _ = read_sealed(folder / STATE, _STATE_KIND, _KEYS)
+        return str(data["sha256"][REPLAY])
+    except (PolicyError, TypeError, KeyError):
+        return ""
 
 
 def step_in(folder: Path, data: Mapping[str, Any], key: str) -> int:

@@ -87,7 +87,7 @@ class SeqDQN(DQN):
         self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
         self._carried: States | None = None  # of every seat, before the coming step; None where all episodes begin
         self._next: States | None = None  # after it
-        self._greedy: npt.NDArray[Any] | None = None  # what a network that carries a state would have done in it
+        self._greedy: npt.NDArray[Any] | None = None  # (N,) its best actions in it, where they are known
         self.skipped_updates = 0
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
@@ -124,6 +124,7 @@ class SeqDQN(DQN):
         actions, state = self.policy.predict(observation, state, episode_start, deterministic=True)
         if deterministic or not isinstance(observation, dict):
             return actions, state
+        self._greedy = np.atleast_1d(actions)
         sticks = np.asarray(observation[JOYSTICK_KEY], dtype=np.float64).reshape(-1, 2)
         explored = np.where(self._begins(len(sticks)), self._explore(sticks), actions)
         return (explored if np.ndim(actions) else explored[0]), state
@@ -166,8 +167,8 @@ class SeqDQN(DQN):
         return actions, actions
 
     def greedy(self, observation: dict[str, npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        """What the network would choose in the present step, (N,), while the user's action is executed."""
-        if self.q_net.spec.stateful and self._greedy is not None:
+        """The network's best actions in the present step, (N,), whatever is executed."""
+        if self._greedy is not None:
             return self._greedy
         return self.policy.predict(observation, deterministic=True)[0]
 

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,19 +18,28 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim.agents.learning.build import build_model, with_window
-from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, Every, StopRequest, StopWhenAsked, TrainProgress
+from wcsim.agents.learning.callbacks import (
+    EpisodeMetrics,
+    EventWatch,
+    Every,
+    EverySeconds,
+    StopRequest,
+    StopWhenAsked,
+    TrainingLogs,
+    TrainProgress,
+)
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.shielded.danger_part import danger_part
 from wcsim.agents.learning.shielded.shielded_dqn import shield_beside
-from wcsim.agents.learning.watching.metrics import MetricsFile
+from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.networks.device import checked_device
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder
+from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
 from wcsim.config import RunConfig
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
@@ -89,7 +99,7 @@ def train(
                 loaded = _loaded(folder, model, say, alive) if run.resume else None
                 session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
                 session.callbacks.extend(callbacks)
-                with session.episodes.board or contextlib.nullcontext():
+                with session.logs.board or contextlib.nullcontext():
                     return session.learn()
         finally:
             env.close()
@@ -151,10 +161,14 @@ class _Session:
         plan = model.plan
         if plan is None:
             raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
-        metrics = MetricsFile(run.path / METRICS, keep_to_step=model.num_timesteps if resume else None)
-        board = BoardLog(run.path, model.num_timesteps if resume else None) if self.learn_config.tensorboard else None
+        kept = model.num_timesteps if resume else None
+        self.logs = TrainingLogs(
+            episodes=MetricsFile(run.path / METRICS, kept),
+            steps=MetricsFile(run.path / STEPS, kept, STEP_COLUMNS),
+            board=BoardLog(run.path, kept) if self.learn_config.tensorboard else None,
+        )
         crashes = int(extra.get("crashes", 0))
-        self.episodes = EpisodeMetrics(metrics, time.monotonic(), model._episode_num, crashes, board)
+        self.episodes = EpisodeMetrics(self.logs, time.monotonic(), model._episode_num, crashes)
         self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
         self.alarmed = bool(extra.get("q_alarm", False))
         self.unsaved = ""  # why the last checkpoint could not be written
@@ -165,6 +179,8 @@ class _Session:
             self.switch,
             EventWatch(self.run.event),
             Every(self.learn_config.checkpoint_every, self._checkpoint),
+            EverySeconds(self.learn_config.replay_every_s, self._checkpoint),
+            EverySeconds(self.learn_config.weights_every_s, partial(self._checkpoint, replay=False)),
             Every(progress_every, self._report),
             StopWhenAsked(request),
         ]
@@ -220,7 +236,7 @@ class _Session:
         self.run = self.run.with_status(status, self.model.num_timesteps)
         self.run.event(status, step=self.model.num_timesteps)
 
-    def _checkpoint(self) -> None:
+    def _checkpoint(self, replay: bool = True) -> None:
         self._watch_values()
         extra = {
             "crashes": self.episodes.crashes,
@@ -229,13 +245,13 @@ class _Session:
             "owes_updates": self.model.owes_updates,
         }
         try:
-            save_checkpoint(self.run.checkpoints, self.model, extra, self.alive)
+            save_checkpoint(self.run.checkpoints, self.model, extra, self.alive, replay=replay)
         except (DiskFullError, OSError, SafetensorError) as error:  # those before are whole, and learning goes on
             self.unsaved = str(error)
             self.run.event("checkpoint_failed", step=self.model.num_timesteps, reason=str(error))
             return
         self.unsaved = ""
-        self.run.event("checkpoint", step=self.model.num_timesteps)
+        self.run.event("checkpoint" if replay else "weights", step=self.model.num_timesteps)
 
     def _watch_values(self) -> None:
         """Values beyond all possible returns mean that learning has come apart; say so once."""

@@ -3,7 +3,8 @@
 - manifest.json: versions, seed, town, hashes, git revision, command, status (running, done, interrupted)
 - config.json: the resolved configuration
 - plant.toml: the wheelchair, when it is the user's own
-- metrics.csv: one row an episode; columns *_s_wall hold wall-clock time and differ between equal runs
+- metrics.csv: one row an episode, steps.csv: KPI 1 of the agent's own choice, one row for each 100 steps; columns
+  *_s_wall hold wall-clock time and differ between equal runs
 - events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
 - checkpoints/: step-00005000/ ..., LATEST
 - learned_data.json: the segments of other data folders that are learned from, in rounds
@@ -38,7 +39,8 @@ from wcsim.errors import ConfigError, PolicyError, meant
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 
-MANIFEST, CONFIG, METRICS, EVENTS = "manifest.json", "config.json", "metrics.csv", "events.jsonl"
+MANIFEST, CONFIG, EVENTS = "manifest.json", "config.json", "events.jsonl"
+METRICS, STEPS = "metrics.csv", "steps.csv"
 PLANT = "plant.toml"
 _CHECKPOINTS, _POLICIES, _REPLAY = "checkpoints", "policies", "replay"
 STAGES = ("phase1", "final")

@@ -182,7 +182,7 @@ def slowed(client: Client, times: int) -> Client:
 
 def _epoch_h(run: GroupRun, watch: _Watch) -> float:
     """Hours that an epoch lasts at the pace of this soak."""
-    ticks = run.clients[0].config.world.epoch_ticks or math.inf
+    ticks = run.clients[0].config.epoch_ticks or math.inf
     return ticks / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
 
 
@@ -190,7 +190,7 @@ def _recovery_s(order: LearnersOrder, run: GroupRun, recovered: Sequence[Recover
     """A bound for the recovery of a world that dies in the last tick of an epoch."""
     kills = [each for each in recovered if each.fault.who == WORLD and each.fault.what == "kill"]
     if order.recovery == "replay":
-        cap = float(run.clients[0].config.world.epoch_ticks or math.inf)
+        cap = float(run.clients[0].config.epoch_ticks or math.inf)
         return predicted_s([(float(each.ticks), each.after_s) for each in kills], cap)
     return predicted_s([(0.0, each.after_s) for each in kills], 0.0)
 

@@ -67,7 +67,7 @@ def recovery_bars(order: SoakOrder) -> RecoveryBars:
     """The bars of a soak: a client is given up after its lease, a world that is to be exact does its epoch again."""
     again_s = 0.0
     if order.recovery == "replay":
-        again_s = _REPLAYED_S * (order.config.world.epoch_ticks or math.inf) / EPOCH_TICKS
+        again_s = _REPLAYED_S * (order.config.epoch_ticks or math.inf) / EPOCH_TICKS
     waits_s = _REJOIN_LEASES * max(0.0, order.lease_s - _LEASE_S)
     return RecoveryBars(
         client_s=order.lease_s + _NOTICED_S,
@@ -225,7 +225,7 @@ class _Watch:
 
 def _bounds(order: SoakOrder, watch: _Watch, times: RecoveryTimes) -> LongRun:
     """For a run of many hours; a recovery by replay is not in it, for which learners' soaks know the ticks."""
-    epoch_h = (order.config.world.epoch_ticks or math.inf) / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
+    epoch_h = (order.config.epoch_ticks or math.inf) / max(watch.pace.ticks_per_s, 1e-3) / 3600.0
     recovery_s = predicted_s([(0.0, took_s) for took_s in times.world_s], 0.0)
     return long_run(watch.growth.memory, watch.growth.disk, epoch_h, recovery_s)
 
@@ -250,7 +250,7 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
         name="soak",
         run=str(order.folder),
         recovery=order.recovery,
-        epochs_end=True,
+        epoch_ticks=order.config.epoch_ticks,
     )
 
 

@@ -71,16 +71,16 @@ def _is_test(folder: Path) -> bool:
 
 
 def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
-    from wcsim.view.report.training.learning_curve import read_training
+    from wcsim.view.report.training.learning_curve import crossing, read_training
     from wcsim.view.report.training.round_figures import told_of
     from wcsim.view.report.training.selection import selections
-    from wcsim.view.report.training.training_page import crossings, write_training_page
+    from wcsim.view.report.training.training_page import write_training_page
     from wcsim.view.report.training.waiting import waitings
 
     training = read_training(folders)
     page = write_training_page(training, out, (*selections(training), *waitings(training)))
-    for name, crossed in crossings(training).items():
-        stdout_console().print(f"{name}: {crossed.told()}", soft_wrap=True, markup=False)
+    for name, steps in training.steps.items():
+        stdout_console().print(f"{name}: {crossing(steps).told()}", soft_wrap=True, markup=False)
     for name, rounds in training.rounds.items():
         if rounds:
             stdout_console().print(f"{name}: {told_of(rounds)}", soft_wrap=True, markup=False)

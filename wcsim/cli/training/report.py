@@ -153,10 +153,10 @@ def _paid(waits: PaidTimes) -> Table:
 def print_crossings(run: Path) -> None:
     """Where KPI 1 of each client of a run came below its limit; a log that cannot be read is no reason to fail."""
     try:
-        clients = read_training([run]).clients
+        steps = read_training([run]).steps
     except PolicyError as error:
         print(f"wcsim: {error}", file=sys.stderr)
         return
-    for name, episodes in clients.items():
-        if episodes:
-            print(f"{name}: {crossing(episodes).told()}")
+    for name, rows in steps.items():
+        if rows:
+            print(f"{name}: {crossing(rows).told()}")

@@ -21,7 +21,7 @@ class EpochCap:
     def __init__(self, order: WorldSpec) -> None:
         """As the order says; never, where nobody would go on."""
         world = order.world.config.world
-        self._ticks = world.epoch_ticks if order.epochs_end else 0
+        self._ticks = order.epoch_ticks
         self._growth_mb = world.epoch_growth_mb
         self._begun_mb: float | None = None
         self._why = ""

@@ -6,9 +6,10 @@ import torch
 from torch import nn
 
 from tests.agents.chain import LENGTH, Chain
+from tests.agents.toy import logs_in
 from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
-from wcsim.agents.learning.watching.metrics import MetricsFile, read_metrics
+from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
@@ -79,7 +80,7 @@ def overestimates(path, double_q, seed):
     )  # fmt: skip
     torch.manual_seed(seed)
     learner.q_net_target.advantage.bias.data += torch.randn(81)  # it errs in a way of its own, and forgets that slowly
-    learner.learn(400, callback=EpisodeMetrics(MetricsFile(path), 0.0))
+    learner.learn(400, callback=EpisodeMetrics(logs_in(path.parent), 0.0))
     return [float(row["overestimate"]) for row in read_metrics(path)]
 
 

@@ -6,13 +6,13 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.clients_folder import create_clients_folder
-from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile
+from wcsim.agents.learning.watching.metrics import COLUMNS, STEP_COLUMNS, MetricsFile
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.training.learning_curve import TrainedEpisode, crossing, read_training
+from wcsim.view.report.training.learning_curve import TrainedSteps, crossing, read_training
 from wcsim.view.report.training.training_page import write_training_page
 
 INFO = RunInfo(seed=1, town="corner")
@@ -20,7 +20,7 @@ INFO = RunInfo(seed=1, town="corner")
 
 def row(step, **changes):
     plain = dict.fromkeys(COLUMNS, 0)
-    told = {"step": step, "phase": 1, "length": 10, "kpi1": 0.5, "kpi1_greedy": 0.5, "crash_reason": ""}
+    told = {"step": step, "phase": 1, "length": 10, "crash_reason": ""}
     return {**plain, **told, **changes}
 
 
@@ -42,10 +42,19 @@ def log(folder, *rows):
         metrics.add(each)
 
 
+def log_steps(folder, *kpi1, phase=1):
+    """A row of steps.csv for each hundred steps."""
+    steps = MetricsFile(folder / "steps.csv", columns=STEP_COLUMNS)
+    for place, distance in enumerate(kpi1, start=1):
+        steps.add({"step": 100 * place, "phase": phase, "kpi1_greedy": distance, "elapsed_s_wall": 6.0 * place})
+
+
 def test_both_curves_of_every_client_are_what_the_log_says(tmp_path):
     run = several(tmp_path / "run", "a", "b")
-    log(run / "a", row(10), row(20, kpi1_greedy=0.25, length=30), row(30, phase=2, crashed=1))
+    log(run / "a", row(10), row(20, length=30), row(25, length=5, cut=1), row(30, phase=2, crashed=1))
     log(run / "b", row(15, length=60))
+    log_steps(run / "a", 0.5, 0.25)
+    log_steps(run / "b", 0.5)
     assert main(["report", str(run)]) == 0
     text = (run / "report.html").read_text(encoding="utf-8")
     assert "Fig. 7a" in text and "Fig. 7b" in text and "http" not in text.replace("http-equiv", "")
@@ -54,10 +63,12 @@ def test_both_curves_of_every_client_are_what_the_log_says(tmp_path):
     with (run / "report" / "fig-7b-length.csv").open() as file:
         lengths = list(csv.DictReader(file))
     assert [(r["client"], r["step"], float(r["kpi1"])) for r in distances] == [
-        ("a", "10", 0.5), ("a", "20", 0.25), ("a", "30", 0.5), ("b", "15", 0.5),
+        ("a", "100", 0.5), ("a", "200", 0.25), ("b", "100", 0.5),
     ]  # fmt: skip
     assert [float(r["mean_of_20"]) for r in lengths] == [10.0, 20.0, pytest.approx(50 / 3, abs=1e-5), 60.0]
-    assert [r["crashed"] for r in lengths] == ["0", "0", "1", "0"]
+    assert [r["crashed"] for r in lengths] == ["0", "0", "1", "0"], "the one that its world cut is in no figure"
+    with (run / "report" / "clients.csv").open() as file:
+        assert [(r["episodes"], r["cut"]) for r in csv.DictReader(file)] == [("3", "1"), ("1", "0")]
     assert (run / "report" / "fig-7a-kpi1.svg").is_file()
 
 
@@ -70,19 +81,22 @@ def test_a_run_of_one_client_is_its_own_client(tmp_path):
 def test_several_runs_are_one_page_that_says_which_is_which(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     group, alone = several(tmp_path / "run", "a", "b"), one(tmp_path / "alone")
-    log(group / "a", *(row(10 * k, kpi1_greedy=1.0 - 0.1 * k) for k in range(1, 11)))
+    log(group / "a")
     log(group / "b", row(15))
-    log(alone, *(row(10 * k, kpi1_greedy=0.1) for k in range(1, 11)), row(110, phase=2))
+    log(alone)
+    log_steps(group / "a", *(1.0 - 0.03 * k for k in range(1, 26)))
+    log_steps(group / "b", 0.1)
+    log_steps(alone, *[0.1] * 25)
     assert main(["report", "run", "alone"]) == 0
     told = capsys.readouterr().out
-    assert "run/a: KPI 1 (mean of 10 episodes) never falls below 0.1768" in told
-    assert "run/b: KPI 1: 1 episode; a mean needs at least 5" in told
-    assert "alone: KPI 1 (mean of 11 episodes) is below 0.1768 from step 50 on" in told
+    assert "run/a: KPI 1 (mean of 2000 steps) never falls below 0.1768" in told
+    assert "run/b: KPI 1: a mean needs 2000 steps" in told
+    assert "alone: KPI 1 (mean of 2000 steps) is below 0.1768 from step 2000 on (2.0 min)" in told
     page = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
     assert "KPI 1 below 0.1768 from step" in page and "town corner, seed 1" in page
     with (tmp_path / "runs" / "report" / "report" / "clients.csv").open() as file:
         found = {r["client"]: r["KPI 1 below 0.1768 from step"] for r in csv.DictReader(file)}
-    assert found == {"run/a": "", "run/b": "", "alone": "50"}
+    assert found == {"run/a": "", "run/b": "", "alone": "2000"}
     assert main(["report", "run", "alone", "--out", "other"]) == 0
     assert (tmp_path / "other" / "report" / "fig-7a-kpi1.svg").is_file()
 
@@ -96,21 +110,14 @@ def test_rounds_of_danger_networks_are_drawn_beside_the_episodes_of_others(tmp_p
     told = "danger: 2 rounds, 11000 steps, 100 updates, loss 0.500, 1.0 crashes per 1000 steps"
     assert told in capsys.readouterr().out
     page = (danger / "report.html").read_text(encoding="utf-8")
-    assert "Rounds of driving and learning" in page and "Fig. 7a" not in page
+    assert "Rounds of driving and learning" in page and "Fig. 7" not in page
     with (danger / "report" / "round-crashes.csv").open() as file:
         rates = [(found["round"], float(found["crashes per 1,000 steps"])) for found in csv.DictReader(file)]
     assert rates == [("1", 4.0), ("2", 1.0)], "counted as in the terminal"
     log(values, row(10), row(20))
     assert main(["report", "danger", "values"]) == 0
     both = (tmp_path / "runs" / "report" / "report.html").read_text(encoding="utf-8")
-    assert "Rounds of driving and learning" in both and "Fig. 7a" in both
-
-
-def test_an_episode_whose_greedy_choice_was_not_looked_at_is_no_point_of_its_curve(tmp_path):
-    run = one(tmp_path / "alone")
-    log(run, row(10, kpi1=0.01, kpi1_greedy=""), row(20), row(30, phase=2, kpi1=0.3))
-    (episodes,) = read_training([run]).clients.values()
-    assert [episode.kpi1 for episode in episodes] == [None, 0.5, 0.3]
+    assert "Rounds of driving and learning" in both and "Fig. 7b" in both
 
 
 def test_values_that_promise_too_much_are_drawn_where_they_are_known(tmp_path):
@@ -126,30 +133,31 @@ def test_values_that_promise_too_much_are_drawn_where_they_are_known(tmp_path):
     assert "value minus return</h3>" not in write_training_page(read_training([run]), run).read_text(encoding="utf-8")
 
 
-def episodes_of(*kpi1):
-    return [
-        TrainedEpisode(step=10 * place, phase=2, length=10, kpi1=value, crashed=False)
-        for place, value in enumerate(kpi1, start=1)
-    ]
+def rows_of(*kpi1):
+    return [TrainedSteps(step=100 * k, phase=2, kpi1=value, elapsed_s=k) for k, value in enumerate(kpi1, start=1)]
 
 
-def test_a_crossing_is_of_the_mean_and_says_when_it_was_left_again():
-    assert crossing(episodes_of(*[0.1] * 4)).step is None  # too few to say
-    assert crossing(episodes_of(*[0.1] * 5)).step == 50
-    assert crossing(episodes_of(0.1, None, *[0.1] * 4)).step == 60
-    assert crossing(episodes_of(*[0.1768] * 5)).step == 50
-    assert crossing(episodes_of(*[0.18] * 50)).step is None
-    late = crossing(episodes_of(*[0.5] * 5, *[0.1] * 100))
-    assert (late.step, late.left, late.last) == (220, None, pytest.approx(0.1))  # three of twenty are 0.5
-    left = crossing(episodes_of(*[0.1] * 20, *[0.9] * 20))
-    assert (left.step, left.left) == (50, 220)
+def test_a_crossing_is_of_the_mean_of_2000_steps_and_says_when_it_was_left_again():
+    assert crossing(rows_of(*[0.1] * 19)) == crossing([]), "too few to say"
+    assert (crossing(rows_of(*[0.1] * 20)).step, crossing(rows_of(*[0.1] * 20)).elapsed_s) == (2000, 20)
+    assert crossing(rows_of(*[0.1768] * 20)).step == 2000
+    assert crossing(rows_of(*[0.18] * 50)).step is None
+    late = crossing(rows_of(*[0.5] * 5, *[0.1] * 100))
+    assert (late.step, late.left, late.last) == (2200, None, pytest.approx(0.1))  # three of twenty are 0.5
+    left = crossing(rows_of(*[0.1] * 20, *[0.9] * 20))
+    assert (left.step, left.left) == (2000, 2200)
 
 
 def test_a_log_without_episodes_or_with_damage_is_refused(tmp_path):
     run = several(tmp_path / "run", "a")
-    with pytest.raises(PolicyError, match="no client has finished"):
+    with pytest.raises(PolicyError, match="no client has logged"):
         write_training_page(read_training([run]), run)
-    for damage in ({"kpi1_greedy": "x"}, {"length": ""}, {"phase": 2, "kpi1": "inf"}, {"overestimate": "nan"}):
+    for damage in ({"cut": "x"}, {"length": ""}, {"overestimate": "nan"}):
         log(run / "a", row(10, **damage))
+        with pytest.raises(PolicyError, match="damaged at step"):
+            read_training([run])
+    log(run / "a", row(10))
+    for damage in ("x", "inf"):
+        log_steps(run / "a", damage)
         with pytest.raises(PolicyError, match="damaged at step"):
             read_training([run])

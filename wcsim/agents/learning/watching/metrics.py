@@ -1,4 +1,4 @@
-"""metrics.csv: one row an episode, written as it ends."""
+"""The logs of Q-learning: metrics.csv with a row for each episode, steps.csv with a row for each 100 steps."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from wcsim.errors import DiskFullError, PolicyError
 COLUMNS = (
     "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
     "progress_m", "arrivals", "epsilon", "margin_weight", "loss", "max_abs_q", "updates", "elapsed_s_wall",
-    "value_start", "return_start", "overestimate",
+    "value_start", "return_start", "overestimate", "cut",
 )  # fmt: skip
-_OLDER = COLUMNS[: COLUMNS.index("value_start")]  # of runs that were begun before values were compared with returns
+STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
-_KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
+_KIND = FileKind(what="the log of a run", limit_bytes=1 << 30, error=PolicyError)
 Value = float | int | str | None
 
 
 class MetricsFile:
-    """Appends rows; every row is complete on disk before the next episode begins."""
+    """Appends rows; every row is complete on disk before the next step."""
 
-    def __init__(self, path: Path, keep_to_step: int | None = None) -> None:
+    def __init__(self, path: Path, keep_to_step: int | None = None, columns: tuple[str, ...] = COLUMNS) -> None:
         """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
-        self.path = path
-        rows = read_metrics(path) if keep_to_step is not None and path.is_file() else []
+        self.path, self.columns = path, columns
+        rows = read_metrics(path, columns) if keep_to_step is not None and path.is_file() else []
         kept = [row for row in rows if int(row["step"]) <= (keep_to_step or 0)]
-        files.write_bytes(path, (_line(COLUMNS) + "".join(_line(row.values()) for row in kept)).encode())
+        files.write_bytes(path, (_line(columns) + "".join(_line(row.values()) for row in kept)).encode())
 
     def add(self, row: Mapping[str, Value]) -> None:
         """Append a row; numbers that are not finite are left empty. Raises KeyError, DiskFullError."""
-        line = _line([_text(row[name]) for name in COLUMNS])
+        line = _line([_text(row[name]) for name in self.columns])
         try:
             with self.path.open("a", encoding="utf-8", newline="") as file:
                 file.write(line)
@@ -44,26 +44,24 @@ class MetricsFile:
             raise DiskFullError(f"{self.path}: a row could not be written ({error.strerror}); make room") from None
 
 
-def read_metrics(path: Path) -> list[dict[str, str]]:
-    """All complete rows of a metrics file. Raises PolicyError when it is not one, or a row in it is damaged."""
+def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str, str]]:
+    """All complete rows of a log. Raises PolicyError when it has other columns, or a row in it is damaged."""
     text = read_text(path, _KIND)
     whole = text[: text.rfind("\n") + 1]  # a process that was killed can leave a torn last line
     try:
         rows = list(csv.reader(io.StringIO(whole, newline="")))
     except csv.Error as error:
-        raise PolicyError(f"{shown(path)}: is damaged ({error}); expected the metrics.csv of a run") from None
-    columns = tuple(rows[0]) if rows else ()
-    if columns not in (COLUMNS, _OLDER):
+        raise PolicyError(f"{shown(path)}: is damaged ({error}); expected the log of a run") from None
+    if not rows or tuple(rows[0]) != wanted:
         got = ", ".join(rows[0]) if rows else "none"
-        raise PolicyError(f"{path} has columns {shown(got)}; expected those of this version: {', '.join(COLUMNS)}")
+        raise PolicyError(f"{path} has columns {shown(got)}; expected those of this version: {', '.join(wanted)}")
     last = 0
     for number, row in enumerate(rows[1:], start=2):
-        step = int(row[0]) if len(row) == len(columns) and _STEP.fullmatch(row[0]) else -1
+        step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1
         if step < last:
-            raise PolicyError(f"{path}:{number}: is damaged; expected {len(columns)} values, the first a growing step")
+            raise PolicyError(f"{path}:{number}: is damaged; expected {len(wanted)} values, the first a growing step")
         last = step
-    missing = [""] * (len(COLUMNS) - len(columns))
-    return [dict(zip(COLUMNS, [*row, *missing], strict=True)) for row in rows[1:]]
+    return [dict(zip(wanted, row, strict=True)) for row in rows[1:]]
 
 
 def _text(value: Value) -> str:

@@ -1,4 +1,4 @@
-"""What a training's log says, episode by episode, its running means, and where KPI 1 came below its limit."""
+"""What a training's logs say of its steps and episodes, running means, and where KPI 1 came below its limit."""
 
 from __future__ import annotations
 
@@ -9,16 +9,26 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.learning.watching.metrics import read_metrics
+from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
-from wcsim.agents.runs.run_folder import MANIFEST, METRICS, read_json
-from wcsim.core.reading import counted, is_file, shown_value
+from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
+from wcsim.core.reading import is_file, shown_value
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
-OVER: Final = 20  # episodes that a mean goes over
-LEAST: Final = 5  # episodes in a mean that counts as a crossing
+OVER: Final = 20  # episodes, or rows of 100 steps, that a mean goes over
+KPI1_STEPS: Final = 100 * OVER  # steps that a mean of KPI 1 goes over
 KPI1_LIMIT: Final = MAX_FOLLOW_DISTANCE  # the line in Fig. 7a of the paper
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedSteps:
+    """A row of steps.csv: 100 steps."""
+
+    step: int
+    phase: int
+    kpi1: float  # of the agent's own choice, whatever was executed
+    elapsed_s: float  # since the training began, or went on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,8 +38,8 @@ class TrainedEpisode:
     step: int
     phase: int
     length: int
-    kpi1: float | None  # in the first phase of what the agent would have chosen, where that was looked at
     crashed: bool
+    cut: bool = False  # its world ended it, neither a crash nor its limit
     overestimate: float | None = None  # value at its start minus the return that followed, scaled
 
 
@@ -39,31 +49,33 @@ class Training:
 
     manifests: Mapping[str, Mapping[str, Any]]  # by the run's folder
     clients: Mapping[str, tuple[TrainedEpisode, ...]]  # in seat order
+    steps: Mapping[str, tuple[TrainedSteps, ...]] = field(default_factory=dict)  # of the same clients
     rounds: Mapping[str, tuple[TrainedRound, ...]] = field(default_factory=dict)  # of runs of danger networks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitCrossing:
-    """Where smoothed KPI 1 came below the limit."""
+    """Where the mean of KPI 1 over the last 2,000 steps came below the limit."""
 
     step: int | None  # at which it first did; None where it never did
-    last: float | None  # the last mean
+    last: float | None  # the last mean; None where there are fewer steps
     left: int | None = None  # the step since which it is above again
-    episodes: int = OVER  # with a KPI 1
+    elapsed_s: float | None = None  # until `step`, of the sitting that it fell in
 
     def told(self) -> str:
         """In words.
 
-        >>> LimitCrossing(step=1200, last=0.4, left=9000).told()
-        'KPI 1 (mean of 20 episodes) is below 0.1768 from step 1200 on, above it again since step 9000'
+        >>> LimitCrossing(step=3200, last=0.1, left=9000).told()
+        'KPI 1 (mean of 2000 steps) is below 0.1768 from step 3200 on, above it again since step 9000'
         """
-        if self.episodes < LEAST:
-            return f"KPI 1: {counted(self.episodes, 'episode')}; a mean needs at least {LEAST}"
-        mean = f"KPI 1 (mean of {min(OVER, self.episodes)} episodes)"
+        mean = f"KPI 1 (mean of {KPI1_STEPS} steps)"
+        if self.last is None:
+            return f"KPI 1: a mean needs {KPI1_STEPS} steps"
         if self.step is None:
             return f"{mean} never falls below {KPI1_LIMIT}"
+        spent = "" if self.elapsed_s is None else f" ({self.elapsed_s / 60.0:.1f} min)"
         after = f", above it again since step {self.left}" if self.left is not None else ""
-        return f"{mean} is below {KPI1_LIMIT} from step {self.step} on{after}"
+        return f"{mean} is below {KPI1_LIMIT} from step {self.step} on{spent}{after}"
 
 
 def read_training(folders: Sequence[Path]) -> Training:
@@ -72,7 +84,7 @@ def read_training(folders: Sequence[Path]) -> Training:
     Raises:
         PolicyError: One is no run, or damaged.
     """
-    manifests, clients, rounds = {}, {}, {}
+    manifests, clients, steps, rounds = {}, {}, {}, {}
     for folder in folders:
         manifest = read_json(folder, MANIFEST)
         manifests[str(folder)] = manifest
@@ -83,7 +95,8 @@ def read_training(folders: Sequence[Path]) -> Training:
                 rounds[label] = read_rounds(home / METRICS)
             else:
                 clients[label] = _episodes(home / METRICS)
-    return Training(manifests=manifests, clients=clients, rounds=rounds)
+                steps[label] = _steps(home / STEPS)
+    return Training(manifests=manifests, clients=clients, steps=steps, rounds=rounds)
 
 
 def _homes(folder: Path, manifest: Mapping[str, Any]) -> Iterable[tuple[str, Path]]:
@@ -97,21 +110,38 @@ def _episodes(path: Path) -> tuple[TrainedEpisode, ...]:
 
 
 def _episode(row: Mapping[str, str], path: Path) -> TrainedEpisode:
-    chosen = row["kpi1_greedy"] if row["phase"] == "1" else row["kpi1"]
     try:
         episode = TrainedEpisode(
             step=int(row["step"]),
             phase=int(row["phase"]),
             length=int(row["length"]),
-            kpi1=_number(chosen) if row["phase"] == "1" else float(chosen),
             crashed=bool(int(row["crashed"])),
+            cut=bool(int(row["cut"])),
             overestimate=_number(row["overestimate"]),
         )
     except ValueError:
         raise PolicyError(f"{path}: is damaged at step {shown_value(row['step'])}; expected numbers") from None
-    if not all(math.isfinite(value) for value in (episode.kpi1, episode.overestimate) if value is not None):
+    if episode.overestimate is not None and not math.isfinite(episode.overestimate):
         raise PolicyError(f"{path}: is damaged at step {episode.step}; expected finite numbers")
     return episode
+
+
+def _steps(path: Path) -> tuple[TrainedSteps, ...]:
+    found = []
+    for row in read_metrics(path, STEP_COLUMNS) if is_file(path) else []:
+        try:
+            numbers = TrainedSteps(
+                step=int(row["step"]),
+                phase=int(row["phase"]),
+                kpi1=float(row["kpi1_greedy"]),
+                elapsed_s=float(row["elapsed_s_wall"]),
+            )
+        except ValueError:
+            raise PolicyError(f"{path}: is damaged at step {shown_value(row['step'])}; expected numbers") from None
+        if not math.isfinite(numbers.kpi1 + numbers.elapsed_s):
+            raise PolicyError(f"{path}: is damaged at step {numbers.step}; expected finite numbers")
+        found.append(numbers)
+    return tuple(found)
 
 
 def _number(text: str) -> float | None:
@@ -128,18 +158,18 @@ def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
     return [math.fsum(values[first : place + 1]) / (place + 1 - first) for place, first in enumerate(firsts)]
 
 
-def crossing(episodes: Sequence[TrainedEpisode]) -> LimitCrossing:
-    """Where the mean of KPI 1 over the last episodes first was at most the limit; the first few are too few for it."""
-    told = [(episode.step, episode.kpi1) for episode in episodes if episode.kpi1 is not None]
-    means = running_means([kpi1 for _, kpi1 in told])
-    within = [place for place, mean in enumerate(means) if mean <= KPI1_LIMIT and place + 1 >= LEAST]
-    last = means[-1] if means else None
+def crossing(rows: Sequence[TrainedSteps]) -> LimitCrossing:
+    """Where the mean of KPI 1 over the last 2,000 steps first was at most the limit."""
+    means = running_means([row.kpi1 for row in rows])
+    within = [place for place, mean in enumerate(means) if mean <= KPI1_LIMIT and place + 1 >= OVER]
+    last = means[-1] if len(means) >= OVER else None
     if not within:
-        return LimitCrossing(step=None, last=last, episodes=len(means))
-    left = told[within[-1] + 1][0] if within[-1] + 1 < len(told) else None
-    return LimitCrossing(step=told[within[0]][0], last=last, left=left, episodes=len(means))
+        return LimitCrossing(step=None, last=last)
+    left = rows[within[-1] + 1].step if within[-1] + 1 < len(rows) else None
+    first = rows[within[0]]
+    return LimitCrossing(step=first.step, last=last, left=left, elapsed_s=first.elapsed_s)
 
 
-def switch_step(episodes: Sequence[TrainedEpisode]) -> int | None:
-    """The step of the last episode that ended in the first phase; None where there was no change."""
-    return next((before.step for before, after in pairwise(episodes) if before.phase < after.phase), None)
+def switch_step(rows: Sequence[TrainedEpisode] | Sequence[TrainedSteps]) -> int | None:
+    """The last step that the log has of the first phase; None where there was no change."""
+    return next((before.step for before, after in pairwise(rows) if before.phase < after.phase), None)

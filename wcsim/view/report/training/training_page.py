@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,8 +16,9 @@ from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.training.learning_curve import (
     KPI1_LIMIT,
     OVER,
-    LimitCrossing,
+    KPI1_STEPS,
     TrainedEpisode,
+    TrainedSteps,
     Training,
     crossing,
     running_means,
@@ -26,17 +27,23 @@ from wcsim.view.report.training.learning_curve import (
 from wcsim.view.report.training.round_figures import round_sections
 
 _KPI1_SAYS: Final = (
-    f"Mean distance between the driven and the user's stick in an episode, and its limit {KPI1_LIMIT}. In the first "
-    "phase it is that of the actions that the agent would have chosen. Triangle: the mean falls below the limit"
+    f"Distance between the agent's own best action and the user's stick, and its limit {KPI1_LIMIT}. In the first phase "
+    f"the user's action is executed. A dot is 100 steps, a line the mean of the last {KPI1_STEPS}. Triangle: that mean "
+    "falls below the limit. Dashed: the end of a client's first phase"
+)
+_EPISODES_SAY: Final = (
+    f"One dot per episode, at its last step; lines are means of the last {OVER} episodes. Dashed, in the client's "
+    "colour: the end of its first phase, in which the user's action is executed. Exploration is included. Episodes "
+    "that the end of a world cut are left out."
 )
 _OVER_SAYS: Final = (
     "Value of the best action at the start of an episode minus the discounted return that followed, both scaled. "
     "Above 0 the network overestimates, more so without double Q-learning (learn.double_q). In the first phase the "
     "user's actions were executed"
 )
+_Row = TrainedEpisode | TrainedSteps
 _Value = Callable[[TrainedEpisode], float | None]
 _FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
-    ("kpi1", "Fig. 7a: ", "KPI 1, mean joystick distance", _KPI1_SAYS, lambda e: e.kpi1),
     ("length", "Fig. 7b: ", "KPI 2, steps of an episode", "Steps until a crash, or until the limit of an episode",
      lambda e: float(e.length)),
     ("overestimate", "", "value minus return", _OVER_SAYS, lambda e: e.overestimate),
@@ -53,12 +60,13 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
         more: Sections between curves and clients.
 
     Raises:
-        PolicyError: No client has finished an episode, and no round is done.
+        PolicyError: No client has logged a step, and no round is done.
         DiskFullError: It cannot be written.
     """
-    episodes, rounds = any(training.clients.values()), round_sections(training.rounds)
+    episodes = any(training.clients.values()) or any(training.steps.values())
+    rounds = round_sections(training.rounds)
     if not episodes and not rounds:
-        raise PolicyError(f"{folder}: no client has finished an episode yet; continue the training with --resume")
+        raise PolicyError(f"{folder}: no client has logged a step yet; continue the training with --resume")
     parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]
     if episodes:
         clients = _table(training)
@@ -79,7 +87,8 @@ def _worth(training: Training) -> Markup:
 
 
 def _curves(training: Training) -> list[tuple[Section, Sequence[Exhibit]]]:
-    drawn = [found for each in _FIGURES if (found := _figure(training, *each)) is not None]
+    figures = [_kpi1_figure(training), *(_figure(training, *each) for each in _FIGURES)]
+    drawn = [found for found in figures if found is not None]
     body = el("div", *map(shown, drawn), class_="charts")
     return [(Section(name="curves", title="Curves", body=body), drawn)]
 
@@ -98,63 +107,84 @@ def _runs(training: Training) -> list[tuple[str, object]]:
     return said
 
 
-def crossings(training: Training) -> dict[str, LimitCrossing]:
-    """Where each client came below the limit of KPI 1."""
-    return {name: crossing(episodes) for name, episodes in training.clients.items()}
+def _counted(training: Training) -> dict[str, list[TrainedEpisode]]:
+    """The episodes of each client that ended by a crash or at their limit."""
+    return {name: [each for each in episodes if not each.cut] for name, episodes in training.clients.items()}
+
+
+def _kpi1_figure(training: Training) -> Exhibit | None:
+    """Fig. 7a, over steps; None where there is nothing to draw."""
+    told = {name: [(row, row.kpi1) for row in rows] for name, rows in training.steps.items()}
+    crossed = {name: crossing(rows).step for name, rows in training.steps.items()}
+    return _drawn("kpi1", "Fig. 7a: KPI 1, mean joystick distance", f"{_KPI1_SAYS}.", told, KPI1_LIMIT, crossed)
 
 
 def _figure(training: Training, key: str, number: str, label: str, says: str, of: _Value) -> Exhibit | None:
-    """A figure of all clients; None where there is nothing to draw."""
+    """A figure over the episodes of all clients; None where there is nothing to draw."""
+    told = {
+        name: [(episode, value) for episode in episodes if (value := of(episode)) is not None]
+        for name, episodes in _counted(training).items()
+    }
+    limit = {"overestimate": 0.0}.get(key)
+    return _drawn(key, f"{number}{label}", f"{says}. {_EPISODES_SAY}", told, limit, {})
+
+
+def _drawn(
+    key: str,
+    title: str,
+    says: str,
+    told: Mapping[str, Sequence[tuple[_Row, float]]],
+    limit: float | None,
+    crossed: Mapping[str, int | None],
+) -> Exhibit | None:
+    """A curve for each client through its rows and their values."""
     curves, plain = [], []
-    for name, episodes in training.clients.items():
-        told = [(episode, value) for episode in episodes if (value := of(episode)) is not None]
-        means = running_means([value for _, value in told])
+    for name, points in told.items():
+        means = running_means([value for _, value in points])
         curves.append(
             Curve(
                 name=name,
-                steps=[episode.step for episode, _ in told],
-                values=[value for _, value in told],
+                steps=[row.step for row, _ in points],
+                values=[value for _, value in points],
                 means=means,
-                switch=switch_step(episodes),
-                crossing=crossing(episodes).step if key == "kpi1" else None,
+                switch=switch_step([row for row, _ in points]),
+                crossing=crossed.get(name),
             )
         )
         rows: list[list[Cell]] = [
-            [name, e.step, e.phase, value, round(mean, 6), int(e.crashed)]
-            for (e, value), mean in zip(told, means, strict=True)
+            [name, row.step, row.phase, value, round(mean, 6)]
+            + ([int(row.crashed)] if isinstance(row, TrainedEpisode) else [])
+            for (row, value), mean in zip(points, means, strict=True)
         ]
         plain += rows
     if not plain:
         return None
-    limit = {"kpi1": KPI1_LIMIT, "overestimate": 0.0}.get(key)
-    return figure(
-        _NAMES[key],
-        f"{number}{label}",
-        f"{says}. One dot per episode, at its last step; lines are means of the last {OVER} episodes. Dashed, in the "
-        "client's colour: the end of its first phase, in which the user's action is executed. Exploration is included.",
-        csv_of(("client", "step", "phase", key, f"mean_of_{OVER}", "crashed"), plain),
-        curve_chart(_NAMES[key], label, curves, limit),
-    )
+    ends = ("crashed",) if key != "kpi1" else ()
+    columns = ("client", "step", "phase", key, f"mean_of_{OVER}", *ends)
+    drawn = curve_chart(_NAMES[key], title.rpartition(": ")[2], curves, limit)
+    return figure(_NAMES[key], title, says, csv_of(columns, plain), drawn)
 
 
 def _table(training: Training) -> Exhibit:
     rows: list[list[Cell]] = []
-    found = crossings(training)
-    for name, episodes in training.clients.items():
-        crossed = found[name]
+    for name, episodes in _counted(training).items():
+        steps = training.steps.get(name, ())
+        crossed, last = crossing(steps), [*training.clients[name], *steps]
         rows.append([
-            name, episodes[-1].step if episodes else 0, len(episodes), sum(e.crashed for e in episodes),
-            crossed.step, crossed.left, *(_last_mean(episodes, of) for *_, of in _FIGURES),
+            name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
+            sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
+            *(_last_mean(episodes, of) for *_, of in _FIGURES),
         ])  # fmt: skip
     headings = (
-        *("client", "steps", "episodes", "crashes", f"KPI 1 below {KPI1_LIMIT} from step", "above again since step"),
-        *(f"{what}, last {OVER}" for what in ("KPI 1", "KPI 2", "value minus return")),
+        *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
+        *("above again since step", f"KPI 1, last {KPI1_STEPS} steps"),
+        *(f"{what}, last {OVER}" for what in ("KPI 2", "value minus return")),
     )
     return Exhibit(
         name="clients",
         title="Clients",
-        says="Steps until the last finished episode; means over the last episodes. KPI 1 counts as below its limit "
-        "where the line of the figure is.",
+        says=f"KPI 1 is of the agent's own best actions; it counts as below its limit where the mean of {KPI1_STEPS} "
+        "steps is. KPI 2 is the steps of an episode. Cut: episodes that the end of a world ended; no figure has them.",
         body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
         csv=csv_of(headings, rows),
     )
@@ -163,3 +193,7 @@ def _table(training: Training) -> Exhibit:
 def _last_mean(episodes: Sequence[TrainedEpisode], of: _Value) -> float | None:
     values = [value for episode in episodes if (value := of(episode)) is not None][-OVER:]
     return round(math.fsum(values) / len(values), 4) if values else None
+
+
+def _rounded(mean: float | None) -> float | None:
+    return None if mean is None else round(mean, 4)
