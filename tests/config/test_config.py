@@ -11,6 +11,13 @@ from wcsim.errors import ConfigError
 
 
 @pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
+def test_a_shared_world_lives_for_ten_episodes(preset):
+    config = load_run_config(preset)
+    assert config.epoch_ticks >= 10 * config.learn.episode_steps
+    assert with_overrides(config, ("world.epoch_ticks=50",)).epoch_ticks == 50, "what a user asks for is taken as it is"
+
+
+@pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
 def test_presets_are_complete(preset):
     assert isinstance(load_run_config(preset), RunConfig)
 

@@ -44,7 +44,7 @@ def mean_return(learner, task):
 def test_a_network_with_a_state_recalls_and_one_without_cannot():
     """It is worth 1 to remember the first image, and 0 to guess."""
     scores = []
-    for network, steps in (("gru", 1800), ("patch", 800)):
+    for network, steps in (("gru", 2600), ("patch", 800)):
         learner = recall_model(network)
         learner.learn(steps)
         scores.append(mean_return(learner, Recall))

@@ -393,3 +393,11 @@ def test_baselines_look_at_the_newest_image(name):
 
     assert chosen(wall, wall, free) == chosen(free, free, free) == chosen(free)
     assert chosen(free, free, wall) == chosen(wall) != chosen(free)
+
+
+def test_groups_are_for_networks_that_carry_a_state():
+    found = {}
+    for network in ("fig6", "convlstm", "conv3d"):
+        config = with_window(RunConfig(learn=LearnConfig(network=network, memory="groups")))
+        found[network] = config.learn.memory, config.env.frames
+    assert found == {"fig6": ("groups", 1), "convlstm": ("groups", 1), "conv3d": ("windows", 4)}
