@@ -142,3 +142,18 @@ def test_clients_of_one_world_sense_alike_where_one_reads_dangers(tmp_path):
     assert one.config.env.truth_visible and not other.config.env.truth_visible
     with pytest.raises(ConfigError, match=r"collect\.rounds"):
         resolved(Options(clients="patch", preset="laptop"))
+
+
+def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):
+    file = tmp_path / "own.toml"
+    file.write_text("[learn]\nphase1_steps = 900\n")
+
+    def phases(own=None, **said):
+        learn = resolve_config(Options(preset="paper", steps=900, **said), "", own).learn
+        return learn.phase1_steps, learn.learning_starts
+
+    by_preset = phases()
+    assert by_preset[0] <= 450
+    assert phases(set=("learn.phase1_steps=900",)) == (900, by_preset[1])
+    assert phases(set=("learn={phase1_steps=900, learning_starts=800}",)) == (900, 800)
+    assert phases(config=file) == phases(file) == (900, by_preset[1])

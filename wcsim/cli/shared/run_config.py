@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -39,6 +39,8 @@ class Asked(Protocol):
 
 QUICK, DQN = "quick", "dqn"
 """The presets that a training begins with where none is named: dangers in rounds, or Q-learning."""
+
+_PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
 
 BY_STEPS = "expected --preset dqn, which learns by Q-learning, or --set collect.rounds=0"
 IN_ROUNDS = "expected --preset quick, laptop or best without options of Q-learning, or leave that out"
@@ -164,7 +166,8 @@ def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunC
     """
     named = (f'learn.network="{network}"',) if network else ()
     config = load_run_config(preset_of(asked, network), (*asked.set, *named), asked.config)
-    config = with_steps(config if file is None else with_file(config, file), asked.steps)
+    config = config if file is None else with_file(config, file)
+    config = with_steps(config, asked.steps, _given_parts(asked, (asked.config, file)))
     require_trained_users(config)
     return learning(config)
 
@@ -199,10 +202,18 @@ def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
-def with_steps(config: RunConfig, steps: int | None) -> RunConfig:
+def _given_parts(asked: Asked, config_files: Sequence[Path | None]) -> frozenset[str]:
+    """Those of `_PARTS` that the user has set, in an option or a file."""
+    tables = [_file_of(file).get("learn", {}) for file in config_files]
+    typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
+    return frozenset(key for key in _PARTS if key in typed or any(key in table for table in tables))
+
+
+def with_steps(config: RunConfig, steps: int | None, given: Collection[str] = ()) -> RunConfig:
     """The configuration for so many steps in all; None for its own.
 
-    A first phase of more than half of them shrinks in proportion, and so does a wait for the first update.
+    A preset's first phase of more than half of them shrinks in proportion, and so does its wait for the first update.
+    The keys of [learn] in `given` are the user's own, and stay.
 
     >>> learn = with_steps(RunConfig(), 60).learn
     >>> learn.total_steps, learn.phase1_steps, learn.learning_starts
@@ -216,9 +227,8 @@ def with_steps(config: RunConfig, steps: int | None) -> RunConfig:
     if steps < 1:
         raise ConfigError(f"--steps {steps}: expected 1 or more")
     learn = config.learn
-    first, starts = (_shrunk(part, learn.total_steps, steps) for part in (learn.phase1_steps, learn.learning_starts))
-    changed = (f"learn.total_steps={steps}", f"learn.phase1_steps={first}", f"learn.learning_starts={starts}")
-    return with_overrides(config, changed)
+    parts = {key: _shrunk(getattr(learn, key), learn.total_steps, steps) for key in _PARTS if key not in given}
+    return with_overrides(config, [f"learn.{key}={part}" for key, part in {"total_steps": steps, **parts}.items()])
 
 
 def _shrunk(part: int, total: int, steps: int) -> int:

@@ -60,7 +60,7 @@ class Options:
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Total steps, as --set learn.total_steps=N. A first phase of more than half of them shrinks in proportion."""
+    """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""
     clients: Annotated[str | None, tyro.conf.arg(metavar="A,B,...")] = None
     """Networks that learn at once in one shared world, each in its own process; names or module:Class."""
     config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
