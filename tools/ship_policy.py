@@ -155,11 +155,10 @@ def driving(run: RunFolder) -> tuple[list[str], list[str], int]:
 
 
 def users_of(folder: Path) -> list[str]:
-    """Who drove in a data folder: the user of a run that learned as it drove, else all profiles that took turns."""
+    """Who drove in a data folder: all profiles that took turns."""
     if not is_of_run(folder):
         return list(read_manifest(folder).config.get("collect", {}).get("profiles", CollectConfig().profiles))
-    config = open_run(folder.parent).config
-    return list(config.collect.profiles) if config.collect.rounds else [config.env.profile]
+    return list(open_run(folder.parent).config.collect.profiles)
 
 
 def is_of_run(folder: Path) -> bool:

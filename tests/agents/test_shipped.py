@@ -108,13 +108,6 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
     assert "| data | 1 segments" in TOOL["card"](run, [])
 
 
-def test_the_user_of_a_run_that_learned_as_it_drove_is_named(tmp_path):
-    online = with_overrides(OWN, ("collect.rounds=0", "env.profile=slow"))
-    driven = create_run(tmp_path / "a", online, make_manifest(online, RunInfo(seed=3, town="helsinki"))).path / "data"
-    write_manifest(driven, online, {"helsinki": "a" * 64}, {})
-    assert TOOL["users_of"](driven) == ["slow"]
-
-
 def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
     own = with_overrides(OWN, (f'collect.data=["{tmp_path / "gone"}"]',))
     run = create_run(tmp_path / "run", own, make_manifest(own, RunInfo(seed=3, town="helsinki")))

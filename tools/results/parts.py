@@ -39,11 +39,6 @@ OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
     "25-towns": ("collect.made_towns=24",),
     "no-scenes": ("collect.scene_share=0.0",),
 }
-# Rewards choose among what the danger network of `laptop-1` allows.
-ON_TOP: Final = (
-    *("learn.danger_weight=1", "learn.phase1_steps=0"),
-    *("cameras.0.noise=typical", "world.action_delay_ticks=2"),
-)
 AT_0_MS: Final = "world.action_delay_ticks=0"
 NETWORK_ALONE: Final = ("danger.doubt=1.0", "danger.trust=1.0")  # the rival in the rule would hide what it loses
 # Half of the updates that the rounds have.
@@ -114,9 +109,6 @@ def _ablations(out: Path) -> Iterator[Part]:
         learned = trained(out, run, 1, settings=(*ALL_AT_ONCE, *settings), data=out / "laptop-1" / "data")
         steps = first, learned, judged(out, "dev", (run,), alone=True)
         yield Part(name=run, says=f"learn from the dataset of laptop-1, {_told(settings)}", steps=steps)
-    on_top = trained(out, "values-on-top", 1, "dqn", (f"learn.danger={out / 'laptop-1'}", *ON_TOP))
-    steps = first, on_top, judged(out, "dev", ("laptop-1", "values-on-top"), alone=True)
-    yield Part(name="values-on-top", says="Q-learning on the actions that laptop-1 allows", steps=steps)
     for name, settings in OF_THE_DRIVING.items():
         run = f"ablation-{name}"
         steps = trained(out, run, 1, settings=(*FEWER_ROUNDS, *settings)), judged(out, "dev", (run,), alone=True)

@@ -51,14 +51,6 @@ class NetFile(Model):
     stateful: bool = False  # carries a state from tick to tick
 
 
-class ShieldFile(Model):
-    """How the dangers of the network beside it count in a policy of values."""
-
-    weight: NotNegative
-    threshold: Annotated[float, Field(gt=0.0, le=1.0)]
-    danger_sha256: Sha256  # of its weights
-
-
 class PolicyFile(Model):
     """`policy.json`: everything about a trained policy but its weights."""
 
@@ -71,7 +63,6 @@ class PolicyFile(Model):
         default_factory=dict
     )  # numbers of each sensor of [sensors] among them
     window: Window = 1
-    shield: ShieldFile | None = None
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]

@@ -10,9 +10,7 @@ from itertools import count
 import pytest
 
 from tests.agents.learning.test_train import Nervous, config, street
-from tests.agents.online.test_train_online import Sensing
-from tests.agents.online.test_train_online import config as danger_config
-from tests.agents.toy import a_run
+from tests.agents.toy import ToyStreet, a_run
 from wcsim import errors
 from wcsim.agents.clients.client import StatusPipe, exit_of, learn
 from wcsim.agents.clients.client_process import main
@@ -20,7 +18,6 @@ from wcsim.agents.clients.process_growth import ProcessGrownError, ProcessGrowth
 from wcsim.agents.clients.time_shares import Stopped, TimeShares
 from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
 from wcsim.agents.learning.train import train
-from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import LearnConfig
 from wcsim.core.files import locked
 from wcsim.server.launch.states import ClientExit
@@ -136,33 +133,8 @@ def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
     assert len(seen) >= 15
 
 
-def test_a_client_may_be_a_danger_network_that_learns_as_it_drives(tmp_path, monkeypatch):
-    class Seat(Sensing):
-        waits, beats, epoch = Waits(), 0, 0
-
-        def beat(self, progress):
-            self.beats += 1
-
-        def wait_no_more(self):
-            pass
-
-    seat = Seat()
-    monkeypatch.setattr("wcsim.agents.clients.client.WheelchairEnv", lambda *town, **options: seat)
-    settings = danger_config("learn.total_steps=60", "learn.phase1_steps=20", "learn.learning_starts=10")
-    join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="patch", claim="c")
-    info = RunInfo(seed=1, town="toy", town_sha256="0" * 64)
-    order = ClientSpec(join=join, config_json=settings.model_dump_json(), out=str(tmp_path / "run"), info=info)
-    learn(order, resume=False)
-    assert is_danger(tmp_path / "run" / "policies" / "final") and (tmp_path / "run" / "policies" / "phase1").is_dir()
-    times = json.loads((tmp_path / "run" / "times.json").read_text())
-    assert times["step"] == 60 and min(times["inference_s"], times["learning_s"]) > 0.0
-    assert seat.beats > 0, "a server that hears nothing while a checkpoint is written gives the seat away"
-    learn(order, resume=True)
-    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
-
-
 def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_goes_on(tmp_path, monkeypatch):
-    class Seat(Sensing):
+    class Seat(ToyStreet):
         waits = Waits()
 
         def beat(self, progress):
@@ -181,8 +153,8 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
     monkeypatch.setattr(
         "wcsim.agents.clients.client.ProcessGrowth", lambda learn: ProcessGrowth(learn, lambda: next(memory_mb))
     )
-    few = ("learn.total_steps=140", "learn.phase1_steps=20", "learn.learning_starts=10", "learn.replay_frames=100")
-    settings = danger_config(*few, "learn.process_growth_mb=50", "learn.checkpoint_every=1000")
+    few = {"total_steps": 140, "phase1_steps": 20, "learning_starts": 10, "replay_frames": 100}
+    settings = config(**few, process_growth_mb=50, checkpoint_every=1000)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="patch", claim="c")
     info = RunInfo(seed=1, town="toy", town_sha256="0" * 64)
     order = ClientSpec(join=join, config_json=settings.model_dump_json(), out=str(tmp_path / "run"), info=info)

@@ -38,8 +38,6 @@ IDEAS: Final[dict[str, tuple[str, ...]]] = {
     "learners": (
         "wcsim/agents/learning/seqdqn.py",
         "wcsim/agents/danger/learner.py",
-        "wcsim/agents/online/agent.py",
-        "wcsim/agents/learning/shielded/shielded_dqn.py",
     ),
 }
 _WITH_RECORDINGS: Final = ("bridge.recording", "bridge.town_run", "bridge.drives")

@@ -22,38 +22,33 @@ from wcsim.agents.collecting.data_folder import packed_segment, read_segment
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE
 from wcsim.agents.danger.lessons import lessons_of
-from wcsim.agents.online.online_checkpoint import Counters, OnlineState, load_online, save_online
-from wcsim.agents.online.taught_ride import TaughtRide
 from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
 from wcsim.core import files
 from wcsim.core.reading import is_file, is_folder
 
-ONLINE, ROUND = "step-00000240", "round-007"
+ROUND = "round-007"
 WEIGHTS, MOMENTS = "weights.safetensors", "moments.safetensors"
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 
 
 def families(work: Path) -> list[Family]:
-    """A segment, and each file of a checkpoint of both kinds of runs."""
+    """A segment, and each file of a checkpoint."""
     learner, segment = _learner(), packed_segment(a_segment(rows=6, ends=(3,)))
-    rngs = {"explore_rng": np.random.Generator(np.random.Philox(1)), "lectures_rng": _philox(2)}
-    save_online(work, learner, OnlineState(counters=Counters(step=240, episodes=3), segments={}, **rngs))
     save_round(work, 7, learner, {"3-007-0000.npz.zst": "0" * 64})
     kinds = [Family(name="segment", file="a.npz.zst", sound=segment, twist=_segment_twist, take=_take_segment)]
-    for folder, take in ((ONLINE, _take_online), (ROUND, _take_round)):
-        held = {name: (work / folder / name).read_bytes() for name in (STATE, WEIGHTS, MOMENTS)}
-        for name, data in held.items():
-            kinds.append(
-                Family(
-                    name=f"{folder.partition('-')[0]}, {name.partition('.')[0]}",
-                    file=f"{folder}/{name}",
-                    sound=data,
-                    twist=_state_twist(json.loads(data)) if name == STATE else _tensors_twist(data),
-                    take=take,
-                    beside=tuple((f"{folder}/{other}", held[other]) for other in held if other != name),
-                )
+    held = {name: (work / ROUND / name).read_bytes() for name in (STATE, WEIGHTS, MOMENTS)}
+    for name, data in held.items():
+        kinds.append(
+            Family(
+                name=f"round, {name.partition('.')[0]}",
+                file=f"{ROUND}/{name}",
+                sound=data,
+                twist=_state_twist(json.loads(data)) if name == STATE else _tensors_twist(data),
+                take=_take_round,
+                beside=tuple((f"{ROUND}/{other}", held[other]) for other in held if other != name),
             )
-        cleared(work / folder)
+        )
+    cleared(work / ROUND)
     return kinds
 
 
@@ -62,10 +57,6 @@ def _learner() -> DangerLearner:
     learner = DangerLearner(small_config(), 9, 60)
     learner.learn(lectures(small_config()), 2)
     return learner
-
-
-def _philox(seed: int) -> np.random.Generator:
-    return np.random.Generator(np.random.Philox(seed))
 
 
 # --- segments ---
@@ -160,13 +151,6 @@ def _resealed(path: Path) -> None:
         with suppress(OSError):
             data["sha256"][path.name] = files.sha256(path)
         state.write_bytes(_sealed(json.dumps(data)))
-
-
-def _take_online(path: Path) -> bool:
-    _resealed(path)
-    learner = _learner()
-    found = load_online(path.parents[1], learner, TaughtRide(small_config(), path.parents[1] / "data", 5))
-    return found is None or _same(path.parent, learner, lambda out: save_online(out, learner, found[0]))
 
 
 def _take_round(path: Path) -> bool:

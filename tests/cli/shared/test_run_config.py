@@ -5,20 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from wcsim.cli.shared.run_config import (
     learning,
-    learns_dangers_online,
     overrides_of,
     preset_of,
     require_heard,
     resolve_config,
     resolve_run,
 )
-from wcsim.cli.training.clients import resolved
 from wcsim.cli.training.train import Options
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, PolicyError
@@ -73,24 +70,6 @@ def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path)
     assert done.stdout.strip() == "False"
 
 
-def test_a_danger_network_that_learns_as_it_drives_has_its_senses_and_its_teacher():
-    taught = resolve_config(Options(set=("learn.head=danger", "learn.aid=none")), "")
-    assert learns_dangers_online(taught) and taught.env.truth and taught.env.truth_visible
-    assert taught.env.observe_gyro and taught.sensors.odometry is not None
-    assert learning(taught) == taught
-    all_knowing = resolve_config(Options(set=("learn.head=danger", "danger.teacher=truth")), "")
-    assert all_knowing.env.truth and not all_knowing.env.truth_visible
-    plain = resolve_config(Options(preset="dqn"), "")
-    assert not learns_dangers_online(plain) and not plain.env.observe_gyro and not plain.env.truth_visible
-
-
-def test_the_preset_with_rounds_has_worlds_of_its_own():
-    for preset in ("laptop", "best", "quick"):
-        config = resolve_config(Options(preset=preset), "")
-        assert config.learn.head == "danger" and not learns_dangers_online(config)
-        assert learns_dangers_online(resolve_config(Options(preset=preset, set=("collect.rounds=0",)), ""))
-
-
 @pytest.mark.parametrize(
     ("said", "preset"),
     [
@@ -122,26 +101,7 @@ def test_rounds_refuse_what_they_would_not_hear_of():
     with pytest.raises(ConfigError, match=r"^--steps, --reward: .*--preset dqn"):
         require_heard(rounds, said)
     require_heard(rounds, {"--steps": False})
-    require_heard(load_run_config("quick", ("collect.rounds=0",)), said)
     require_heard(load_run_config("dqn"), said)
-
-
-def test_values_on_top_of_dangers_have_the_senses_of_the_danger_network_wherever_they_are_learned():
-    config = resolve_config(Options(set=("learn.danger=runs/a",)), "")
-    assert Path(config.learn.danger).is_absolute() and config.learn.danger.endswith("runs/a")
-    assert config.env.observe_gyro and config.sensors.odometry is not None and not config.env.truth_visible
-    assert learning(config) == config
-
-
-def test_clients_of_one_world_sense_alike_where_one_reads_dangers(tmp_path):
-    file = tmp_path / "danger.toml"
-    file.write_text('[learn]\nhead = "danger"\n')
-    one, other = resolved(Options(clients="patch,small", config_for=(f"patch={file}",)))
-    assert (one.config.learn.head, other.config.learn.head) == ("danger", "residual")
-    assert one.config.world_digest() == other.config.world_digest()
-    assert one.config.env.truth_visible and not other.config.env.truth_visible
-    with pytest.raises(ConfigError, match=r"collect\.rounds"):
-        resolved(Options(clients="patch", preset="laptop"))
 
 
 def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):

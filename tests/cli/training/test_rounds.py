@@ -104,4 +104,4 @@ def test_a_demo_says_what_its_settings_make_it_do():
     told = how_it_learns(config)
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
     assert how_it_learns(load_run_config("quick", ("collect.rounds=1",))).startswith("1 round of ")
-    assert how_it_learns(load_run_config("quick", ("collect.rounds=0",))) == how_it_learns(load_run_config("dqn")) == ""
+    assert how_it_learns(load_run_config("dqn")) == ""

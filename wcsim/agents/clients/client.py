@@ -122,14 +122,7 @@ def learn(
 
     told: dict[str, Any] = {"alive": alive, "say": say, "wait_no_more": env.wait_no_more}
     try:
-        if config.learn.head == "danger":
-            from wcsim.agents.online.train_online import Listeners, train_online  # loads what drives worlds
-
-            told |= {"deciding": shares.inference.around, "learning": shares.learning.around}
-            listeners = Listeners(progress=pipe.show, progress_every=1, **told)
-            train_online(run, lambda: env, listeners)
-        else:
-            train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **told)
+        train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **told)
     except (InterruptedRunError, DiskFullError) as error:
         if growth.told:  # with or without a last checkpoint, as any other one may fail
             raise ProcessGrownError(f"{growth.told}; a fresh one goes on") from error

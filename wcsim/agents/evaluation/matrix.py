@@ -20,7 +20,6 @@ from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.envs.senses import senses_of
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
-from wcsim.agents.learning.shielded.shielded_policy import shielded
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.agents.policy_api import Policy
@@ -209,7 +208,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
     path = policy_path(name)
     if is_danger(path):
         return load_danger(path, name, config, split_level(name)[1], network)
-    policy = load_policy(path, network, bare=True)
+    policy = load_policy(path, network)
     camera, file = config.cameras[0], policy.file
     if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
         raise PolicyError(
@@ -236,7 +235,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             f"({', '.join(other) or 'env.classes'} differ): test it alone"
         )
     policy.name = name
-    return shielded(path, policy, config, split_level(name)[1], network)
+    return policy
 
 
 def window_for(policies: Sequence[Policy]) -> int:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from stable_baselines3.common.type_aliases import GymEnv
 
 from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
-from wcsim.agents.learning.shielded.shielded_dqn import Shield, ShieldedDQN, ShieldedQPolicy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError, PolicyError
+
+LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,28 +121,12 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
             f"learn.memory=windows with one image in an observation for {learn.network!r}; expected a window: set "
             f"env.window={registry.preferred_window(learn.network)}"
         )
-    if _is_stateful(config) and learn.danger:
-        raise ConfigError(
-            f"learn.danger with learn.memory=groups and {learn.network!r}: a network with a state cannot use "
-            "dangers; expected learn.memory=steps or windows, or a network without a state"
-        )
     if _is_stateful(config) and (learn.mirror or learn.aid != "none"):
         what = "learn.mirror=true" if learn.mirror else f"learn.aid={learn.aid}"
         raise ConfigError(
             f"{what} with learn.memory=groups and {learn.network!r}: a recurrent state does not work with that; "
             "expected neither of them: set learn.mirror=false and learn.aid=none, or another learn.memory"
         )
-
-
-def _kind(config: RunConfig) -> tuple[type[SeqDQN], type[SeqQPolicy], dict[str, Shield]]:
-    """The classes of learner and policy, and what the policy is told beside its network."""
-    learn = config.learn
-    if not learn.danger:
-        return SeqDQN, SeqQPolicy, {}
-    if learn.head != "residual":
-        raise ConfigError(f"learn.danger with learn.head={learn.head}; expected residual: dangers lower its values")
-    shield = Shield(weight=learn.danger_weight, threshold=config.danger.threshold)
-    return ShieldedDQN, ShieldedQPolicy, {"shield": shield}
 
 
 def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
@@ -150,22 +136,19 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
             "because pictures are mirrored: set learn.mirror=false"
         )
-    kind, policy, shield = _kind(config)
-    return kind(
-        policy,
+    return SeqDQN(
+        SeqQPolicy,
         env,
         settings=SeqSettings(
             actions=config.env.actions,
             double_q=learn.double_q,
             reward_scale=learn.reward_scale,
             exploration=learn.exploration,
-            epsilon_sigma=learn.epsilon_sigma,
             epsilon_hold=learn.epsilon_hold,
             mirror=learn.mirror,
             mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
             aid_batch=learn.aid_batch,
             aid_share=learn.aid_share,
-            aid_relabel=learn.aid_relabel,
             aid_ahead=learn.aid_ahead,
             aid_margin=learn.aid_margin,
             supervision="cross_entropy" if learn.phase1 == "supervised" else "margin",
@@ -181,9 +164,9 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
         gamma=learn.gamma,
         train_freq=learn.train_every,
         gradient_steps=learn.gradient_steps,
-        max_grad_norm=learn.clip_norm,
+        max_grad_norm=LARGEST_GRADIENT,
         replay_buffer_kwargs={"settings": _replay_settings(config, seed, replay_folder)},
-        policy_kwargs={"spec": net_spec(config), **shield},
+        policy_kwargs={"spec": net_spec(config)},
         device=learn.device,
     )
 

@@ -1,9 +1,10 @@
 """Checkpoints of a learner: weights, target, optimiser, replay, counters and random states, in safetensors and JSON.
 
-Taken between rollouts, where every step is stored. Weights are small and saved often; the replay is not, so most
-checkpoints share the file of the newest one that was saved with its replay, as a hard link. A world cannot be saved, so a resumed run begins a new episode and
-with it a new exploration offset; everything else that the learner holds is restored exactly. All of a checkpoint is
-under a hash; one that is damaged in any place is passed over for the one before it, and the learner is not touched.
+Taken between rollouts, where every step is stored. Weights are small and saved often. The replay is large, so most
+checkpoints share, as a hard link, the file of the newest one that was saved with its replay. A world cannot be saved:
+a resumed run begins a new episode and with it a new exploration offset. All else that the learner holds is restored
+exactly. All of a checkpoint is under a hash; one that is damaged in any place is passed over for the one before it,
+and the learner is not touched.
 """
 
 from __future__ import annotations

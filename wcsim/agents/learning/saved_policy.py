@@ -81,28 +81,22 @@ class NetPolicy:
         return values, after
 
 
-def save_policy(
-    folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "", beside: Beside | None = None
-) -> Path:
-    """Write a policy folder in one step, replacing an older one; returns the folder.
-
-    `beside` writes further files into it, and returns further entries of policy.json.
-    """
+def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
+    """Write a policy folder in one step, replacing an older one; returns the folder."""
     net = model.q_net
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
 
     def fill(target: Path) -> None:
         save_file(tensors, target / WEIGHTS)
         digest = files.sha256(target / WEIGHTS)
-        told = _describe(model, camera, manifest_sha256, digest)
-        files.write_json(target / POLICY_JSON, {**told, **({} if beside is None else beside(target))})
+        files.write_json(target / POLICY_JSON, _describe(model, camera, manifest_sha256, digest))
 
     files.write_folder(folder, fill)
     return folder
 
 
-def load_policy(path: Path, network: str | None = None, *, bare: bool = False) -> NetPolicy:
-    """Load a policy folder; one with a danger network needs it to drive (`shielded`); `bare` loads it without.
+def load_policy(path: Path, network: str | None = None) -> NetPolicy:
+    """Load a policy folder.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
     somebody else must not decide which code runs here.
@@ -110,8 +104,6 @@ def load_policy(path: Path, network: str | None = None, *, bare: bool = False) -
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
-    if file.shield is not None and not bare:
-        raise PolicyError(f"{shown(path)} holds a danger network too; expected a caller that drives with both")
     spec = _spec(path, file, network)
     weights = path / WEIGHTS
     if registry.is_own(spec.network):

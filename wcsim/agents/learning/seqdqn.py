@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,8 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
 
 States = tuple[npt.NDArray[Any], ...]
+EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
+RELABELLED: Final = 0.5  # share of a batch of oracle data with a random joystick in the user's place
 MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
 
 
@@ -49,13 +51,11 @@ class SeqSettings:
     double_q: bool = True
     reward_scale: float = 0.05
     exploration: Literal["local", "uniform"] = "local"
-    epsilon_sigma: float = 0.5
     epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
     mirror: bool = False  # batches are mirrored left to right half of the time
     mirror_signs: Signs = ()  # of the sensors of [sensors]
     aid_batch: int = 32  # this and the following: see LearnConfig
     aid_share: float = 0.5
-    aid_relabel: float = 0.5
     aid_ahead: int = 0
     aid_margin: float = 1.0
     supervision: Literal["margin", "cross_entropy"] = "margin"  # the loss towards the user's action
@@ -136,7 +136,7 @@ class SeqDQN(DQN):
             self._held, self._offsets = np.zeros(seats, dtype=np.int64), np.zeros((seats, 2))
         rate = self.exploration_rate / (hold - (hold - 1) * self.exploration_rate)
         begins = (self._held == 0) & (self.rng.random(seats) < rate)
-        drawn = self.rng.normal(0.0, self.settings.epsilon_sigma, (seats, 2))
+        drawn = self.rng.normal(0.0, EXPLORED_SIGMA, (seats, 2))
         self._offsets = np.where(begins[:, None], drawn, self._offsets)
         self._held = np.where(begins, hold, self._held)
         explores: npt.NDArray[np.bool_] = self._held > 0
@@ -325,7 +325,7 @@ class SeqDQN(DQN):
             return torch.zeros((), device=self.device)
         seen, points = advice.observations, self.action_points.points
         sticks = seen[JOYSTICK_KEY].cpu().numpy()
-        wishes = relabelled(sticks, points, settings.aid_relabel, self.rng)
+        wishes = relabelled(sticks, points, RELABELLED, self.rng)
         advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
         if self._flips():
             advice = mirrored_advice(advice, self._mirror_map(), self.settings.mirror_signs)

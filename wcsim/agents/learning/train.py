@@ -32,8 +32,6 @@ from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_ste
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.shielded.danger_part import danger_part
-from wcsim.agents.learning.shielded.shielded_dqn import shield_beside
 from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.networks.device import checked_device
@@ -87,7 +85,7 @@ def train(
         require_tensorboard()
     folder = folder_of(run, with_window)
     with files.locked(folder.path), torch_settings(run.config), StopRequest(wait_no_more) as request:
-        env = DummyVecEnv([_shielded(make_env, folder)])
+        env = DummyVecEnv([make_env])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
             _learn_meanwhile(model, env)
@@ -103,16 +101,6 @@ def train(
                     return session.learn()
         finally:
             env.close()
-
-
-def _shielded(make_env: MakeEnv, run: RunFolder) -> MakeEnv:
-    """The environment, with dangers beside what is seen where values are learned on top of a danger network."""
-    part = danger_part(run)
-    if part is None:
-        return make_env
-    from wcsim.agents.learning.shielded.danger_sense import with_dangers  # loads what a chair's plant is checked by
-
-    return with_dangers(make_env, run.config, part)
 
 
 def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
@@ -224,8 +212,7 @@ class _Session:
     def _save(self, stage: str) -> None:
         path = self.run.policy(stage)
         try:
-            beside = shield_beside(self.model, danger_part(self.run))
-            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256(), beside)
+            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256())
         except (DiskFullError, OSError, SafetensorError) as error:
             raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
 

@@ -21,7 +21,7 @@ Recurrent = TypeVar("Recurrent", nn.LSTM, nn.GRU)
 
 
 class RecurrentNet(nn.Module):
-    """Each image to 128 numbers, then a recurrent layer over the window; its last output and the vector are features."""
+    """Each image to 128 numbers, then a recurrent layer over the window; its last output joins the vector."""
 
     windowed: ClassVar[bool] = True
     window: ClassVar[int] = 4

@@ -8,9 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.networks.names import is_own, require_network
-from wcsim.agents.policy_api import GYRO, ODOMETRY_KEY
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
@@ -42,7 +40,7 @@ QUICK, DQN = "quick", "dqn"
 
 _PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
 
-BY_STEPS = "expected --preset dqn, which learns by Q-learning, or --set collect.rounds=0"
+BY_STEPS = "expected --preset dqn, which learns by Q-learning"
 IN_ROUNDS = "expected --preset quick, laptop or best without options of Q-learning, or leave that out"
 """What to do where an option is not used by how a network learns."""
 
@@ -228,7 +226,7 @@ def with_steps(config: RunConfig, steps: int | None, given: Collection[str] = ()
         raise ConfigError(f"--steps {steps}: expected 1 or more")
     learn = config.learn
     parts = {key: _shrunk(getattr(learn, key), learn.total_steps, steps) for key in _PARTS if key not in given}
-    return with_overrides(config, [f"learn.{key}={part}" for key, part in {"total_steps": steps, **parts}.items()])
+    return with_overrides(config, tuple(f"learn.{key}={part}" for key, part in {"total_steps": steps, **parts}.items()))
 
 
 def _shrunk(part: int, total: int, steps: int) -> int:
@@ -246,27 +244,16 @@ def steps_note(config: RunConfig, steps: int | None) -> str:
 def learning(config: RunConfig) -> RunConfig:
     """The configuration as it is learned with: episodes of the learner's length, the truth when it is advised.
 
-    A danger network that learns or is learned with has the senses that it reads, and its teacher.
+    Rounds set by themselves what their worlds tell.
     """
-    learn, taught = config.learn, learns_dangers_online(config)
-    visible = taught and config.danger.teacher == "visible"
-    env = {"max_steps": learn.episode_steps, "truth": learn.aid == "oracle" or taught, "truth_visible": visible}
-    config = config.model_copy(update={"env": config.env.model_copy(update=env)})
-    if learn.danger:  # a client may be at work elsewhere
-        kept = learn.model_copy(update={"danger": str(Path(learn.danger).absolute())})
-        config = config.model_copy(update={"learn": kept})
-    config = with_whole_data(config)
-    return with_senses(config, (ODOMETRY_KEY, GYRO)) if taught or learn.danger else config
+    learn = config.learn
+    env = {"max_steps": learn.episode_steps, "truth": learn.aid == "oracle", "truth_visible": False}
+    return with_whole_data(config.model_copy(update={"env": config.env.model_copy(update=env)}))
 
 
 def learns_in_rounds(config: RunConfig) -> bool:
     """Whether a danger network learns in rounds, from worlds of its own."""
-    return config.learn.head == "danger" and config.collect.rounds > 0
-
-
-def learns_dangers_online(config: RunConfig) -> bool:
-    """Whether a danger network learns from every step as it drives, and not in rounds."""
-    return config.learn.head == "danger" and config.collect.rounds == 0
+    return config.learn.head == "danger"
 
 
 def require_trained_users(config: RunConfig) -> None:

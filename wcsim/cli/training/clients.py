@@ -8,7 +8,6 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from wcsim.agents.clients.clients_folder import (
@@ -19,10 +18,8 @@ from wcsim.agents.clients.clients_folder import (
 )
 from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, client_plan, world_order
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
-from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
-from wcsim.agents.policy_api import ODOMETRY_KEY
 from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
@@ -127,11 +124,10 @@ def resolved(options: Options) -> tuple[Client, ...]:
         require_user(config.env.profile)
         if learns_in_rounds(config):
             raise ConfigError(
-                f"client {name}: collect.rounds={config.collect.rounds} learns in rounds; expected 0, which "
-                "learns from every step, or --preset dqn, which uses Q-learning"
+                f"client {name}: a danger network (learn.head=danger) learns in rounds, without clients; "
+                "expected --preset dqn or paper, which use Q-learning"
             )
         clients.append(Client(name=name, seat=seat, config=config))
-    clients = _sensing_alike(clients)
     worlds = {client.config.world_digest(): client.name for client in clients}
     if len(worlds) > 1:
         raise ConfigError(
@@ -139,13 +135,6 @@ def resolved(options: Options) -> tuple[Client, ...]:
             "camera, IMU and reward for all: only [learn] and the observation in [env] may differ (--config-for)"
         )
     return tuple(clients)
-
-
-def _sensing_alike(clients: list[Client]) -> list[Client]:
-    """The same clients, with wheel odometry for all where one reads dangers: a sensor is there for all or none."""
-    if not any(client.config.learn.head == "danger" or client.config.learn.danger for client in clients):
-        return clients
-    return [replace(client, config=with_senses(client.config, (ODOMETRY_KEY,))) for client in clients]
 
 
 def client_names(networks: Sequence[str]) -> tuple[str, ...]:

@@ -136,15 +136,13 @@ def _beside_recording(same: float, by: str, policy: str) -> str:
 
 def _costs(facts: ExportFacts) -> str:
     """What a step takes."""
-    small, cost, slow = facts.int8_cost, facts.cost, facts.quota_share
+    cost, slow = facts.cost, facts.quota_share
     within = "within" if cost.p99_ms <= facts.bar_ms else "over"
     return (
         f"one thread: {cost.p50_ms:.2f} ms per step (p99 {cost.p99_ms:.2f}, {within} the target of {facts.bar_ms:g} "
         f"ms; {cost.cpu_p50_ms:.2f} ms CPU time), {cost.peak_mb:.0f} MB of memory\n"
         f"{slow:.0%} of a core, by {facts.quota_by} every {1000.0 * facts.quota_period_s:g} ms: "
-        f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})\n"
-        f"in 8 bits: {facts.int8_bytes / 1e6:.1f} MB, {small.p50_ms:.2f} ms (p99 {small.p99_ms:.2f}), dangers "
-        f"differ by up to {facts.int8_most_off:.2g}, {facts.int8_same_actions:.1%} of the actions match"
+        f"{cost.quota_p50_ms:.2f} ms (p99 {cost.quota_p99_ms:.2f})"
     )
 
 

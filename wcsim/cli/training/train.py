@@ -19,7 +19,6 @@ from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_to_test,
     in_town,
-    learns_dangers_online,
     learns_in_rounds,
     preset_of,
     require_drawn_users,
@@ -280,10 +279,6 @@ def train_in(
         def say(text: str) -> None:
             print(f"wcsim: {text}", file=sys.stderr)
 
-        if learns_dangers_online(run.config):
-            from wcsim.agents.online.train_online import Listeners, train_online
-
-            return train_online(run, make_env, Listeners(progress=show, say=say))
         return train(run, make_env, show, say=say)
 
 

@@ -15,9 +15,7 @@ Held = Annotated[int, Field(ge=1, le=1000)]
 class CollectConfig(Model):
     """Driving for training data: where, by which users, and with how many perturbations."""
 
-    rounds: Annotated[int, Field(ge=0, le=100_000)] = (
-        0  # Rounds of driving and learning. 0: no rounds, learn from every step.
-    )
+    rounds: Annotated[int, Field(ge=1, le=100_000)] = 2  # Rounds of driving and learning.
     segments: Annotated[int, Field(ge=0, le=100_000)] = (
         6  # Segments of driving in a round. 0: learn only from recorded data.
     )

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.base import Model, NotNegative, Positive, Share, Word
 
 Steps = Annotated[int, Field(ge=1, le=10**9)]
 
@@ -36,12 +36,6 @@ class LearnConfig(Model):
     duel: Annotated[bool, Field(exclude_if=lambda duels: duels)] = (
         True  # Whether the head splits values into one of the state and advantages of the actions (dueling).
     )
-    danger: Annotated[Text, Field(exclude_if=lambda path: not path)] = (
-        ""  # Run or policy of a frozen danger network below the values (head="residual").
-    )
-    danger_weight: Annotated[NotNegative, Field(exclude_if=lambda weight: weight == 1.0)] = (
-        1.0  # Weight of its dangers, in scaled reward.
-    )
     gamma: Annotated[float, Field(gt=0.0, lt=1.0)] = (
         0.97  # Discount factor. Above 0.991 crashing pays better than waiting.
     )
@@ -67,7 +61,6 @@ class LearnConfig(Model):
     n_step: Annotated[int, Field(ge=1, le=50)] = 5  # Rewards summed before the value is used.
     tau: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01  # Share by which an update moves the target network.
     reward_scale: Positive = 0.05  # Factor on the reward.
-    clip_norm: Positive = 10.0  # Largest norm of a gradient.
     double_q: bool = True  # Double DQN. False: DQN.
     margin: NotNegative = 1.0  # Weight of the margin loss towards the user's action.
     margin_fade: Share = 0.25  # Share of the second phase in which that loss fades to zero.
@@ -76,7 +69,6 @@ class LearnConfig(Model):
     exploration: Literal["local", "uniform"] = "local"  # Explore near the user's stick, or any action.
     epsilon_start: Share = 0.2  # Share of explored steps at the start of the second phase.
     epsilon_end: Share = 0.05  # Share of explored steps at its end.
-    epsilon_sigma: Positive = 0.5  # Spread of local exploration, in stick units.
     epsilon_hold: Annotated[int, Field(ge=1, le=100)] = 1  # Steps for which an explored offset is held.
     aid: Literal["none", "oracle"] = (
         "none"  # Whether training also uses safe actions from the oracle. Not in the paper.
@@ -86,7 +78,6 @@ class LearnConfig(Model):
     aid_margin: NotNegative = 1.0  # Joystick distance by which an unsafe action must lose to a safe one.
     aid_share: Share = 0.5  # Share of that batch from steps with an action that leads to a crash.
     aid_ahead: Annotated[int, Field(ge=0, le=50)] = 0  # Steps before that in which an action already counts as unsafe.
-    aid_relabel: Share = 0.5  # Share of that batch with a random joystick instead of the user's.
     mirror: bool = False  # Whether half of the batches are mirrored left to right.
     tensorboard: Annotated[bool, Field(exclude_if=lambda on: not on)] = (
         False  # Whether to write TensorBoard scalars, if it is installed.

@@ -11,8 +11,8 @@ from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE
 from wcsim.core.reading import is_file, is_folder, shown
 from wcsim.errors import ConfigError, PolicyError
 
-INT8, REFERENCE, LOOP = "policy-int8.onnx", "reference.npz", "exported_policy.py"
-WRITTEN: Final = (MODEL_FILE, INT8, ABOUT_FILE, MEANING, REFERENCE, LOOP)
+REFERENCE, LOOP = "reference.npz", "exported_policy.py"
+WRITTEN: Final = (MODEL_FILE, ABOUT_FILE, MEANING, REFERENCE, LOOP)
 _MOST_NAMED: Final = 3
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import shutil
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.export.export_folder import INT8, LOOP, REFERENCE, loop_place
+from wcsim.agents.danger.export.export_folder import LOOP, REFERENCE, loop_place
 from wcsim.agents.danger.export.footprint import BAR_MS, PERIOD_S, SHARE, Footprint, footprint
 from wcsim.agents.danger.export.guard_file import MEANING
 from wcsim.agents.danger.export.meaning import meaning_of
@@ -52,12 +51,8 @@ class ExportFacts:
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
     same_as_recorded: float | None = None  # share of a recording's actions that are these; None without a recording
-    int8_most_off: float
-    int8_same_actions: float
     cost: Footprint
-    int8_cost: Footprint
     bytes: int
-    int8_bytes: int
     quota_share: float = SHARE
     quota_period_s: float = PERIOD_S
     quota_by: str = "SIGSTOP and SIGCONT"
@@ -103,7 +98,6 @@ def export_danger(
 
     def fill(target: Path) -> None:
         (target / MODEL_FILE).write_bytes(model)
-        _quantised(target / MODEL_FILE, target / INT8)
         facts.append(_write_reference(target, graph, ride, chosen, action_set(config.env.actions), recorded))
         if facts[0].cost.p99_ms > limit_ms:
             raise PolicyError(
@@ -171,7 +165,6 @@ def _write_reference(
             actions.append(int(values.argmax()))
     off = _off(run_model(target / MODEL_FILE, ride, graph.INPUTS, before)["danger"], np.stack(dangers))
     told = run_model(target / MODEL_FILE, ride, graph.INPUTS)
-    small = run_model(target / INT8, ride, graph.INPUTS)
     inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.INPUTS}
     # Its own actions, whoever drove a recording: whoever runs the model again can have no others.
     kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": np.array(actions)}
@@ -193,14 +186,10 @@ def _write_reference(
         border_steps=int(at_border.sum()),
         border_off=float(off.max()),
         same_actions=float(np.mean(told["values"].argmax(axis=1) == actions)),
-        int8_most_off=float(np.abs(small["danger"] - np.stack(dangers)).max()),
-        int8_same_actions=float(np.mean(small["values"].argmax(axis=1) == actions)),
         same_as_wcsim=float(np.mean(same)),
         same_as_recorded=None if recorded is None else float(np.mean(np.array(actions) == np.array(recorded))),
         cost=footprint(target / MODEL_FILE, target / REFERENCE, graph.INPUTS),
-        int8_cost=footprint(target / INT8, target / REFERENCE, graph.INPUTS),
         bytes=(target / MODEL_FILE).stat().st_size,
-        int8_bytes=(target / INT8).stat().st_size,
     )
 
 
@@ -219,17 +208,6 @@ def _off(told: F32, wanted: F32) -> F32:
             "this is a bug of the export, please report it; nothing was written"
         )
     return off
-
-
-def _quantised(path: Path, out: Path) -> None:
-    """The same model with its dense layers in 8 bits."""
-    from onnxruntime.quantization import QuantType, quantize_dynamic
-
-    logging.disable(logging.WARNING)  # it recommends another of its tools
-    try:
-        quantize_dynamic(path, out, weight_type=QuantType.QInt8, op_types_to_quantize=["MatMul", "Gemm"])
-    finally:
-        logging.disable(logging.NOTSET)
 
 
 def _about(config: RunConfig) -> str:

@@ -22,21 +22,25 @@ KPI1_LIMIT: Final = MAX_FOLLOW_DISTANCE  # the line in Fig. 7a of the paper
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedSteps:
+class LogRow:
+    """What a row of steps.csv and one of metrics.csv have in common."""
+
+    step: int  # the last that it tells of
+    phase: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedSteps(LogRow):
     """A row of steps.csv: 100 steps."""
 
-    step: int
-    phase: int
     kpi1: float  # of the agent's own choice, whatever was executed
     elapsed_s: float  # since the training began, or went on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedEpisode:
+class TrainedEpisode(LogRow):
     """A row of metrics.csv, as far as it is drawn."""
 
-    step: int
-    phase: int
     length: int
     crashed: bool
     cut: bool = False  # its world ended it, neither a crash nor its limit
@@ -170,6 +174,6 @@ def crossing(rows: Sequence[TrainedSteps]) -> LimitCrossing:
     return LimitCrossing(step=first.step, last=last, left=left, elapsed_s=first.elapsed_s)
 
 
-def switch_step(rows: Sequence[TrainedEpisode] | Sequence[TrainedSteps]) -> int | None:
+def switch_step(rows: Sequence[LogRow]) -> int | None:
     """The last step that the log has of the first phase; None where there was no change."""
     return next((before.step for before, after in pairwise(rows) if before.phase < after.phase), None)

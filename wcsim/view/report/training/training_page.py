@@ -15,10 +15,10 @@ from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, 
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.training.learning_curve import (
     KPI1_LIMIT,
-    OVER,
     KPI1_STEPS,
+    OVER,
+    LogRow,
     TrainedEpisode,
-    TrainedSteps,
     Training,
     crossing,
     running_means,
@@ -27,9 +27,9 @@ from wcsim.view.report.training.learning_curve import (
 from wcsim.view.report.training.round_figures import round_sections
 
 _KPI1_SAYS: Final = (
-    f"Distance between the agent's own best action and the user's stick, and its limit {KPI1_LIMIT}. In the first phase "
-    f"the user's action is executed. A dot is 100 steps, a line the mean of the last {KPI1_STEPS}. Triangle: that mean "
-    "falls below the limit. Dashed: the end of a client's first phase"
+    f"Distance between the agent's own best action and the user's stick, and its limit {KPI1_LIMIT}. In the first "
+    f"phase the user's action is executed. A dot is 100 steps, a line the mean of the last {KPI1_STEPS}. Triangle: "
+    "that mean falls below the limit. Dashed: the end of a client's first phase"
 )
 _EPISODES_SAY: Final = (
     f"One dot per episode, at its last step; lines are means of the last {OVER} episodes. Dashed, in the client's "
@@ -41,7 +41,6 @@ _OVER_SAYS: Final = (
     "Above 0 the network overestimates, more so without double Q-learning (learn.double_q). In the first phase the "
     "user's actions were executed"
 )
-_Row = TrainedEpisode | TrainedSteps
 _Value = Callable[[TrainedEpisode], float | None]
 _FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
     ("length", "Fig. 7b: ", "KPI 2, steps of an episode", "Steps until a crash, or until the limit of an episode",
@@ -133,12 +132,13 @@ def _drawn(
     key: str,
     title: str,
     says: str,
-    told: Mapping[str, Sequence[tuple[_Row, float]]],
+    told: Mapping[str, Sequence[tuple[LogRow, float]]],
     limit: float | None,
     crossed: Mapping[str, int | None],
 ) -> Exhibit | None:
     """A curve for each client through its rows and their values."""
-    curves, plain = [], []
+    curves: list[Curve] = []
+    plain: list[list[Cell]] = []
     for name, points in told.items():
         means = running_means([value for _, value in points])
         curves.append(
@@ -151,16 +151,12 @@ def _drawn(
                 crossing=crossed.get(name),
             )
         )
-        rows: list[list[Cell]] = [
-            [name, row.step, row.phase, value, round(mean, 6)]
-            + ([int(row.crashed)] if isinstance(row, TrainedEpisode) else [])
-            for (row, value), mean in zip(points, means, strict=True)
-        ]
-        plain += rows
+        for (row, value), mean in zip(points, means, strict=True):
+            ends: list[Cell] = [int(row.crashed)] if isinstance(row, TrainedEpisode) else []
+            plain.append([name, row.step, row.phase, value, round(mean, 6), *ends])
     if not plain:
         return None
-    ends = ("crashed",) if key != "kpi1" else ()
-    columns = ("client", "step", "phase", key, f"mean_of_{OVER}", *ends)
+    columns = ("client", "step", "phase", key, f"mean_of_{OVER}", *(("crashed",) if key != "kpi1" else ()))
     drawn = curve_chart(_NAMES[key], title.rpartition(": ")[2], curves, limit)
     return figure(_NAMES[key], title, says, csv_of(columns, plain), drawn)
 
