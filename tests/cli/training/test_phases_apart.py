@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,16 +15,19 @@ from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
 from wcsim.agents.clients.group_run import GroupRun
 from wcsim.agents.evaluation.suite.list_file import write_list
-from wcsim.agents.learning.watching.metrics import read_metrics
+from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
+from wcsim.cli.training import phases_apart
 from wcsim.cli.training.clients import resolved
 from wcsim.cli.training.phases_apart import best_of, first_phase, judged_of, policy_of, second_phase
 from wcsim.cli.training.train import Options
 from wcsim.config import load_run_config
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
+from wcsim.view.report.training.learning_curve import Training
+from wcsim.view.report.training.selection import selections
 
 STEPS = ("--steps", 32, "--set", "learn.phase1_steps=16", "--set", "learn.checkpoint_every=8")
 
@@ -38,9 +42,9 @@ def a_group(*words):
     return GroupRun(clients=resolved(options), out=Path("x"), info=RunInfo(seed=1))
 
 
-def test_the_paper_chooses_by_validation_and_trains_figure_6_in_a_supervised_way():
+def test_the_paper_chooses_by_kpi_1_and_trains_figure_6_in_a_supervised_way():
     learn = load_run_config("paper").learn
-    assert (learn.select_by, learn.network, learn.phase1, learn.margin) == ("validation", "fig6", "supervised", 1.0)
+    assert (learn.select_by, learn.network, learn.phase1, learn.margin) == ("kpi1", "fig6", "supervised", 1.0)
     assert load_run_config("dqn").learn.select_by == ""
 
 
@@ -80,8 +84,10 @@ def test_a_choice_that_names_no_client_is_refused(tmp_path):
 
 BAD = {
     "--clients small,gru --select-by nonesuch": "there is no such list",
-    "--clients small,gru --select-by dev --set learn.phase1_steps=0": "has none: set learn.phase1_steps",
-    "--clients small,gru --select-by dev --set learn.head=danger": "which cannot be split",
+    "--clients small,gru --select-by dev --set learn.phase1_steps=0": "less than 1 steps: set learn.phase1_steps",
+    "--clients small,gru --select-by kpi1 --set learn.phase1_steps=99": "less than 100 steps: set learn.phase1_steps",
+    "--clients small,gru --select-by kpi1 --worlds 2": "tests nothing; leave --worlds out",
+    "--clients small,gru --select-by gru --worlds 2": "tests nothing; leave --worlds out",
     "--network small --select-by dev": "--clients A,B",
 }
 
@@ -103,6 +109,24 @@ def check(run, best, left):
     events = [(event["event"], event.get("who")) for event in read_events(run)]
     assert events.count(("chosen", best)) == 1 and ("compared", left) in events
     assert all(open_run(run / name).policy("phase1").is_dir() for name in (best, left))
+
+
+def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_path, capsys):
+    run = replace(a_group(), out=tmp_path)
+    for name, first, last in (("small", 0.9, 0.3), ("gru", 0.2, 0.35)):
+        rows = [(first, 1)] * 5 + [(last, 1)] * 20 + [(0.0, 2)]
+        lines = [f"{100 * (n + 1)},{phase},{kpi1},{n}.0" for n, (kpi1, phase) in enumerate(rows)]
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "steps.csv").write_text("\n".join([",".join(STEP_COLUMNS), *lines, ""]))
+    options = Options(clients="small,gru")
+    assert phases_apart._choose(options, run, "kpi1", None) == "small"
+    choice = {"by": "kpi1", "clients": {"small": {"kpi1": 0.3}, "gru": {"kpi1": 0.35}}, "best": "small"}
+    assert json.loads((tmp_path / "selection" / "choice.json").read_text()) == choice
+    assert "small   0.3" in capsys.readouterr().out
+    assert phases_apart._choose(options, run, "gru", None) == "gru" == read_choice(tmp_path, ["small", "gru"])
+    ((section, exhibit),) = selections(Training(manifests={str(tmp_path): {}}, clients={}))
+    assert exhibit.csv.splitlines() == ["client,KPI 1,learned on", "small,0.3,", "gru,0.35,second phase"]
+    assert "The user chose gru" in exhibit.says and section.title == "Which client learns the second phase"
 
 
 @pytest.mark.proof

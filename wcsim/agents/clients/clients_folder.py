@@ -7,7 +7,7 @@
 - ledgers/NAME.ledger: every frame that a client has seen
 - events.jsonl, logs/: what the processes did and said
 - NAME/: a run folder of its own for each client, see `agents/runs/run_folder.py`
-- selection/: the test that chose who learns the second phase, where one did (`learn.select_by`), and choice.json
+- selection/: choice.json says who learns the second phase (`learn.select_by`), beside the test that chose, if one did
 """
 
 from __future__ import annotations

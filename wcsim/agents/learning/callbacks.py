@@ -17,7 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.watching.metrics import MetricsFile, Value
+from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS, MetricsFile, Value
 from wcsim.agents.learning.watching.tensorboard import BoardLog
 from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY
@@ -25,8 +25,6 @@ from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.types import Events
 
 GREEDY_EVERY = 5  # steps between two looks at the agent's own choice
-ROW_STEPS = 100  # steps in a row of steps.csv
-KPI1_STEPS = 2_000  # steps that the mean of KPI 1 goes over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,7 @@
 """Several clients as in the paper: all learn the first phase in one world, the best of them alone the second.
 
-`learn.select_by` names the suite that says which is the best. What is done is in the run folder (`selection/`), so a
-run that was stopped anywhere goes on from there.
+`learn.select_by` says which is the best: KPI 1 of the first phase, as in the paper, a suite, or the name of a client.
+What is done is in the run folder (`selection/`), so a run that was stopped anywhere goes on from there.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
 from wcsim.agents.clients.group_run import Client, GroupRun
+from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.networks.names import is_own
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
@@ -28,19 +29,25 @@ from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.towns.scenario.town import Town
+from wcsim.view.report.training.learning_curve import kpi1_of
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
 
 
+KPI1 = "kpi1"
+"""The value of `learn.select_by` that compares by KPI 1 of the first phase."""
+_HEADS = {KPI1: f"KPI 1, last {KPI1_STEPS} steps", "score": "score", "crashes_own": "own crashes"}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judged:
-    """What a suite says of a client."""
+    """What was measured of a client after its first phase."""
 
     client: str
-    score: float
-    crashes_own: int
+    figures: Mapping[str, float]  # by name, as choice.json has them
+    rank: tuple[float, ...]  # the lowest goes on
 
 
 def train_group(options: Options, run: GroupRun, town: Town) -> int:
@@ -54,37 +61,44 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     asked = {client.config.learn.select_by for client in run.clients}
     if len(asked) > 1:
         told = ", ".join(sorted(map(shown, asked)))
-        raise ConfigError(f"clients have different learn.select_by ({told}); expected the same suite for all")
-    (name,) = asked
-    if not name or len(run.clients) == 1:
+        raise ConfigError(f"clients have different learn.select_by ({told}); expected the same for all")
+    (by,) = asked
+    if not by or len(run.clients) == 1:
         if options.worlds is not None:
             raise ConfigError(
-                f"--worlds {options.worlds}: no clients are compared; expected several clients and --select-by LIST, "
+                f"--worlds {options.worlds}: no clients are tested; expected several clients and --select-by LIST, "
                 "or leave that out"
             )
         return train_clients(options, run, town)
-    from wcsim.agents.evaluation.suite.list_file import open_suite
-
-    suite = open_suite(name)
-    worlds_of(options.worlds)  # before the first phase
-    unled = [client.name for client in run.clients if client.config.learn.phase1_steps < 1]
-    if unled:
-        raise ConfigError(
-            f"learn.select_by compares clients after the first phase, but {unled[0]} has none: set learn.phase1_steps"
-        )
-    dangers = [client.name for client in run.clients if client.config.learn.head == "danger"]
-    if dangers:  # their learning rate rises and falls once over all of a run
-        raise ConfigError(
-            f"learn.select_by separates the two phases, but {dangers[0]} has learn.head=danger, which cannot be split; "
-            "expected another head, or learn.select_by=''"
-        )
+    suite = _checked(options, run, by)
     chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
     if not chosen:
         code = train_clients(options, first_phase(run), town)
         if code != Exit.DONE:
             return code
-        chosen = _choose(options, run, suite, name)
+        chosen = _choose(options, run, by, suite)
     return train_clients(options, second_phase(run, chosen), town)
+
+
+def _checked(options: Options, run: GroupRun, by: str) -> Suite | None:
+    """The suite to choose by, None for another way; what cannot be done is refused before the first phase."""
+    suite = None
+    if by == KPI1 or by in [client.name for client in run.clients]:
+        if options.worlds is not None:
+            raise ConfigError(f"--worlds {options.worlds}: --select-by {by} tests nothing; leave --worlds out")
+    else:
+        from wcsim.agents.evaluation.suite.list_file import open_suite
+
+        suite = open_suite(by)
+        worlds_of(options.worlds)
+    least = ROW_STEPS if by == KPI1 else 1
+    unled = [client.name for client in run.clients if client.config.learn.phase1_steps < least]
+    if unled:
+        raise ConfigError(
+            f"learn.select_by={by} chooses after the first phase, and that of {unled[0]} has less than {least} steps: "
+            "set learn.phase1_steps"
+        )
+    return suite
 
 
 def first_phase(run: GroupRun) -> GroupRun:
@@ -103,35 +117,37 @@ def _until_switch(client: Client) -> Client:
     return replace(client, until=min(learn.phase1_steps, learn.total_steps))
 
 
-def _choose(options: Options, run: GroupRun, suite: Suite, name: str) -> str:
-    """Drive the suite with what each client learned in its first phase; the best one's name."""
+def _choose(options: Options, run: GroupRun, by: str, suite: Suite | None) -> str:
+    """Compare what each client learned in its first phase; the best one's name."""
     log = RunLog(run.out)
-    log.add("first_phase_done", suite=suite.file.set, episodes=suite.episodes)
+    log.add("first_phase_done", by=by)
     try:
         with locked(run.out):
-            judged = _judged(options, run, suite, name)
-            best = best_of(judged)
-            choice = {
-                "suite": suite.file.suite,
-                "set": suite.file.set,
-                "list_sha256": suite.sha256,
-                "clients": {each.client: {"score": each.score, "crashes_own": each.crashes_own} for each in judged},
-                "best": best,
-            }
-            write_json(run.out / SELECTION / CHOICE, choice)
+            judged = _followed(run) if suite is None else _tested(options, run, suite, by)
+            best = by if by in [each.client for each in judged] else best_of(judged)
+            kept = {"list_sha256": suite.sha256} if suite else {}
+            clients = {each.client: dict(each.figures) for each in judged}
+            (run.out / SELECTION).mkdir(exist_ok=True)
+            write_json(run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": clients, "best": best})
     except KeyboardInterrupt:
         log.add("comparison_stopped")
         raise InterruptedRunError(
             f"stopped while clients were compared; {run.out} holds the episodes so far; continue with --resume"
         ) from None
     for each in judged:
-        log.add("compared", who=each.client, score=each.score, crashes_own=each.crashes_own)
+        log.add("compared", who=each.client, **each.figures)
     log.add("chosen", who=best)
-    _show(judged, best, suite.file.set)
+    _show(judged, best)
     return best
 
 
-def _judged(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
+def _followed(run: GroupRun) -> list[Judged]:
+    """KPI 1 of each client's own choice at the end of its first phase, a mean of at most 2,000 steps."""
+    steps = {client.name: kpi1_of(run.out / client.name) for client in run.clients}
+    return [Judged(client=name, figures={KPI1: round(kpi1, 4)}, rank=(kpi1,)) for name, kpi1 in steps.items()]
+
+
+def _tested(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
     from wcsim.agents.evaluation.suite.list_rules import told_of_rules
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 
@@ -168,23 +184,25 @@ def judged_of(result: Mapping[str, Any], run: Path, clients: Sequence[str]) -> l
     found = []
     for client in clients:
         row = rows[policy_of(run, client)]
-        found.append(Judged(client=client, score=row["score"] or 0.0, crashes_own=row["crashes_own"]))
+        figures = {"score": row["score"] or 0.0, "crashes_own": row["crashes_own"]}
+        found.append(Judged(client=client, figures=figures, rank=(-figures["score"], figures["crashes_own"])))
     return found
 
 
 def best_of(judged: Sequence[Judged]) -> str:
-    """Who has the highest score, then the fewest own crashes, then the first seat.
+    """Who has the lowest rank: the lowest KPI 1, or the highest score and then the fewest own crashes; else the first.
 
-    >>> tie = [Judged(client=name, score=0.5, crashes_own=own) for name, own in (("a", 2), ("b", 1), ("c", 1))]
+    >>> tie = [Judged(client=name, figures={}, rank=(-0.5, own)) for name, own in (("a", 2), ("b", 1), ("c", 1))]
     >>> best_of(tie)
     'b'
     """
-    return max(judged, key=lambda each: (each.score, -each.crashes_own)).client
+    return min(judged, key=lambda each: each.rank).client
 
 
-def _show(judged: Sequence[Judged], best: str, suite: str) -> None:
-    table = Table("client", f"score on {suite}", "own crashes", "", box=box.SIMPLE_HEAD, pad_edge=False)
+def _show(judged: Sequence[Judged], best: str) -> None:
+    names = [_HEADS[key] for key in judged[0].figures]
+    table = Table("client", *names, "", box=box.SIMPLE_HEAD, pad_edge=False)
     for each in judged:
         goes_on = "learns the second phase" if each.client == best else "stops after the first phase"
-        table.add_row(each.client, f"{each.score:.3f}", str(each.crashes_own), goes_on)
+        table.add_row(each.client, *(f"{figure:.4g}" for figure in each.figures.values()), goes_on)
     stdout_console().print(table)

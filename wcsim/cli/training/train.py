@@ -64,9 +64,9 @@ class Options:
     """Networks that learn at once in one shared world, each in its own process; names or module:Class."""
     config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
     """TOML file with settings for one client; overrides all others."""
-    select_by: Annotated[str | None, tyro.conf.arg(metavar="LIST")] = None
-    """Suite, or episode list of your own, that compares clients after the first phase. Only the best one learns the
-    second; with '' all do. None: learn.select_by, which is validation in preset paper."""
+    select_by: Annotated[str | None, tyro.conf.arg(metavar="HOW")] = None
+    """Which client learns the second phase: kpi1 (the lowest KPI 1 in the first phase), the name of a client, or a
+    suite or episode list (the best on it). With '' all do. None: learn.select_by, which is kpi1 in preset paper."""
     worlds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Worker processes that drive data for a danger network, or that compare clients. Results do not depend on their
     number. None: one per core, at most 4."""

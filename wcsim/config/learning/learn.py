@@ -27,7 +27,7 @@ class LearnConfig(Model):
         "margin"  # Loss beside TD in the first phase: margin, cross-entropy (supervised), or none (td).
     )
     select_by: Annotated[Word, Field(exclude_if=lambda suite: not suite)] = (
-        ""  # Suite or list that selects the client for the second phase. Empty: all continue.
+        ""  # Selects the client for the second phase: kpi1, a client's name, a suite or list. Empty: all continue.
     )
     network: Word = "small"  # Network by name (wcsim networks), or module:Class.
     head: Literal["residual", "plain", "danger"] = (

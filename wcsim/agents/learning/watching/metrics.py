@@ -18,6 +18,8 @@ COLUMNS = (
     "progress_m", "arrivals", "epsilon", "margin_weight", "loss", "max_abs_q", "updates", "elapsed_s_wall",
     "value_start", "return_start", "overestimate", "cut",
 )  # fmt: skip
+ROW_STEPS = 100  # steps in a row of steps.csv
+KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _KIND = FileKind(what="the log of a run", limit_bytes=1 << 30, error=PolicyError)

@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, read_metrics
+from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
 from wcsim.core.reading import is_file, shown_value
@@ -17,7 +17,6 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
 OVER: Final = 20  # episodes, or rows of 100 steps, that a mean goes over
-KPI1_STEPS: Final = 100 * OVER  # steps that a mean of KPI 1 goes over
 KPI1_LIMIT: Final = MAX_FOLLOW_DISTANCE  # the line in Fig. 7a of the paper
 
 
@@ -172,6 +171,18 @@ def crossing(rows: Sequence[TrainedSteps]) -> LimitCrossing:
     left = rows[within[-1] + 1].step if within[-1] + 1 < len(rows) else None
     first = rows[within[0]]
     return LimitCrossing(step=first.step, last=last, left=left, elapsed_s=first.elapsed_s)
+
+
+def kpi1_of(run: Path) -> float:
+    """The mean of KPI 1 over the last 2,000 steps of a run's first phase, or over all where there are fewer.
+
+    Raises:
+        PolicyError: None is logged, or the log is damaged.
+    """
+    found = [row.kpi1 for row in _steps(run / STEPS) if row.phase == 1]
+    if not found:
+        raise PolicyError(f"{run / STEPS}: no row of the first phase; expected a run of {ROW_STEPS} steps or more")
+    return running_means(found)[-1]
 
 
 def switch_step(rows: Sequence[LogRow]) -> int | None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from wcsim.agents.learning.watching.metrics import KPI1_STEPS
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure
@@ -15,7 +16,6 @@ from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, 
 from wcsim.view.report.page import Section, facts, page, shown, write_page
 from wcsim.view.report.training.learning_curve import (
     KPI1_LIMIT,
-    KPI1_STEPS,
     OVER,
     LogRow,
     TrainedEpisode,
