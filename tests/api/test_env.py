@@ -107,9 +107,9 @@ def test_checkers_find_nothing_in_table_3_but_that_floats_are_no_stored_images(c
     assert all(got.startswith(text) for got, text in zip(told, expected, strict=True))
 
 
-@pytest.mark.parametrize("form", ["compact", "table3"])
+@pytest.mark.parametrize("form", ["compact", "compact_rgb", "table3"])
 def test_observations_lie_in_their_space_and_are_the_callers_own(corner, form):
-    with made(corner, f'env.observation="{form}"') as env:
+    with made(corner, "cameras.0.rgb=true", f'env.observation="{form}"') as env:
         seen = [item[0] for item in drive(env, 12, seed=5)]
         assert all(env.observation_space.contains(observation) for observation in seen)
         before = {key: value.copy() for key, value in seen[3].items()}

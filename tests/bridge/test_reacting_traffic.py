@@ -48,6 +48,6 @@ def test_a_worlds_actors_are_those_of_its_traffic_alone_round_the_same_chairs(co
 def test_lights_are_known_as_far_as_a_camera_sees_their_heads(corner, monkeypatch, range_m, reach_m):
     asked = []
     monkeypatch.setattr(SumoSession, "signals", lambda self, places, within_m: asked.append(within_m) or ())
-    with open_world(corner, f"cameras.0.range_m={range_m}") as world:
+    with open_world(corner, f"cameras.0.range_m={range_m}", "world.mirror_radius_m=150") as world:
         follow(world)
     assert set(asked) == {reach_m}

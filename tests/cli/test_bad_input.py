@@ -292,8 +292,8 @@ def test_configuration_files_are_checked(wcsim, folder, corner):
 
 
 def test_a_run_that_never_began_leaves_no_folder(wcsim, folder, corner):
-    words = ("--out", "run", *SHORT_TRAINING, "--set", "env.observation=table3")
-    refused(wcsim("train", "--town", corner, *words), "compact")
+    words = ("--out", "run", *SHORT_TRAINING, "--set", "learn.mirror=true", "--set", "cameras.0.yaw_deg=9")
+    refused(wcsim("train", "--town", corner, *words), "set learn.mirror=false")
     assert files_in(folder) == set()
 
 

@@ -50,6 +50,9 @@ def test_a_camera_is_reached_by_its_number():
         ("reward.accel_window_mps2=[40.0, 20.0]", "low < high"),
         ("reward.max_follow_distance=3.0", "low < high"),
         ("imu.saturation_mps2=10.0", "saturation"),
+        ("cameras.0.range_m=150", r"'front' has range_m 150, .* set world\.mirror_radius_m=150, or a smaller range_m"),
+        ("env.camera=rear", "env.camera is 'rear'; expected the name of a camera: front"),
+        ("env.observation=compact_rgb", r"draws no colours; expected cameras\.0\.rgb=true"),
     ],
 )
 def test_a_wrong_override_says_what_is_wrong(override, says):

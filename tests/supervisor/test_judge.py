@@ -71,6 +71,8 @@ def test_how_an_episode_ends(crashed, truncated, expected):
 def test_the_configuration_chooses_form_classes_and_camera():
     config = CONFIG.model_copy(update={"env": EnvConfig(observation="table3", classes="wcsim")})
     assert observation_of(snapshot(), config)["segmentation"].shape == (3, 24, 32)
-    assert observation_of(snapshot(), CONFIG, camera="front")["seg"].shape == (1, 24, 32)
-    with pytest.raises(ConfigError, match="front"):
-        observation_of(snapshot(), CONFIG, camera="rear")
+    two = (CONFIG.cameras[0].model_copy(update={"name": "rear"}), CONFIG.cameras[0])
+    seen = CONFIG.model_copy(update={"cameras": two, "env": EnvConfig(camera="front")})
+    assert observation_of(snapshot(), seen)["seg"].shape == (1, 24, 32)
+    with pytest.raises(ConfigError, match="no camera 'rear' on this chair"):
+        observation_of(snapshot(), seen.model_copy(update={"env": EnvConfig(camera="rear")}))

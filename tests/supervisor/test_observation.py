@@ -1,7 +1,8 @@
-"""Both forms of the observation: spaces, depth codes, folding, ownership, speed."""
+"""All forms of the observation: spaces, depth codes, folding, ownership, speed."""
 
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.yardstick import multiple
+from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import (
     ObservationSpec,
@@ -40,7 +42,8 @@ def sensors(width=320, height=240) -> SensorFrame:
     rng = np.random.default_rng(0)
     depth = np.exp(rng.uniform(math.log(0.1), math.log(RANGE_M), (height, width))).astype(np.float32)
     classes = rng.choice(np.array([int(c) for c in ClassId], np.uint8), (height, width))
-    frame = CameraFrame(name="front", taken_tick=3, depth_m=depth, class_id=classes)
+    rgb = rng.integers(0, 256, (height, width, 3), np.uint8)
+    frame = CameraFrame(name="front", taken_tick=3, depth_m=depth, class_id=classes, rgb=rgb)
     return SensorFrame(tick=3, cameras=(frame,), imu=imu())
 
 
@@ -48,7 +51,7 @@ def seen(form, frame, fold=True, camera="front"):
     return observe(form, frame, Joystick(-0.25, 0.75), ObservationSpec(camera=camera, range_m=RANGE_M, fold=fold))
 
 
-@pytest.mark.parametrize("form", ["compact", "table3"])
+@pytest.mark.parametrize("form", get_args(Form))
 @pytest.mark.parametrize("fold", [True, False])
 def test_observation_is_in_its_space(form, fold):
     got = seen(form, sensors(80, 60), fold)
@@ -59,13 +62,14 @@ def test_observation_is_in_its_space(form, fold):
     np.testing.assert_allclose(got["joystick"], [-0.25, 0.75])
 
 
-@pytest.mark.parametrize("form", ["compact", "table3"])
+@pytest.mark.parametrize("form", get_args(Form))
 def test_arrays_are_the_callers_own(form):
     frame = sensors(40, 30)
     before = {key: array.copy() for key, array in seen(form, frame).items()}
     kept = seen(form, frame)
     frame.cameras[0].depth_m[:] = 1.0
     frame.cameras[0].class_id[:] = ClassId.SKY
+    frame.cameras[0].rgb[:] = 7
     for key, array in kept.items():
         np.testing.assert_array_equal(array, before[key])
 
@@ -96,7 +100,7 @@ def test_depth_beyond_its_ends():
     np.testing.assert_array_equal(encode_depth(odd, RANGE_M), [[0, 0, 1, 1, 255, 255, 255, 0, 0]])
 
 
-@pytest.mark.parametrize("form", ["compact", "table3"])
+@pytest.mark.parametrize("form", get_args(Form))
 def test_what_was_not_measured_is_told_from_what_is_near(form):
     frame = sensors(40, 30)
     frame.cameras[0].depth_m[:] = 0.1
@@ -149,6 +153,15 @@ def test_unknown_camera_and_form_are_named():
         observation_space("table4", 8, 8)
 
 
+def test_colours_stand_beside_the_classes_plane_by_plane():
+    frame = sensors(40, 30)
+    got = seen("compact_rgb", frame)
+    np.testing.assert_array_equal(np.moveaxis(got["rgb"], 0, -1), frame.cameras[0].rgb)
+    np.testing.assert_array_equal(got["seg"], seen("compact", frame)["seg"])
+    with pytest.raises(ConfigError, match="draws no colours; expected its setting rgb=true"):
+        seen("compact_rgb", replace(frame, cameras=(replace(frame.cameras[0], rgb=None),)))
+
+
 def test_every_class_has_a_colour():
     assert set(COLOURS) == set(ClassId)
 
@@ -159,7 +172,7 @@ def test_observation_is_quick(form, most):
     assert multiple(lambda: seen(form, frame)) < most  # about a seventh of that
 
 
-@pytest.mark.parametrize("form", ["compact", "table3"])
+@pytest.mark.parametrize("form", get_args(Form))
 def test_a_further_sensor_is_seen_over_its_full_scale_under_its_name(form):
     wheels = Measure(parts=("speed_mps", "turn_radps"), full_scale=(4.0, 2.0), mirror=(1.0, -1.0))
     seen = {"camera": "front", "range_m": 40.0, "fold": True, "measures": {"wheels": wheels}}

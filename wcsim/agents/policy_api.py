@@ -15,7 +15,7 @@ from wcsim.types import Bool, Drawn, Truth
 Observation = Mapping[str, npt.NDArray[Any]]
 
 DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
-DANGER_KEY: Final = "danger"  # what a danger network said, beside what was seen; not of an environment's own
+RGB_KEY, COLOURS_KEY = "rgb", "segmentation"  # colours of form compact_rgb, and of the classes of form table3
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
 

@@ -10,6 +10,8 @@ from wcsim.config.base import Finite, Model, NotNegative, Positive, Text
 
 JoystickDistance = Annotated[float, Field(gt=0.0, le=100.0)]
 
+Form = Literal["compact", "compact_rgb", "table3"]
+
 LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 
 
@@ -43,7 +45,12 @@ Window = Annotated[int, Field(ge=1, le=16)]
 class EnvConfig(Model):
     """Observations, actions and episodes."""
 
-    observation: Literal["compact", "table3"] = "compact"  # Class ids and log-depth as uint8, or the floats of Table 3.
+    observation: Form = (
+        "compact"  # Class ids and log-depth as uint8; the same and colours (compact_rgb); or the floats of Table 3.
+    )
+    camera: Annotated[str, Field(max_length=40, exclude_if=lambda name: not name)] = (
+        ""  # Name of the camera that networks see. Empty: the first.
+    )
     classes: Literal["cityscapes", "wcsim"] = (
         "cityscapes"  # Classes of Cityscapes, or wcsim's with kerbs and crosswalks.
     )
@@ -60,7 +67,7 @@ class EnvConfig(Model):
 
     @model_validator(mode="after")
     def _window_is_compact(self) -> EnvConfig:
-        if self.observation != "compact" and self.frames > 1:
+        if self.observation == "table3" and self.frames > 1:
             raise ValueError(
                 f"window {self.window} with observation {self.observation!r}; expected one image in this form: "
                 "set env.window=1, or env.observation=compact"

@@ -48,6 +48,12 @@ class RunConfig(Model):
     danger: Annotated[DangerConfig, Field(exclude_if=lambda part: part == DangerConfig())] = DangerConfig()
 
     @property
+    def eye(self) -> CameraConfig:
+        """The camera that networks see."""
+        named = [camera for camera in self.cameras if camera.name == self.env.camera]
+        return named[0] if named else self.cameras[0]
+
+    @property
     def epoch_ticks(self) -> int:
         """Ticks after which a new world replaces a shared one: as few episodes as possible are cut by it. 0: never."""
         given = self.world.epoch_ticks
@@ -67,24 +73,43 @@ class RunConfig(Model):
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"cameras are named {names}; expected a different name for each")
+        if self.env.camera and self.env.camera not in names:
+            raise ValueError(f"env.camera is {self.env.camera!r}; expected the name of a camera: {', '.join(names)}")
+        if self.env.observation == "compact_rgb" and not self.eye.rgb:
+            raise ValueError(
+                f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no colours; expected "
+                f"cameras.{names.index(self.eye.name)}.rgb=true"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _cameras_see_all_traffic(self) -> RunConfig:
+        farthest = max(self.cameras, key=lambda camera: camera.range_m)
+        if farthest.range_m > self.world.mirror_radius_m:
+            raise ValueError(
+                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are drawn only within "
+                f"world.mirror_radius_m {self.world.mirror_radius_m:g}; expected no more: set "
+                f"world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
+            )
         return self
 
     @model_validator(mode="after")
     def _pictures_can_be_held(self) -> RunConfig:
         sizes_px = [camera.width_px * camera.height_px for camera in self.cameras]
-        if sum(sizes_px) > _MAX_CAMERAS_PX or sizes_px[0] * self.env.frames > MAX_SEEN_PX:
+        seen_px = self.eye.width_px * self.eye.height_px * self.env.frames
+        if sum(sizes_px) > _MAX_CAMERAS_PX or seen_px > MAX_SEEN_PX:
             raise ValueError(
                 f"{len(sizes_px)} cameras have {sum(sizes_px)} pixels, the {self.env.frames} images of an observation "
-                f"{sizes_px[0] * self.env.frames}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
+                f"{seen_px}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
                 "width_px and height_px smaller, or env.window"
             )
         batch = max(self.learn.batch_size, self.learn.aid_batch, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":
             groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
             batch = max(batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step))
-        if sizes_px[0] * self.env.frames * batch > _MAX_BATCH_PX:
+        if seen_px * batch > _MAX_BATCH_PX:
             raise ValueError(
-                f"a batch of {batch} observations has {sizes_px[0] * self.env.frames * batch} pixels; expected at most "
+                f"a batch of {batch} observations has {seen_px * batch} pixels; expected at most "
                 f"{_MAX_BATCH_PX}: make learn.batch_size, learn.aid_batch or danger.batch smaller, or the pictures"
             )
         return self

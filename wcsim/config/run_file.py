@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.env import Form
 from wcsim.config.learning.danger import Gaps
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
@@ -63,6 +64,7 @@ class PolicyFile(Model):
         default_factory=dict
     )  # numbers of each sensor of [sensors] among them
     window: Window = 1
+    observation: Form = "compact"
     camera: CameraConfig
     reward_scale: Positive
     manifest_sha256: Sha256 | Literal[""]

@@ -12,6 +12,8 @@ from wcsim.types import Measure
 
 Along = Annotated[float, Field(ge=-2.0, le=2.0, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=0.02, le=3.0, allow_inf_nan=False)]
+Turn = Annotated[float, Field(ge=-180.0, le=180.0, allow_inf_nan=False)]
+UNTURNED = (0.0, 0.0, 0.0)
 Pixels = Annotated[int, Field(ge=8, le=2048)]
 
 
@@ -89,7 +91,7 @@ class CameraConfig(Model):
     """One camera on a chair."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,40}$")] = (
-        "front"  # Name of the camera. The agent uses the first camera.
+        "front"  # Name of the camera. `env.camera` says which one networks see.
     )
     width_px: Pixels = 320  # Image width.
     height_px: Pixels = 240  # Image height.
@@ -103,6 +105,9 @@ class CameraConfig(Model):
     )  # Position x, y, z in the chair's frame. The default is at the armrest.
     yaw_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0  # Direction, to the left.
     pitch_deg: Annotated[float, Field(ge=-80.0, le=80.0)] = -15.0  # Direction, upwards. Negative looks down.
+    roll_deg: Annotated[float, Field(ge=-180.0, le=180.0, exclude_if=lambda roll: roll == 0.0)] = (
+        0.0  # Rotation about its direction, right side down.
+    )
     every_ticks: Annotated[int, Field(ge=1, le=100)] = 1  # Ticks between two images.
     lost_share: Annotated[float, Field(ge=0.0, le=0.95)] = 0.0  # Share of images that never arrive.
     rgb: bool = False  # Whether to draw a colour image too, for people.
@@ -134,6 +139,9 @@ class ImuConfig(Model):
         0.0,
         0.50,
     )  # Position x, y, z in the chair's frame, near its centre of mass.
+    rpy_deg: Annotated[tuple[Turn, Turn, Turn], Field(exclude_if=lambda turns: turns == UNTURNED)] = (
+        UNTURNED  # Roll, pitch and yaw in the chair's frame. Rewards and crashes do not change with them.
+    )
     lowpass_hz: Annotated[float, Field(gt=0.0, le=100.0)] = (
         20.0  # Corner frequency of the low-pass for the peak acceleration.
     )
@@ -149,6 +157,9 @@ class ImuConfig(Model):
     # what the agent sees
     mean_gravity: Literal["included", "removed"] = "included"  # Whether the agent's acceleration contains gravity.
     tilt: Literal["ideal", "accelerometer", "complementary"] = "ideal"  # Source of the agent's roll and pitch.
+    tilt_range_deg: Annotated[float, Field(ge=1.0, le=180.0, exclude_if=lambda most: most == 180.0)] = (
+        180.0  # Largest roll and pitch that the tilt sensor measures.
+    )
     tilt_tau_s: Annotated[float, Field(ge=0.05, le=10.0)] = (
         1.0  # Time constant with which the accelerometer corrects the gyroscope.
     )

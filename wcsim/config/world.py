@@ -61,10 +61,6 @@ class WorldConfig(Model):
     reaction: Annotated[dict[Driver, Reaction], Field(max_length=16)] = Field(
         default_factory=dict
     )  # Reaction time in seconds by class of road user.
-    brake_mps2: Annotated[float, Field(gt=0.0, le=100.0)] = 4.5  # Deceleration that drivers and cyclists plan with.
-    clear_spawn_m: Annotated[float, Field(gt=0.0, le=1000.0)] = (
-        2.0  # Distance kept free around a chair when it appears.
-    )
     crossing_share: Share = 0.5  # Share of destinations chosen beyond a nearby crossing.
     button: bool = True  # Whether a chair that waits at a red crossing of its route requests green.
     button_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 2.0  # Waiting time before it does.

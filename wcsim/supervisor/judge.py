@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wcsim.config import CameraConfig, RunConfig
-from wcsim.errors import ConfigError
+from wcsim.config import RunConfig
 from wcsim.supervisor.observation import Observation, ObservationSpec, observe
 from wcsim.supervisor.rewards import joystick_distance, reward
 from wcsim.types import F64, ClientSnapshot, Joystick, RewardTerms
@@ -22,9 +21,7 @@ class Judgement(NamedTuple):
     truncated: bool
 
 
-def judge(
-    snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, config: RunConfig, camera: str = ""
-) -> Judgement:
+def judge(snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, config: RunConfig) -> Judgement:
     """Judge the step that led to `snapshot`.
 
     Args:
@@ -33,26 +30,25 @@ def judge(
         asked: The user's joystick in the observation that the action answered, that is, of the snapshot before.
         points: (A, 2) joystick positions of the action set.
         config: The run's configuration.
-        camera: The camera to look through, "" for the first.
 
     Raises:
-        ConfigError: No such camera.
+        ConfigError: The camera of `env.camera` is not on the chair.
         IndexError: No such action.
     """
     taken = points[action]
     distance = joystick_distance(np.array([asked.x, asked.y]), taken, config.reward)
     events = snapshot.events
     return Judgement(
-        observation=observation_of(snapshot, config, camera),
+        observation=observation_of(snapshot, config),
         reward=reward(distance, snapshot.sensors.imu, snapshot.plant, events, config.reward),
         terminated=events.crashed,
         truncated=events.truncated and not events.crashed,
     )
 
 
-def observation_of(snapshot: ClientSnapshot, config: RunConfig, camera: str = "") -> Observation:
+def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
     """The observation of a snapshot in the configured form; also for the first frame of an episode."""
-    eye = _camera(config, camera)
+    eye = config.eye
     seen = ObservationSpec(
         camera=eye.name,
         range_m=eye.range_m,
@@ -62,13 +58,3 @@ def observation_of(snapshot: ClientSnapshot, config: RunConfig, camera: str = ""
         measures=config.sensors.measures(),
     )
     return observe(config.env.observation, snapshot.sensors, snapshot.user, seen)
-
-
-def _camera(config: RunConfig, name: str) -> CameraConfig:
-    if not name:
-        return config.cameras[0]
-    for camera in config.cameras:
-        if camera.name == name:
-            return camera
-    known = ", ".join(camera.name for camera in config.cameras)
-    raise ConfigError(f"no camera {name!r} in the configuration; expected one of: {known}")

@@ -1,7 +1,8 @@
-"""What the agent gets to see (Table 3 of the paper), in two forms.
+"""What the agent gets to see (Table 3 of the paper), in three forms.
 
 `compact` keeps images as uint8 (class ids, and depth on a logarithmic scale) for the replay store, and networks expand
-them; `table3` gives the paper's floats. Both hold the same picture, in fresh arrays that a replay buffer may keep. A
+them; `compact_rgb` has the camera's colours too; `table3` gives the paper's floats. All hold the same picture, in fresh
+arrays that a replay buffer may keep. A
 depth of 0 says in both that nothing was measured there; whatever was measured is above 0.
 """
 
@@ -12,17 +13,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import class_fold_table, palette
 from wcsim.types import F32, U8, CameraFrame, ImuFrame, Joystick, Measure, SensorFrame
 
-Form = Literal["compact", "table3"]
 Observation = dict[str, npt.NDArray[Any]]
 Measures = Mapping[str, Measure]
 NO_MEASURES: Measures = MappingProxyType({})
@@ -51,14 +52,10 @@ def observation_space(
         "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
         **{name: spaces.Box(-1.0, 1.0, (len(m.parts),), np.float32) for name, m in measures.items()},
     }
-    if form == "compact":
-        return spaces.Dict(
-            {
-                "seg": spaces.Box(0, 255, (1, height, width), np.uint8),
-                "depth": spaces.Box(0, 255, (1, height, width), np.uint8),
-                **vectors,
-            }
-        )
+    if form != "table3":
+        planes = {"seg": 1, "depth": 1, **({"rgb": 3} if form == "compact_rgb" else {})}
+        images = {key: spaces.Box(0, 255, (count, height, width), np.uint8) for key, count in planes.items()}
+        return spaces.Dict({**images, **vectors})
     return spaces.Dict(
         {
             "segmentation": spaces.Box(0.0, 1.0, (3, height, width), np.float32),
@@ -84,7 +81,7 @@ def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationS
     """The observation of one frame.
 
     Args:
-        form: "compact" or "table3".
+        form: "compact", "compact_rgb" or "table3".
         sensors: What the chair's sensors say.
         user: The user's joystick as it stands in this frame.
         seen: What of it is seen.
@@ -93,15 +90,20 @@ def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationS
         Arrays as in `observation_space`, contiguous and owned by the caller.
 
     Raises:
-        ConfigError: There is no such camera, sensor or form.
+        ConfigError: There is no such camera, sensor or form, or no colours where they are asked for.
     """
     _check_form(form)
     frame = _frame(sensors, seen.camera)
     vectors = {"imu": imu_vector(sensors.imu, seen.gyro, seen.yaw), "joystick": np.array([user.x, user.y], np.float32)}
     vectors |= {name: measured(sensors, name, measure) for name, measure in seen.measures.items()}
-    if form == "compact":
+    if form != "table3":
         seg = _fold(frame.class_id) if seen.fold else frame.class_id.copy()
-        return {"seg": seg[None], "depth": encode_depth(frame.depth_m, seen.range_m)[None], **vectors}
+        images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, seen.range_m)[None]}
+        if form == "compact_rgb":
+            if frame.rgb is None:
+                raise ConfigError(f"camera {seen.camera!r} draws no colours; expected its setting rgb=true")
+            images["rgb"] = np.moveaxis(frame.rgb, 2, 0).copy()
+        return {**images, **vectors}
     colours = _planes(seen.fold)
     index = frame.class_id.astype(np.intp)
     image = np.empty((3, *index.shape), np.float32)
@@ -209,5 +211,5 @@ def _frame(sensors: SensorFrame, name: str) -> CameraFrame:
 
 
 def _check_form(form: str) -> None:
-    if form not in ("compact", "table3"):
-        raise ConfigError(f"unknown observation form {form!r}; expected 'compact' or 'table3'")
+    if form not in get_args(Form):
+        raise ConfigError(f"unknown observation form {form!r}; expected one of {', '.join(get_args(Form))}")

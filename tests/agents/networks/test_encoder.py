@@ -111,7 +111,7 @@ def test_the_networks_sees_its_vector_and_its_images():
 
 def test_other_observations_are_refused():
     floats = gym.spaces.Dict(
-        segmentation=gym.spaces.Box(0, 1, (3, 24, 32), np.float32),
+        picture=gym.spaces.Box(0, 1, (3, 24, 32), np.float32),
         depth=gym.spaces.Box(0, 1, (1, 24, 32), np.float32),
         imu=gym.spaces.Box(-1, 1, (5,), np.float32),
         joystick=gym.spaces.Box(-1, 1, (2,), np.float32),

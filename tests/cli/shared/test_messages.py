@@ -194,5 +194,6 @@ def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
 
 
 def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):
-    refused(wcsim("train", "--town", corner, "--set", "env.observation=table3", *QUICK), "compact")
+    words = ("--set", "learn.mirror=true", "--set", "cameras.0.yaw_deg=9")
+    refused(wcsim("train", "--town", corner, *words, *QUICK), "set learn.mirror=false")
     assert files_in(folder) == set()

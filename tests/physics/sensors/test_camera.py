@@ -11,6 +11,7 @@ import pytest
 from tests.physics.renderer.render_oracle import actor
 from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, strip_street
+from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import SeatBuffers, new_images
@@ -54,6 +55,20 @@ def test_a_camera_turns_with_its_yaw_and_with_its_chair():
     turned = pose_matrix(np.array([1.0, 2.0, 0.0]), np.array(rotation_quaternion(math.pi / 2, 0.0, 0.0)))
     ahead = camera_matrix(turned, mount(CameraConfig(pitch_deg=0.0)))
     assert seen(ahead, (1.0, 2.35 + 3.0, 1.0)) == pytest.approx([0, 0, 3])
+
+
+def test_a_rolled_camera_sees_the_street_turned_the_other_way():
+    level = CameraConfig(pitch_deg=-15.0, yaw_deg=20.0)
+    rolled = camera_matrix(np.eye(3, 4), mount(level.model_copy(update={"roll_deg": 90.0})))
+    straight = camera_matrix(np.eye(3, 4), mount(level))
+    for point in ((3.0, -1.0, 0.5), (4.0, 2.0, 0.0)):
+        right, down, ahead = seen(straight, point)
+        assert seen(rolled, point) == pytest.approx([down, -right, ahead])  # its right side is where down was
+    rays = viewing_rays(CameraConfig(width_px=8, height_px=8, roll_deg=25.0, yaw_deg=-40.0, pitch_deg=10.0))
+    own = camera_matrix(np.eye(3, 4), mount(CameraConfig(roll_deg=25.0, yaw_deg=-40.0, pitch_deg=10.0)))
+    assert (own[:, :3] @ rays.T)[2] == pytest.approx(np.ones(64))
+    first = (own[:, :3] @ rays[0])[:2]
+    assert first[0] < 0.0 and first[1] < 0.0, "the first pixel is at the top left"
 
 
 def test_focal_length_gives_the_field_of_view():

@@ -177,3 +177,35 @@ def test_peaks_do_not_depend_on_the_physics_step():
 def test_angles_come_back_from_the_rotation():
     for yaw, pitch in ((0.3, 0.2), (-3.0, -0.4), (1.6, 0.0)):
         assert euler(matrix(quaternion(yaw, pitch))) == pytest.approx((0.0, pitch, yaw))
+
+
+def test_a_turned_sensor_feels_in_its_own_axes_and_what_is_judged_stays():
+    tilted = matrix(quaternion(0.3, math.radians(10.0)))
+    frames = []
+    for turns in ((0.0, 0.0, 0.0), (0.0, 0.0, 90.0), (0.0, -10.0, 0.0)):
+        sensor = imu(rpy_deg=turns, mean_gravity="included", noise=False)
+        sensor.reset(BodyMotion(tilted))
+        for v in range(24):
+            sensor.sample(BodyMotion(tilted, (0.001 * v, 0.0, 0.0), (0.2, 0.0, 0.5)))
+        frames.append(sensor.end_tick(None))
+    straight, left, level = frames
+    x, y, z = straight.accel_mean_mps2
+    assert left.accel_mean_mps2 == pytest.approx([y, -x, z])  # looks to the left of the chair
+    p, q, r = straight.gyro_radps
+    assert left.gyro_radps == pytest.approx([q, -p, r])
+    assert math.degrees(left.roll_rad) == pytest.approx(-10.0)  # the chair's nose is its right side
+    assert left.pitch_rad == pytest.approx(0.0, abs=1e-9) and left.yaw_rad == straight.yaw_rad
+    assert level.pitch_rad == pytest.approx(0.0, abs=1e-9)  # mounted nose down on a chair with its nose up
+    assert all(np.array_equal(frame.accel_peak_mps2, straight.accel_peak_mps2) for frame in frames)
+
+
+@pytest.mark.parametrize("mode", ["ideal", "accelerometer", "complementary"])
+def test_the_tilt_sensor_ends_at_its_range(mode):
+    sensor = imu(tilt=mode, tilt_range_deg=6.0, noise=False)
+    up = matrix(quaternion(0.0, math.radians(10.0), math.radians(-3.0)))
+    sensor.reset(BodyMotion(up))
+    for _ in range(24):
+        sensor.sample(BodyMotion(up, STILL, STILL))
+    frame = sensor.end_tick(None)
+    assert math.degrees(frame.pitch_rad) == pytest.approx(6.0)
+    assert math.degrees(frame.roll_rad) == pytest.approx(-3.0, abs=0.1)

@@ -17,6 +17,9 @@ from wcsim.config import CollectConfig
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Verdict
 
+_ASTRAY_SIGMA = 0.5  # spread of the offset, in stick units
+_ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
+
 
 class Learned(Protocol):
     """The network as a driver: in each step `choose` or `watch`, then `sent`."""
@@ -88,10 +91,10 @@ class DataDriver:
         """The user's stick, or with an offset that is held for a while."""
         settings, rng = self._settings, self._rng
         self._held -= 1
-        low, high = settings.astray_ticks
+        low, high = _ASTRAY_TICKS
         mean = 0.5 * (low + high)
         if self._held <= 0 and rng.random() < settings.astray_share / (mean - (mean - 1) * settings.astray_share):
-            self._offset = rng.normal(0.0, settings.astray_sigma, 2)
+            self._offset = rng.normal(0.0, _ASTRAY_SIGMA, 2)
             self._held = int(rng.integers(low, high + 1))
             self._reckless = bool(rng.random() < settings.reckless_share)
         if self._held <= 0:

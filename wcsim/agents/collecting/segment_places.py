@@ -68,6 +68,8 @@ def require_recordable(config: RunConfig) -> None:
     if config.env.observation != "compact":
         told = f"env.observation={config.env.observation}: training data consists of class ids and depth"
         raise ConfigError(f"{told}; expected compact")
+    if config.eye != config.cameras[0]:
+        raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
     for variant in config.collect.variants:
         try:
             with_overrides(config, tuple(variant.split()))

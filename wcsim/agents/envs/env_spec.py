@@ -78,7 +78,7 @@ class Face:
 
     def observation_space(self) -> gymnasium.spaces.Dict:
         """The space of one chair's observations, a new one each time."""
-        camera, env = self.config.cameras[0], self.config.env
+        camera, env = self.config.eye, self.config.env
         vector = imu_size(env.observe_gyro, env.observe_yaw)
         measures = self.config.sensors.measures()
         now = observation_space(env.observation, camera.width_px, camera.height_px, vector, measures)
@@ -187,6 +187,7 @@ def drawn_seed() -> int:
 
 
 def with_colours(config: RunConfig) -> RunConfig:
-    """The same configuration with colours drawn by its first camera."""
-    first = config.cameras[0].model_copy(update={"rgb": True})
-    return config.model_copy(update={"cameras": (first, *config.cameras[1:])})
+    """The same configuration with colours drawn by the camera that networks see."""
+    eye = config.eye
+    drawn = [camera.model_copy(update={"rgb": True}) if camera is eye else camera for camera in config.cameras]
+    return config.model_copy(update={"cameras": tuple(drawn)})

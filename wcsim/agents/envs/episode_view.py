@@ -93,11 +93,12 @@ class Chair:
 
     @property
     def picture(self) -> npt.NDArray[np.uint8] | None:
-        """What the first camera sees in colours, (H, W, 3) uint8, where colours are drawn; an array of its own.
+        """What the camera of networks sees in colours, (H, W, 3) uint8, where colours are drawn; an array of its own.
 
         Whoever films keeps pictures, and the camera draws into the same buffers again.
         """
-        drawn = None if self.now is None else self.now.sensors.cameras[0].rgb
+        place = self._config.cameras.index(self._config.eye)
+        drawn = None if self.now is None else self.now.sensors.cameras[place].rgb
         return None if drawn is None else drawn.copy()
 
     def begin(self, first: ClientSnapshot) -> tuple[Observation, Info]:

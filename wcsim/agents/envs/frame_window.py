@@ -8,11 +8,11 @@ import gymnasium
 import numpy as np
 
 from wcsim.agents import policy_api
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, RGB_KEY
 from wcsim.errors import PolicyError
 from wcsim.supervisor.observation import Observation
 
-IMAGE_KEYS = (CLASS_KEY, DEPTH_KEY)
+IMAGE_KEYS = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
 
 
 class FrameWindow:
@@ -31,12 +31,12 @@ class FrameWindow:
         self._kept.clear()
 
     def add(self, observation: Observation) -> Observation:
-        """The observation with its window, (frames, H, W) in fresh arrays, from one with (1, H, W)."""
+        """The observation with its window, (frames, H, W) in fresh arrays, from one with (1, H, W); colours thrice."""
         if self._frames == 1:
             return observation
         missing = max(self._frames - len(self._kept), 1)  # all of them once, then one each time
         self._kept.extend([observation] * missing)
-        images = {key: np.concatenate([old[key] for old in self._kept]) for key in IMAGE_KEYS}
+        images = {key: np.concatenate([old[key] for old in self._kept]) for key in IMAGE_KEYS if key in observation}
         return {**observation, **images}
 
 
@@ -45,8 +45,9 @@ def windowed_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.space
     if frames == 1:
         return space
     parts = dict(space.spaces)
-    for key in IMAGE_KEYS:
-        shape = (frames, *(space[key].shape or ())[1:])
+    for key in parts.keys() & set(IMAGE_KEYS):
+        planes, *size = space[key].shape or ()
+        shape = (frames * planes, *size)
         parts[key] = gymnasium.spaces.Box(0, 255, shape, np.uint8)
     return gymnasium.spaces.Dict(parts)
 
@@ -56,7 +57,7 @@ def newest(observation: policy_api.Observation, frames: int) -> policy_api.Obser
 
     Raises PolicyError when the window holds fewer.
     """
-    held = len(observation[CLASS_KEY])
+    held = len(observation[DEPTH_KEY])
     if held < frames:
         raise PolicyError(
             f"an observation holds {held} images, this policy was trained on {frames}; expected at least as many: "
@@ -64,4 +65,5 @@ def newest(observation: policy_api.Observation, frames: int) -> policy_api.Obser
         )
     if held == frames:
         return observation
-    return {key: value[-frames:] if key in IMAGE_KEYS else value for key, value in observation.items()}
+    planes = {key: len(observation[key]) // held for key in IMAGE_KEYS if key in observation}
+    return {key: value[-frames * planes[key] :] if key in planes else value for key, value in observation.items()}

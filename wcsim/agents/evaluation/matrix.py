@@ -209,7 +209,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
     if is_danger(path):
         return load_danger(path, name, config, split_level(name)[1], network)
     policy = load_policy(path, network)
-    camera, file = config.cameras[0], policy.file
+    camera, file = config.eye, policy.file
     if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:
         raise PolicyError(
             f"policy {name!r} needs {file.image_hw_px[1]}x{file.image_hw_px[0]} images and actions {file.net.actions}; "
@@ -229,6 +229,11 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
             "set their sections of [sensors] as in its training"
         )
     other = [key for key in SIGHT_KEYS if getattr(file.camera, key) != getattr(camera, key)]
+    forms = file.observation, config.env.observation
+    if forms[0] != forms[1] and not (forms[0] == "compact" and forms[1] == "compact_rgb"):
+        raise PolicyError(
+            f"policy {name!r} sees env.observation={forms[0]}, this test has {forms[1]}: set it as in its training"
+        )
     if other or file.net.classes != config.env.classes:
         raise PolicyError(
             f"policy {name!r} was trained with another camera or other classes than this test has "

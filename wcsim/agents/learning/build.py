@@ -130,10 +130,11 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
 
 
 def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
-    learn, camera = config.learn, config.cameras[0]
+    learn, camera = config.learn, config.eye
     if learn.mirror and not sees_in_a_mirror(camera):
         raise ConfigError(
-            f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg} deg; expected 0 and 0, "
+            f"learn.mirror=true with a camera at y={camera.p_BC_m[1]} m, yaw {camera.yaw_deg}, roll {camera.roll_deg} "
+            "deg; expected 0, "
             "because pictures are mirrored: set learn.mirror=false"
         )
     return SeqDQN(

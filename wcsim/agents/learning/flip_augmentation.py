@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 
-from wcsim.agents.policy_api import CLASS_KEY, DANGER_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.supervisor.observation import imu_size
 
@@ -39,10 +39,9 @@ def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()
 
 def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
     out = dict(observations)
-    if DANGER_KEY in observations:
-        out[DANGER_KEY] = observations[DANGER_KEY][..., actions]
-    for key in (CLASS_KEY, DEPTH_KEY):
-        out[key] = observations[key].flip(-1)
+    for key, value in observations.items():
+        if value.ndim > 2:  # a picture; the others are rows of numbers
+            out[key] = value.flip(-1)
     imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
     for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS), *further):
         out[key] = observations[key] * observations[key].new_tensor(signs)

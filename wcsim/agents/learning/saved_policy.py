@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -12,14 +12,14 @@ import torch
 from gymnasium import spaces
 from safetensors.torch import save_file
 
-from wcsim.agents.envs.frame_window import newest
+from wcsim.agents.envs.frame_window import newest, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.encoder import image_size, vector_keys, vector_size, window_size
+from wcsim.agents.networks.encoder import form_of, image_size, vector_keys, vector_size, window_size
 from wcsim.agents.networks.names import require_named
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.networks.weights import checked_weights, read_weights
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, Observation
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_policy_file
 from wcsim.config import CameraConfig
 from wcsim.config.run_file import PolicyFile
@@ -27,10 +27,10 @@ from wcsim.core import files
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import observation_space
 from wcsim.types import ClassId
 
 JOYSTICK_SIZE = 2
-Beside = Callable[[Path], dict[str, Any]]
 
 
 class NetPolicy:
@@ -131,6 +131,7 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
         "image_hw_px": list(image_size(space)),
         "vector_size": vector_size(space),
         **({"sensors": sensors} if sensors else {}),
+        **({} if (form := form_of(space)) == "compact" else {"observation": form}),
         "window": window_size(space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,
@@ -155,11 +156,10 @@ def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
 
 def _space(file: PolicyFile) -> spaces.Dict:
     height, width = file.image_hw_px
-    image = spaces.Box(0, 255, (file.window, height, width), np.uint8)
     imu = file.vector_size - JOYSTICK_SIZE - sum(file.sensors.values())
-    rows = {**file.sensors, IMU_KEY: imu, JOYSTICK_KEY: JOYSTICK_SIZE}
-    boxes = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in rows.items()}
-    return spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, **boxes})
+    boxes = {key: spaces.Box(-1.0, 1.0, (size,), np.float32) for key, size in file.sensors.items()}
+    now = observation_space(file.observation, width, height, imu)
+    return windowed_space(spaces.Dict({**now.spaces, **boxes}), file.window)
 
 
 def _probes(file: PolicyFile) -> Iterator[Observation]:

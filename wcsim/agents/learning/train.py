@@ -212,7 +212,7 @@ class _Session:
     def _save(self, stage: str) -> None:
         path = self.run.policy(stage)
         try:
-            save_policy(path, self.model, self.run.config.cameras[0], self.run.manifest_sha256())
+            save_policy(path, self.model, self.run.config.eye, self.run.manifest_sha256())
         except (DiskFullError, OSError, SafetensorError) as error:
             raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
 

@@ -1,4 +1,4 @@
-"""From the compact observation to features: class ids become planes here, then a registered network reads them."""
+"""From an observation to features: class ids become planes here, then a registered network reads them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from wcsim.agents.networks import registry
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.agents.policy_api import CLASS_KEY, COLOURS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, RGB_KEY
+from wcsim.config.env import Form
 from wcsim.errors import PolicyError
 from wcsim.types import ClassId as C
 
@@ -33,6 +34,7 @@ GROUPS: tuple[tuple[int, ...], ...] = (
     (C.RIDER, C.MOTORCYCLE, C.BICYCLE),
     (C.CAR, C.TRUCK, C.BUS, 29, 30, C.TRAIN),
 )
+_CLASSES = {CLASS_KEY, COLOURS_KEY}  # one of which every observation has
 # Beside the others when classes="wcsim".
 WCSIM_GROUPS: tuple[tuple[int, ...], ...] = ((C.KERB,), (C.LOWERED_KERB, C.CROSSWALK))
 
@@ -47,7 +49,7 @@ def group_table(classes: Classes) -> torch.Tensor:
 
 
 class ObservationEncoder(BaseFeaturesExtractor):
-    """A features extractor of Stable-Baselines3 for wcsim's compact observation.
+    """A features extractor of Stable-Baselines3 for wcsim's observations.
 
     It also serves SB3's own algorithms: `MultiInputPolicy` with `policy_kwargs={"features_extractor_class":
     ObservationEncoder, "normalize_images": False}`.
@@ -65,7 +67,9 @@ class ObservationEncoder(BaseFeaturesExtractor):
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
         table = group_table(classes)
-        shape = registry.input_shape(network, window_size(observation_space), (len(table) + 1, height, width))
+        self.form = form_of(observation_space)
+        count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
+        shape = registry.input_shape(network, window_size(observation_space), (count, height, width))
         body = registry.build(network, shape, numbers)
         super().__init__(observation_space, features_dim=_features_dim(network, body, shape, numbers))
         self.body = body
@@ -76,12 +80,12 @@ class ObservationEncoder(BaseFeaturesExtractor):
         self.register_buffer("_planes", planes.to(torch.float32).contiguous(), persistent=False)  # (256, G + 1)
 
     def forward(self, observations: Tensors) -> torch.Tensor:
-        """Features (B, F) of a batch of observations (uint8 images, float32 vectors)."""
+        """Features (B, F) of a batch of observations."""
         return torch.as_tensor(self.body(self.image(observations), self.vector(observations)))
 
     def unroll(self, observations: Tensors, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Features (B, T, F) of T observations in a row, (B, T, ...) each, and the state (B, state_size) after them."""
-        count = state.shape[0], observations[CLASS_KEY].shape[1]
+        count = state.shape[0], observations[DEPTH_KEY].shape[1]
         flat = {key: value.flatten(0, 1) for key, value in observations.items()}
         image = torch.unflatten(self.image(flat)[:, -1], 0, count)
         vector = torch.unflatten(self.vector(flat), 0, count)
@@ -89,10 +93,14 @@ class ObservationEncoder(BaseFeaturesExtractor):
         return torch.as_tensor(features), torch.as_tensor(after)
 
     def image(self, observations: Tensors) -> torch.Tensor:
-        """Class planes and log-depth, (B, G + 1, H, W) in 0..1; (B, T, G + 1, H, W) for a network that is windowed.
+        """Planes (B, C, H, W) in 0..1; (B, T, C, H, W) for a network that is windowed.
 
-        Channels last in memory train twice as fast.
+        Class planes and log-depth, then colours where the observation has them; or the four planes of Table 3. Channels
+        last in memory train twice as fast.
         """
+        if self.form == "table3":
+            seen = torch.cat([observations[COLOURS_KEY], observations[DEPTH_KEY]], dim=1)
+            return seen[:, None] if self.windowed else seen
         ids, depth = observations[CLASS_KEY].to(torch.int32), observations[DEPTH_KEY] / 255.0
         table = torch.as_tensor(self._planes)
         if torch.onnx.is_in_onnx_export():  # ONNX Runtime writes one plane of many slowly, half of a decision's time
@@ -102,6 +110,9 @@ class ObservationEncoder(BaseFeaturesExtractor):
             planes = nn.functional.embedding(ids, table)  # (B, T, H, W, G + 1)
             planes[..., -1] = depth
             planes = planes.permute(0, 1, 4, 2, 3)  # a movedim with -1 cannot be exported
+        if self.form == "compact_rgb":
+            colours = torch.unflatten(observations[RGB_KEY], 1, (-1, 3)) / 255.0
+            planes = torch.cat([planes, colours], dim=2)
         return planes if self.windowed else planes[:, 0]
 
     def vector(self, observations: Tensors) -> torch.Tensor:
@@ -122,25 +133,33 @@ def vector_size(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
 
 
 def image_size(space: spaces.Space[object]) -> tuple[int, int]:
-    """(H, W) of the compact observation's images. Raises PolicyError when the space is another one."""
+    """(H, W) of the observation's images. Raises PolicyError when the space is none of wcsim's."""
     space = _known(space)
-    for key in (CLASS_KEY, DEPTH_KEY):
+    dtype = np.float32 if form_of(space) == "table3" else np.uint8
+    for key in (COLOURS_KEY if COLOURS_KEY in space.spaces else CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
-        if box.dtype != np.uint8 or len(box.shape) != 3 or box.shape[0] < 1:
+        if box.dtype != dtype or len(box.shape) != 3 or box.shape[0] < 1:
             raise PolicyError(
-                f"observation {key!r} is {box.dtype} {box.shape}; expected uint8 (window, H, W): "
-                "set env.observation=compact"
+                f"observation {key!r} is {box.dtype} {box.shape}; expected {np.dtype(dtype)} (planes, H, W): see "
+                "env.observation"
             )
-    return int(_box(space, CLASS_KEY).shape[1]), int(_box(space, CLASS_KEY).shape[2])
+    return int(_box(space, DEPTH_KEY).shape[1]), int(_box(space, DEPTH_KEY).shape[2])
 
 
 def window_size(space: spaces.Space[object]) -> int:
-    """How many images the compact observation holds (`env.window`)."""
-    return int(_box(_known(space), CLASS_KEY).shape[0])
+    """How many images the observation holds (`env.window`)."""
+    return int(_box(_known(space), DEPTH_KEY).shape[0])
+
+
+def form_of(space: spaces.Space[object]) -> Form:
+    """Which form of `env.observation` a space is of. Raises PolicyError when it is of none."""
+    keys = _known(space).spaces
+    return "table3" if CLASS_KEY not in keys else "compact_rgb" if RGB_KEY in keys else "compact"
 
 
 def _known(space: spaces.Space[object]) -> spaces.Dict:
-    if not isinstance(space, spaces.Dict) or not {CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= set(space.spaces):
+    keys = set(space.spaces) if isinstance(space, spaces.Dict) else set()
+    if not isinstance(space, spaces.Dict) or not {DEPTH_KEY, IMU_KEY, JOYSTICK_KEY} <= keys or not keys & _CLASSES:
         raise PolicyError(f"observation space is {space}; expected a Dict with seg, depth, imu and joystick")
     return space
 

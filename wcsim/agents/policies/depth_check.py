@@ -84,7 +84,8 @@ def viewing_rays(camera: CameraConfig) -> F64:
     right, down = np.meshgrid(
         (np.arange(width) + 0.5 - width / 2.0) / focal_px, (np.arange(height) + 0.5 - height / 2.0) / focal_px
     )
-    pitch, yaw = rad(camera.pitch_deg), rad(camera.yaw_deg)
+    pitch, yaw, roll = rad(camera.pitch_deg), rad(camera.yaw_deg), rad(camera.roll_deg)
+    right, down = right * math.cos(roll) - down * math.sin(roll), right * math.sin(roll) + down * math.cos(roll)
     ahead = math.cos(pitch) + down * math.sin(pitch)
     up = math.sin(pitch) - down * math.cos(pitch)
     x = ahead * math.cos(yaw) + right * math.sin(yaw)
@@ -98,7 +99,7 @@ def sees_in_a_mirror(camera: CameraConfig) -> bool:
     >>> sees_in_a_mirror(CameraConfig()), sees_in_a_mirror(CameraConfig(yaw_deg=20.0))
     (True, False)
     """
-    return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0
+    return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0 and camera.roll_deg == 0.0
 
 
 def heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:

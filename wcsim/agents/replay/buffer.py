@@ -113,7 +113,7 @@ class FrameReplay(ReplayBuffer):
     def _store(self, settings: ReplaySettings) -> OpenStore:
         folder = settings.folder
         first, shape = self.layout.images[0] if self.layout.images else ("", ())
-        smooth = int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY else 0
+        smooth = int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
         if folder is None:
             return lambda steps, seats, size: frame_store(steps, seats, size, smooth)
         layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)

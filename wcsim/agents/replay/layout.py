@@ -1,6 +1,7 @@
 """How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back.
 
-The image part of a window is its frames one after the other, the newest last; a frame is all images of one moment.
+Images of float32 are kept as their bytes. The image part of a window is its frames one after the other, the newest
+last; a frame is all images of one moment.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ Shapes = tuple[tuple[str, tuple[int, ...]], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservationLayout:
-    """Which keys of an observation are images (uint8) and which are vectors (float32), with their shapes, by name."""
+    """Which keys of an observation are images and which are vectors (float32), with their shapes, by name."""
 
     images: Shapes
     vectors: Shapes
+    item_bytes: int = 1  # of a number of an image: uint8, or 4 for float32
 
     @property
     def window(self) -> int:
-        """Frames in one observation: the images' common first dimension, 1 when they have none."""
-        firsts = {shape[0] if len(shape) == 3 else 1 for _, shape in self.images}
-        return firsts.pop() if len(firsts) == 1 else 1
+        """Frames in one observation: the smallest first dimension of its images, where it divides them all; else 1."""
+        firsts = [shape[0] if len(shape) == 3 else 1 for _, shape in self.images] or [1]
+        return min(firsts) if all(first % min(firsts) == 0 for first in firsts) else 1
 
     @property
     def frame_bytes(self) -> int:
@@ -40,7 +42,7 @@ class ObservationLayout:
     @property
     def image_bytes(self) -> int:
         """Bytes of all images of one observation."""
-        return sum(int(np.prod(shape)) for _, shape in self.images)
+        return self.item_bytes * sum(int(np.prod(shape)) for _, shape in self.images)
 
     @property
     def vector_size(self) -> int:
@@ -52,8 +54,9 @@ class ObservationLayout:
         count, frames = len(next(iter(batch.values()))), self.window
         if not self.images:
             return np.zeros((count, 0), dtype=np.uint8)
-        parts = [np.asarray(batch[key], dtype=np.uint8).reshape(count, frames, -1) for key, _ in self.images]
-        return np.concatenate(parts, axis=2).reshape(count, -1)
+        parts = [np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1) for key, _ in self.images]
+        rows: U8 = np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
+        return rows
 
     def vector_rows(self, batch: Mapping[str, npt.NDArray[Any]]) -> F32:
         """Vectors of a batch side by side, (N, vector_size)."""
@@ -65,11 +68,20 @@ class ObservationLayout:
 
     def split(self, images: U8, vectors: F32) -> dict[str, npt.NDArray[Any]]:
         """The batch of observations that these rows were made of; the parts are views."""
-        return {**_parts(images, self.images, self.window), **_parts(vectors, self.vectors, 1)}
+        pictures = np.ascontiguousarray(images).view(self._dtype)
+        return {**_parts(pictures, self.images, self.window), **_parts(vectors, self.vectors, 1)}
+
+    @property
+    def _dtype(self) -> type[np.uint8] | type[np.float32]:
+        return np.uint8 if self.item_bytes == 1 else np.float32
 
 
 def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
-    """The layout of an observation space. Raises PolicyError when it is not a Dict of uint8 and float32 boxes."""
+    """The layout of an observation space.
+
+    Raises:
+        PolicyError: It is not a Dict of uint8 and float32 boxes, or has images of both kinds.
+    """
     if not isinstance(space, spaces.Dict):
         raise PolicyError(f"observation space is {space}; expected a Dict of boxes: set env.observation=compact")
     images: list[tuple[str, tuple[int, ...]]] = []
@@ -77,10 +89,12 @@ def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
     for key, box in sorted(space.spaces.items()):
         if not isinstance(box, spaces.Box) or box.dtype not in (np.uint8, np.float32):
             raise PolicyError(f"observation {key!r} is {box}; expected a Box of uint8 or float32")
-        if box.dtype == np.float32 and len(box.shape) > 2:
-            raise PolicyError(f"observation {key!r} is a float image; replay keeps bytes: set env.observation=compact")
-        (images if box.dtype == np.uint8 else vectors).append((key, tuple(box.shape)))
-    return ObservationLayout(images=tuple(images), vectors=tuple(vectors))
+        is_image = box.dtype == np.uint8 or len(box.shape) > 2
+        (images if is_image else vectors).append((key, tuple(box.shape)))
+    sizes = {space[key].dtype.itemsize for key, _ in images} or {1}  # type: ignore[union-attr]
+    if len(sizes) > 1:
+        raise PolicyError(f"images of {space} are of uint8 and float32; expected one kind: see env.observation")
+    return ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
 
 
 def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt.NDArray[Any]]:

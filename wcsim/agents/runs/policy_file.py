@@ -11,7 +11,7 @@ from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import ConfigError, PolicyError
 
 POLICY_JSON, WEIGHTS = "policy.json", "weights.safetensors"
-SIGHT_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg")
+SIGHT_KEYS = ("hfov_deg", "range_m", "near_m", "p_BC_m", "yaw_deg", "pitch_deg", "roll_deg")
 """Of a camera: what makes the same street look different to a network."""
 File = TypeVar("File", PolicyFile, DangerFile)
 _KIND = FileKind(what="the policy.json of a policy folder", limit_bytes=1 << 20, error=PolicyError)

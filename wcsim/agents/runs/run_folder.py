@@ -279,9 +279,8 @@ def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunCon
         own = {"cameras": (told.camera,), "env": env, "chair": told.chair}
         return with_overrides(config.model_copy(update=own), overrides)
     file = read_policy_file(path)
-    env = config.env.model_copy(
-        update={"actions": file.net.actions, "classes": file.net.classes, "window": file.window}
-    )
+    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
+    env = config.env.model_copy(update={"actions": file.net.actions, **seen})
     return with_overrides(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
 
 

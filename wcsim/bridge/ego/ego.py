@@ -59,6 +59,7 @@ from wcsim.users.user import SimulatedUser
 
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
+CLEAR_SPAWN_M = 2.0  # kept free around a chair when it appears
 AT_REST = Joystick(0.0, 0.0)
 _LONGEST_ID = 60
 
@@ -182,7 +183,7 @@ class Ego:
     def start_facing(self, xy: XY, goal: XY, taken: TakenNear) -> StartSpec | None:
         """A start at this place that faces its way to the goal; None where it is not clear, but for this chair."""
         yaw_rad = heading_rad(self._router.route(xy, goal), 0.0, np.array(xy))
-        own, clear_m = chair_actor_id(self.index), self._config.world.clear_spawn_m
+        own, clear_m = chair_actor_id(self.index), CLEAR_SPAWN_M
 
         def others(xy_W_m: F64, radius_m: float) -> list[ActorState]:
             return [actor for actor in taken(xy_W_m, radius_m) if actor.id != own]
@@ -382,8 +383,8 @@ class Ego:
         return Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
 
     def _draw_start(self, rng: np.random.Generator, taken: TakenNear) -> Start:
-        """A start on flat walkable ground, `clear_spawn_m` from everything that moves; relaxed when nothing is free."""
-        clear_m = self._config.world.clear_spawn_m
+        """A start on flat walkable ground, `CLEAR_SPAWN_M` from everything that moves; relaxed when nothing is free."""
+        clear_m = CLEAR_SPAWN_M
         for attempt in range(1, SPAWN_TRIES + 1):
             xy, yaw_rad = self._router.random_start(rng)
             if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):

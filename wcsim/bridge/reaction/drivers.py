@@ -24,6 +24,7 @@ from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState
 
 _Seen = tuple[ChairInStreet, F64]  # with its row
+BRAKE_MPS2 = 4.5  # deceleration that drivers and cyclists plan with, at most
 COMFORT_SHARE = 0.6  # of the brakes that a driver plans with
 
 
@@ -109,7 +110,7 @@ class StreetReaction:
         x, y, _ = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length_m = actor.size_lwh_m[0]
-        reach_m = look_m(math.hypot(vx, vy), self._config.brake_mps2) + length_m + 4.0
+        reach_m = look_m(math.hypot(vx, vy), BRAKE_MPS2) + length_m + 4.0
         cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
         return [
             i
@@ -178,7 +179,7 @@ class StreetReaction:
         way, by its habits towards them.
         """
         here, tick_s = roads.lane(place.lane_id), self._config.tick_s
-        brake_mps2 = COMFORT_SHARE * min(self._config.brake_mps2, watch.brakes.service_mps2)
+        brake_mps2 = COMFORT_SHARE * min(BRAKE_MPS2, watch.brakes.service_mps2)
         heeded: DriverPlan | None = None
         early, toward = DriverPlan(), watch.toward
         seen_s: dict[AttentionModel, float] = {}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from wcsim.config.base import Model, Positive, Share, Text
+from wcsim.config.base import Model, Share, Text
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
-Held = Annotated[int, Field(ge=1, le=1000)]
 
 
 class CollectConfig(Model):
@@ -37,13 +36,4 @@ class CollectConfig(Model):
     )
     network_share: Share = 0.75  # Share of episodes that the network drives, once there is one.
     astray_share: Share = 0.33  # Share of time with a random offset on the stick.
-    astray_sigma: Positive = 0.5  # Spread of the offset, in stick units.
-    astray_ticks: tuple[Held, Held] = (4, 12)  # Shortest and longest time that an offset is held.
     reckless_share: Share = 0.4  # Share of these offsets that are executed as they are.
-
-    @model_validator(mode="after")
-    def _ticks_are_ordered(self) -> Self:
-        low, high = self.astray_ticks
-        if low > high:
-            raise ValueError(f"astray_ticks runs from {low} to {high}; expected [low, high]")
-        return self

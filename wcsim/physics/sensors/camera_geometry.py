@@ -39,14 +39,23 @@ def focal_px(width_px: int, hfov_rad: float) -> float:
 
 def mount(camera: CameraConfig) -> F64:
     """Pose (3, 4) of the camera's mount in the chair's frame B: x the way it looks, y left, z up."""
-    return pose_of(camera.p_BC_m, frames.rad(camera.yaw_deg), frames.rad(camera.pitch_deg))
+    turns = frames.rad(camera.yaw_deg), frames.rad(camera.pitch_deg), frames.rad(camera.roll_deg)
+    return pose_of(camera.p_BC_m, *turns)
 
 
-def pose_of(p_m: Sequence[float] | F64, yaw_rad: float, pitch_rad: float) -> F64:
-    """Pose (3, 4) of a frame at p that looks along yaw, nose up by pitch."""
+def pose_of(p_m: Sequence[float] | F64, yaw_rad: float, pitch_rad: float, roll_rad: float = 0.0) -> F64:
+    """Pose (3, 4) of a frame at p that looks along yaw, nose up by pitch, right side down by roll."""
+    return np.column_stack([turn_of(yaw_rad, pitch_rad, roll_rad), np.asarray(p_m, np.float64)])
+
+
+def turn_of(yaw_rad: float, pitch_rad: float, roll_rad: float) -> F64:
+    """Rotation (3, 3) of such a frame: its axes x ahead, y left and z up, as columns."""
     cy, sy, cp, sp = math.cos(yaw_rad), math.sin(yaw_rad), math.cos(pitch_rad), math.sin(pitch_rad)
-    turn = np.array([[cy * cp, -sy, -cy * sp], [sy * cp, cy, -sy * sp], [sp, 0.0, cp]])
-    return np.column_stack([turn, np.asarray(p_m, np.float64)])
+    level = np.array([[cy * cp, -sy, -cy * sp], [sy * cp, cy, -sy * sp], [sp, 0.0, cp]])
+    if roll_rad == 0.0:
+        return level
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    return np.column_stack([level[:, 0], cr * level[:, 1] + sr * level[:, 2], cr * level[:, 2] - sr * level[:, 1]])
 
 
 def pose_matrix(p_WB_m: F64, q_WB: F64) -> F64:

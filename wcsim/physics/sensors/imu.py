@@ -9,15 +9,17 @@ low-passes in a row. The raw difference quotient is an artefact of the step (a w
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 
 from wcsim.config import ImuConfig
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.core.frames import rad
-from wcsim.core.rotations import Vec3, euler
+from wcsim.core.rotations import Rotation, Vec3, euler
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
+from wcsim.physics.sensors.camera_geometry import turn_of
 from wcsim.physics.sensors.imu_filter import ROW, STATE, filter_tick
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.physics.sensors.tilt import TiltSensor
@@ -45,6 +47,8 @@ class Imu(Sensor):
         self._felt_mps2 = gravity_mps2 if config.gravity == "included" else 0.0
         self._errors = _Errors(config)
         self._tilt = TiltSensor(config)
+        roll, pitch, yaw = (rad(turn) for turn in config.rpy_deg)
+        self._R_BS = turn_of(yaw, pitch, roll) if any(config.rpy_deg) else None  # None costs nothing
         self._low = np.zeros((0, 3))
         self.reset(BodyMotion())
 
@@ -109,8 +113,12 @@ class Imu(Sensor):
             peak = np.abs(accel + gravity) if felt else np.abs(accel)
         tick_s = count * self._dt_s
         key = noise_key if config.noise else None
-        force, gyro, drawn = self._errors.on(accel + gravity, gyro, tick_s, key)
         roll, pitch, yaw = euler(self._rotation)
+        if self._R_BS is not None:  # row vectors of B in the sensor's frame; what is judged stays in B
+            accel, gravity, gyro = accel @ self._R_BS, gravity @ self._R_BS, gyro @ self._R_BS
+            turned = np.array(self._rotation).reshape(3, 3) @ self._R_BS
+            roll, pitch, _ = euler(cast(Rotation, tuple(turned.ravel().tolist())))
+        force, gyro, drawn = self._errors.on(accel + gravity, gyro, tick_s, key)
         roll, pitch = self._tilt.read((roll, pitch), force, gyro, tick_s, drawn)
         return ImuFrame(
             accel_mean_mps2=force if config.mean_gravity == "included" else force - gravity,

@@ -70,6 +70,12 @@ class TiltSensor:
             dt_s: Length of the tick, 0 when there was none.
             drawn: (2,) standard normal, zero for no noise.
         """
+        roll, pitch = self._felt(true, force_B_mps2, w_B_radps, dt_s, drawn)
+        most = rad(self._config.tilt_range_deg)
+        return min(max(roll, -most), most), min(max(pitch, -most), most)
+
+    def _felt(self, true: Tilt, force_B_mps2: F64, w_B_radps: F64, dt_s: float, drawn: F64) -> Tilt:
+        """What it would say without a range."""
         if self._config.tilt == "ideal":
             return true
         felt = tilt_felt(force_B_mps2)

@@ -1,0 +1,115 @@
+"""Learning from each form of observation: the arrays of Table 3, and colours beside the classes."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from tests.agents.toy import ToyStreet, a_run, toy_camera
+from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
+from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.train import train
+from wcsim.agents.replay.layout import layout_of
+from wcsim.agents.runs.run_folder import config_of
+from wcsim.config import RunConfig, with_overrides
+from wcsim.errors import InterruptedRunError, PolicyError
+from wcsim.supervisor.observation import observation_space
+from wcsim.supervisor.palette import palette
+
+CAMERA = toy_camera(16, 20).model_copy(update={"rgb": True})
+SMALL = (
+    *("learn.total_steps=120", "learn.phase1_steps=60", "learn.learning_starts=20", "learn.replay_frames=100"),
+    *("learn.batch_size=8", "learn.checkpoint_every=30", "learn.head=plain", "learn.group_steps=4", "learn.burn_in=2"),
+)
+STATEFUL = ("learn.network=fig6", "learn.memory=groups")
+FORMS = [("table3", STATEFUL), ("table3", ()), ("compact_rgb", STATEFUL), ("compact_rgb", ("learn.mirror=true",))]
+
+
+class Formed(gym.Wrapper[Any, Any, Any, Any]):
+    """The toy street as another form shows it; it may be asked to stop at a step."""
+
+    def __init__(self, form: str, stop_at: int = -1) -> None:
+        super().__init__(ToyStreet(CAMERA, max_steps=30))
+        self.form, self.stop_at, self.steps = form, stop_at, 0
+        self.observation_space = observation_space(form, 20, 16)  # type: ignore[arg-type]
+
+    def reset(self, **given: Any) -> Any:
+        seen, info = self.env.reset(**given)
+        return self._formed(seen), info
+
+    def step(self, action: Any) -> Any:
+        self.steps += 1
+        if self.steps == self.stop_at:
+            signal.raise_signal(signal.SIGTERM)
+        seen, *rest = self.env.step(action)
+        return self._formed(seen), *rest
+
+    def _formed(self, seen: dict[str, Any]) -> dict[str, Any]:
+        colours = np.moveaxis(palette()[seen["seg"][0]], -1, 0)
+        if self.form == "compact_rgb":
+            return {**seen, "rgb": colours.astype(np.uint8)}
+        rows = {key: seen[key] for key in ("imu", "joystick")}
+        planes = {"segmentation": colours.astype(np.float32) / 255.0, "depth": seen["depth"].astype(np.float32) / 255.0}
+        return {**rows, **planes}
+
+
+def config(form: str, *words: str) -> RunConfig:
+    return with_overrides(RunConfig(cameras=(CAMERA,)), (*SMALL, f"env.observation={form}", *words))
+
+
+@pytest.mark.parametrize(("form", "words"), FORMS)
+def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: str, words: tuple[str, ...]) -> None:
+    asked = a_run(config(form, *words), tmp_path / "whole", 1)
+    whole = train(asked, lambda: Formed(form))
+    again = replace(asked, out=tmp_path / "parts")
+    with pytest.raises(InterruptedRunError):
+        train(again, lambda: Formed(form, stop_at=70))
+    parts = train(replace(again, resume=True), lambda: Formed(form))
+    assert (parts / "policies" / "final").is_dir()
+    policy = load_policy(whole / "policies" / "final")
+    assert policy.file.observation == form
+    env = Formed(form)
+    seen, _ = env.reset(seed=3)
+    values = policy.values(seen)
+    assert values.shape == (81,) and np.ptp(values) > 0.0
+    other = {**seen, "depth": np.zeros_like(seen["depth"])}
+    assert not np.array_equal(values, policy.values(other)), "it looks at the picture"
+    settings = config_of(str(whole), "quick")
+    assert open_policy(str(whole), settings).name == str(whole)
+    plain = settings.model_copy(update={"env": settings.env.model_copy(update={"observation": "compact"})})
+    with pytest.raises(PolicyError, match=f"sees env.observation={form}, this test has compact"):
+        open_policy(str(whole), plain)
+
+
+@pytest.mark.parametrize("form", ["table3", "compact_rgb"])
+def test_replay_gives_back_what_was_stored_to_the_bit(form: str) -> None:
+    layout = layout_of(Formed(form).observation_space)
+    env = Formed(form)
+    seen = [env.reset(seed=n)[0] for n in range(3)]
+    batch = {key: np.stack([each[key] for each in seen]) for key in seen[0]}
+    rows = layout.image_rows(batch)
+    assert rows.dtype == np.uint8 and rows.shape == (3, layout.image_bytes)
+    back = layout.split(rows, layout.vector_rows(batch))
+    assert all(np.array_equal(back[key], batch[key]) and back[key].dtype == batch[key].dtype for key in batch)
+
+
+def test_colours_have_a_window_too() -> None:
+    space = windowed_space(observation_space("compact_rgb", 20, 16), 3)
+    assert {key: space[key].shape[0] for key in ("seg", "depth", "rgb")} == {"seg": 3, "depth": 3, "rgb": 9}
+    assert layout_of(space).window == 3
+    env, window = Formed("compact_rgb"), FrameWindow(3)
+    frames = [env.reset(seed=n)[0] for n in range(3)]
+    seen = [window.add(frame) for frame in frames][-1]
+    assert space.contains({**seen, "joystick": seen["joystick"]})
+    assert np.array_equal(seen["rgb"][3:6], frames[1]["rgb"]) and np.array_equal(seen["rgb"][6:], frames[2]["rgb"])
+    assert np.array_equal(newest(seen, 2)["rgb"], seen["rgb"][3:]) and len(newest(seen, 1)["seg"]) == 1
+    layout = layout_of(space)
+    row = layout.image_rows({key: value[None] for key, value in seen.items()})
+    assert np.array_equal(layout.split(row, np.zeros((1, layout.vector_size), np.float32))["rgb"][0], seen["rgb"])
