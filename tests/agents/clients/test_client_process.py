@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 
-from tests.agents.learning.test_train import Nervous, config, street
+from tests.agents.learning.test_train import CAMERA, Nervous, config, street
 from tests.agents.toy import ToyStreet, a_run
 from wcsim import errors
 from wcsim.agents.clients.client import StatusPipe, exit_of, learn
@@ -135,7 +135,14 @@ def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
 
 def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_goes_on(tmp_path, monkeypatch):
     class Seat(ToyStreet):
-        waits = Waits()
+        waits, steps = Waits(), 0
+
+        def __init__(self):
+            super().__init__(CAMERA, max_steps=30)
+
+        def step(self, action):
+            self.steps += 1
+            return super().step(action)
 
         def beat(self, progress):
             pass
@@ -162,7 +169,7 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
         learn(order, resume=False)
     assert exit_of(told.value) is ClientExit.GROWN
     (kept,) = (path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*"))
-    assert kept == "step-00000124"
+    assert kept == "step-00000120"
     learn(order, resume=True)
     assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"] == "done"
 

@@ -213,6 +213,7 @@ def test_too_little_is_said():
         buffer.draw(4)
 
 
-def test_float_images_are_refused():
-    with pytest.raises(PolicyError, match="compact"):
-        FrameReplay(10, gym.spaces.Dict(depth=gym.spaces.Box(0, 1, (1, 4, 4), np.float32)), gym.spaces.Discrete(2))
+def test_images_of_two_kinds_are_refused():
+    boxes = {"depth": gym.spaces.Box(0, 1, (1, 4, 4), np.float32), "seg": gym.spaces.Box(0, 255, (1, 4, 4), np.uint8)}
+    with pytest.raises(PolicyError, match="are of uint8 and float32; expected one kind"):
+        FrameReplay(10, gym.spaces.Dict(boxes), gym.spaces.Discrete(2))

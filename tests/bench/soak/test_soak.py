@@ -131,7 +131,7 @@ def test_bars_follow_the_lease_and_what_a_world_does_again(tmp_path):
     assert (patient.client_s, patient.world_s) == (62.0, 30.0)
     assert patient.overlap_s > 3 * 60.0, "a seat waits so long for a client that is stopped"
     assert recovery_bars(replace(order, lease_s=0.5)).overlap_s == 30.0
-    exact = recovery_bars(replace(order, recovery="replay"))
+    exact = recovery_bars(replace(order, recovery="replay", config=quick_config("world.epoch_ticks=6000")))
     assert (exact.client_s, exact.world_s) == (5.0, 330.0)
     small = replace(order, recovery="replay", config=quick_config("world.epoch_ticks=600"))
     assert recovery_bars(small).overlap_s == pytest.approx(60.0)
