@@ -66,6 +66,13 @@ class RunConfig(Model):
                 f"imu.saturation_mps2 {self.imu.saturation_mps2} hides reward.accel_window_mps2 "
                 f"{self.reward.accel_window_mps2}; expected a higher saturation"
             )
+        farthest = max(self.cameras, key=lambda camera: camera.range_m)
+        if farthest.range_m > self.world.mirror_radius_m:
+            raise ValueError(
+                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are drawn only within "
+                f"world.mirror_radius_m {self.world.mirror_radius_m:g}; expected no more: set "
+                f"world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
+            )
         return self
 
     @model_validator(mode="after")
@@ -79,17 +86,6 @@ class RunConfig(Model):
             raise ValueError(
                 f"env.observation=compact_rgb with camera {self.eye.name!r}, which draws no colours; expected "
                 f"cameras.{names.index(self.eye.name)}.rgb=true"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _cameras_see_all_traffic(self) -> RunConfig:
-        farthest = max(self.cameras, key=lambda camera: camera.range_m)
-        if farthest.range_m > self.world.mirror_radius_m:
-            raise ValueError(
-                f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are drawn only within "
-                f"world.mirror_radius_m {self.world.mirror_radius_m:g}; expected no more: set "
-                f"world.mirror_radius_m={farthest.range_m:g}, or a smaller range_m"
             )
         return self
 

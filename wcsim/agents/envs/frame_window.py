@@ -65,5 +65,6 @@ def newest(observation: policy_api.Observation, frames: int) -> policy_api.Obser
         )
     if held == frames:
         return observation
+    # An image may have several planes: colours have three for each moment.
     planes = {key: len(observation[key]) // held for key in IMAGE_KEYS if key in observation}
     return {key: value[-frames * planes[key] :] if key in planes else value for key, value in observation.items()}

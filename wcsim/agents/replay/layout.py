@@ -55,6 +55,7 @@ class ObservationLayout:
         if not self.images:
             return np.zeros((count, 0), dtype=np.uint8)
         parts = [np.asarray(batch[key], dtype=self._dtype).reshape(count, frames, -1) for key, _ in self.images]
+        # As bytes: the stores behind it know no floats, and the same bits come back.
         rows: U8 = np.concatenate(parts, axis=2).reshape(count, -1).view(np.uint8)
         return rows
 

@@ -127,6 +127,7 @@ def _choose(options: Options, run: GroupRun, by: str, suite: Suite | None) -> st
             best = by if by in [each.client for each in judged] else best_of(judged)
             kept = {"list_sha256": suite.sha256} if suite else {}
             clients = {each.client: dict(each.figures) for each in judged}
+            # Written last: a run without it compares again, one with it goes on with the second phase.
             (run.out / SELECTION).mkdir(exist_ok=True)
             write_json(run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": clients, "best": best})
     except KeyboardInterrupt:

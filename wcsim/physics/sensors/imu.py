@@ -114,7 +114,8 @@ class Imu(Sensor):
         tick_s = count * self._dt_s
         key = noise_key if config.noise else None
         roll, pitch, yaw = euler(self._rotation)
-        if self._R_BS is not None:  # row vectors of B in the sensor's frame; what is judged stays in B
+        if self._R_BS is not None:
+            # Row vectors of B in the sensor's frame. The peak, which is judged, stays in B.
             accel, gravity, gyro = accel @ self._R_BS, gravity @ self._R_BS, gyro @ self._R_BS
             turned = np.array(self._rotation).reshape(3, 3) @ self._R_BS
             roll, pitch, _ = euler(cast(Rotation, tuple(turned.ravel().tolist())))
