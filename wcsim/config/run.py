@@ -66,7 +66,7 @@ class RunConfig(Model):
                 f"imu.saturation_mps2 {self.imu.saturation_mps2} hides reward.accel_window_mps2 "
                 f"{self.reward.accel_window_mps2}; expected a higher saturation"
             )
-        farthest = max(self.cameras, key=lambda camera: camera.range_m)
+        farthest = self.eye  # cameras of films may see empty streets far away
         if farthest.range_m > self.world.mirror_radius_m:
             raise ValueError(
                 f"camera {farthest.name!r} has range_m {farthest.range_m:g}, but road users are drawn only within "
