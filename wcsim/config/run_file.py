@@ -161,6 +161,7 @@ class ManifestFile(Model):
     steps: Annotated[int, Field(ge=0, le=10**12)] = 0
     hook: Word = ""
     own_code: Sha256 | Literal[""] = ""  # see agents/runs/own_code.py
+    more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
     overrides: Annotated[tuple[OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
     files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(default_factory=dict)

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, seat_of
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, made_town, open_suite, require_towns, shipped
+from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
 from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
@@ -23,6 +23,7 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
+from wcsim.towns.making.asked_town import made_town
 from wcsim.towns.scenario.town import Town, content_hash, find_town, list_towns
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -27,6 +28,15 @@ def seat_spec(env: EnvConfig) -> SeatSpec:
     return SeatSpec(profile=env.profile, max_steps=env.max_steps, truth=env.truth, truth_visible=env.truth_visible)
 
 
+def town_of_epoch(town: str, more_towns: Sequence[str], epoch: int) -> str:
+    """The word for the town of an epoch: a run's towns take turns, its own one first.
+
+    >>> [town_of_epoch("helsinki", ("made:7", "made:8"), epoch) for epoch in (0, 1, 3)]
+    ['helsinki', 'made:7', 'helsinki']
+    """
+    return (town, *more_towns)[epoch % (1 + len(more_towns))]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldOrder:
     """Everything that a world is made from."""
@@ -38,6 +48,7 @@ class WorldOrder:
     seats: int = 1
     run: str = ""  # the run folder, where the outputs of the town's own scenario go
     hook: str = ""  # the user's own step hook, module:Class
+    more_towns: tuple[str, ...] = ()  # see `town_of_epoch`
 
     @property
     def place(self) -> RunPlace:
@@ -50,6 +61,7 @@ class WorldSpec:
     """A world process: its world, how it is reached, and its rules."""
 
     town: str
+    more_towns: tuple[str, ...] = ()  # see `town_of_epoch`
     config_json: str
     seed: int
     rules: Rules
@@ -77,6 +89,7 @@ class WorldSpec:
             seats=self.rules.capacity,
             run=self.run,
             hook=self.hook,
+            more_towns=self.more_towns,
         )
 
 
@@ -102,6 +115,7 @@ class RunInfo:
     seed: int  # of networks, exploration, replay and, unless that is a server's, the world
     town: str = ""  # name of the training town
     town_sha256: str = ""  # of its streets
+    more_towns: dict[str, str] = field(default_factory=dict)  # that take turns with it: their streets' hashes by word
     rewards: tuple[str, ...] = ()  # the user's own reward terms, as module:Class
     command: tuple[str, ...] = ()  # what started the run
     hook: str = ""  # the user's own step hook, as module:Class

@@ -19,5 +19,5 @@ def test_towns_are_made_where_somebody_drives_in_them_alone(
     monkeypatch.setattr(towns_of_rounds, "make_town", lambda out, drawn, wishes: made.append(out))
     monkeypatch.setattr(towns_of_rounds, "open_town", lambda out: own)
     driven, read = (dqn_config("collect.made_towns=2", f"collect.segments={count}") for count in (1, 0))
-    assert towns_of(own, read, tmp_path, 3) == (str(own.address),) and not made
-    assert towns_of(own, driven, tmp_path, 3) == (str(own.address),) * 3 and len(made) == 2
+    assert towns_of(own, (), read, tmp_path, 3) == (str(own.address),) and not made
+    assert towns_of(own, (), driven, tmp_path, 3) == (str(own.address),) * 3 and len(made) == 2

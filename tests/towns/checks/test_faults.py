@@ -15,10 +15,11 @@ from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town, demand_classes
 from wcsim.towns.checks.faults import Findings, faults_of, notes_of
-from wcsim.towns.importing.build_net import CHAIR_WAYS, build_net
+from wcsim.towns.importing.build_net import build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
+from wcsim.towns.scenario.manifest import chair_ways
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
@@ -124,7 +125,7 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     found = islands_by_links(read_net(whole), whole)
     assert len(found.footways) >= 5 and found.share < 0.98
     built = build_net(order, extract.root, tmp_path)
-    assert built.share == share_of(walkable_parts(built.net, CHAIR_WAYS)) > 0.95
+    assert built.share == share_of(walkable_parts(built.net, chair_ways(cycle_paths=False))) > 0.95
     assert islands_by_links(built.net, tmp_path / "x.net.xml").share > found.share
 
 

@@ -16,11 +16,13 @@ from wcsim.cli.main import main
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.check import check_town, unroutable_trips
 from wcsim.towns.ground.relief import steepest_grade
+from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.importing import jam_trial
 from wcsim.towns.importing.elevation import Heights
 from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.importing.work_folder import clear_stale, workplace
 from wcsim.towns.osm.clean import filter_osm
+from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import run_tool
@@ -261,3 +263,13 @@ def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
     west, south, east, north = 24.999, 59.999, 25.0046, 60.0023
     bounded = import_town(replace(order, bbox=(west, south, east, north)))
     assert not any("names no bounds" in note for note in bounded.notes)
+
+
+def test_chairs_drive_on_cycle_paths_where_they_may(order: ImportOrder) -> None:
+    path = '<way id="90" version="1"><nd ref="1"/><nd ref="12"/><nd ref="23"/><tag k="highway" v="cycleway"/></way>'
+    order.osm.write_text(tiny_osm().replace("<way", f"{path}<way", 1), encoding="utf-8")
+    usual, law = (import_town(replace(order, cycle_paths=ways, traffic=0.0)).town for ways in (False, True))
+    tracks = {lane.id for lane in read_net(law.net).lanes(LaneKind.BIKE)}
+    driven = {lane.id for lane in walkable_lanes(read_net(law.net), law.file.chair_ways)}
+    assert tracks and tracks <= driven and "cycleway" not in usual.file.chair_ways
+    assert own_work(law.folder) == () and "--cycle-paths" in law.file.rebuild

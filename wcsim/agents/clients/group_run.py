@@ -78,6 +78,7 @@ def world_order(run: GroupRun, town: str, folder: ClientsFolder, place: Path, te
     )
     return WorldSpec(
         town=town,
+        more_towns=tuple(run.info.more_towns),
         config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
         seed=run.info.seed,
         rules=rules,

@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, Unpack
 
 import gymnasium
@@ -29,10 +30,11 @@ from wcsim.agents.envs.env_spec import (
 )
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.config import RunConfig
+from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
 from wcsim.server.links.base import Waits, WorldLink
 from wcsim.server.links.open import open_link
-from wcsim.server.specs import SeatRequest
+from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.supervisor.observation import Observation
 from wcsim.supervisor.reward_terms import RewardTerm
 from wcsim.types import ClientSnapshot
@@ -44,12 +46,19 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
 
     def __init__(
-        self, town: str = "helsinki", *, join: SeatRequest | None = None, **options: Unpack[EnvOptions]
+        self,
+        town: str = "helsinki",
+        *,
+        towns: Sequence[str] = (),
+        join: SeatRequest | None = None,
+        **options: Unpack[EnvOptions],
     ) -> None:
         """Describe the environment; the world is made, or joined, by the first reset.
 
         Args:
             town: A town's name or folder.
+            towns: Further towns. Where an episode ends after `world.epoch_ticks` steps in a town, the next one follows.
+                The seed of a reset says which comes first.
             join: Take this seat in a running world instead. The server sets town, seed, run and hook. Cameras and
                 actions must match the server's. `join.spec` sets user and episode length.
             **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
@@ -58,9 +67,11 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             ConfigError: The configuration cannot be used.
             TypeError: There is no such option.
         """
-        self._face = make_face(town, options, ("town", "join"))
+        self._face = make_face(town, options, ("town", "towns", "join"))
         self.metadata = {**self.metadata, "render_fps": self._face.metadata["render_fps"]}
         self._join = join
+        self._towns, self._root_seed, self._turn, self._steps = (town, *towns), 0, 0, 0
+        self.on_town: Callable[[str], object] = lambda town: None  # told of each town of several
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
         self._waits_no_more = False
@@ -104,7 +115,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             EvictedError: A server gave this client up; the next reset joins again.
             LinkError: See `wcsim.errors` for what else a client can see.
         """
-        link = self._link
+        link, self._steps = self._link, self._steps + 1
         if link is None:
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
@@ -159,6 +170,12 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         """The first frame of the next episode; a world whose step was interrupted is made, or joined, anew."""
         if self._link is not None and self._link.interrupted:
             self.close()
+        if self._link is not None and len(self._towns) > 1:
+            if seed is None and 0 < self.config.world.epoch_ticks <= self._steps:
+                self.close()
+                return self._open(self._root_seed, self._turn + 1)
+            if seed is not None:  # a world that is made anew by its link stays in its town
+                self.close()
         link, now = self._link, self._chair.now
         if link is None:
             return self._open(seed if seed is not None else self._first_seed)
@@ -173,9 +190,10 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         except WorldRestartedError:
             return link.join()
 
-    def _open(self, seed: int | None) -> ClientSnapshot:
+    def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
         if self._join is None:
-            self._link = open_link(self._face.order(drawn_seed() if seed is None else seed))
+            self._root_seed, self._turn, self._steps = drawn_seed() if seed is None else seed, turn, 0
+            self._link = open_link(self._order())
         else:
             from wcsim.server.links.socket import open_seat  # ZeroMQ is loaded only for a world of another process
 
@@ -187,6 +205,17 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         except BaseException:
             self.close()
             raise
+
+
+    def _order(self) -> WorldOrder:
+        """The world of this turn: the seed says which of several towns comes first, and then they come in turn."""
+        root, turn = self._root_seed, self._turn
+        order = self._face.order(seeding.derive(root, "town", turn) if turn else root)
+        if len(self._towns) == 1:
+            return order
+        self.town = self._towns[(seeding.derive(root, "towns") + turn) % len(self._towns)]
+        self.on_town(self.town)
+        return replace(order, town=self.town)
 
 
 class SeatedEnv(WheelchairEnv):
@@ -207,8 +236,8 @@ class SeatedEnv(WheelchairEnv):
         """From now on, also before the first reset; may be called by a signal's handler."""
         self._seat.wait_less()
 
-    def _open(self, seed: int | None) -> ClientSnapshot:
+    def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
         """The frame that the seat has; the world's seed is the server's."""
-        del seed
+        del seed, turn
         self._link = self._seat
         return self._seat.join()

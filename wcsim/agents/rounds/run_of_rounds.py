@@ -43,7 +43,7 @@ def train_danger(
     folder = folder_of(run, with_whole_data)
     with files.locked(folder.path):
         _tell_damaged(folder, stage)
-        towns = towns_of(town, folder.config, folder.path, folder.manifest.seed, stage)
+        towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
         rounds = Rounds(folder=folder, towns=towns, machines=machines)
         total = folder.config.collect.rounds
         try:

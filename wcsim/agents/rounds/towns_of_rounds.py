@@ -2,40 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Final
 
 from wcsim.config import RunConfig
 from wcsim.core import seeding
-from wcsim.errors import TownError
+from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.wishes import Wishes
-from wcsim.towns.scenario.town import Town, find_town, open_town
+from wcsim.towns.scenario.town import Town, open_town
 
 TOWNS: Final = "towns"
 
 
 def towns_of(
-    own: Town, config: RunConfig, folder: Path, seed: int, stage: Callable[[str], object] = lambda told: None
+    own: Town,
+    more: Collection[str],
+    config: RunConfig,
+    folder: Path,
+    seed: int,
+    stage: Callable[[str], object] = lambda told: None,
 ) -> tuple[str, ...]:
     """Folders or names of all towns, the run's own first.
 
     Args:
         own: The run's.
+        more: Words for those that take turns with it.
         config: Of the run.
         folder: Of the run; towns that are drawn lie in it, and are made once, where anybody is going to drive in them.
         seed: Of the run.
         stage: Told what is made.
 
     Raises:
-        TownError: A town is missing, is meant for tests, or cannot be made.
+        TownError: A town is missing, or cannot be made.
         SumoError: One of SUMO's tools failed.
     """
-    others = [find_town(name) for name in config.collect.towns]
-    for town in others:
-        if town.split == "test":
-            raise TownError(f"collect.towns: {town.name} is a test town; expected training towns")
+    typed = [word for word in more if word not in config.collect.towns]
+    others = [asked_town(word) for word in (*typed, *config.collect.towns)]
     made = config.collect.made_towns if config.collect.segments else 0
     for number in range(made):
         drawn = seeding.derive(seed, "collect", "town", number)

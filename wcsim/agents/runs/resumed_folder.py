@@ -32,7 +32,7 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> R
     """
     if not run.resume:
         return create_run(run.out, run.config, make_manifest(run.config, run.info))
-    folder, kept = open_run(run.out), ("seed", "town_sha256", "rewards")
+    folder, kept = open_run(run.out), ("seed", "town_sha256", "more_towns", "rewards")
     other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
     if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")

@@ -20,7 +20,7 @@ import platform
 import re
 import subprocess
 from collections.abc import Collection
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -67,13 +67,14 @@ class Manifest:
     status: Status = "running"
     steps: int = 0
     hook: str = ""
+    more_towns: dict[str, str] = field(default_factory=dict)  # see `RunInfo`
     overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
     own_code: str = ""  # mark of the user's own classes, see agents/runs/own_code.py
 
     @property
     def info(self) -> RunInfo:
         """The part of it that a run which goes on keeps."""
-        return RunInfo(**{field.name: getattr(self, field.name) for field in fields(RunInfo)})
+        return RunInfo(**{each.name: getattr(self, each.name) for each in fields(RunInfo)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +128,7 @@ class RunFolder:
 def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = ()) -> Manifest:
     """A manifest for a run that starts now; `networks` are those of all clients, by default the configuration's."""
     return Manifest(
-        **{field.name: getattr(info, field.name) for field in fields(info)},
+        **{each.name: getattr(info, each.name) for each in fields(info)},
         config_sha256=config.digest(),
         versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
         git_revision=git_revision(),
@@ -170,9 +171,9 @@ def open_run(path: Path) -> RunFolder:
 
 def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
     """The manifest that a run's file holds. Raises PolicyError when it is none."""
-    fields = _checked_manifest(data, path / MANIFEST).model_dump(exclude=_NOT_OF_ONE)
-    fields["overrides"] = tuple(Override(**row) for row in fields["overrides"])
-    return Manifest(**fields)
+    said = _checked_manifest(data, path / MANIFEST).model_dump(exclude=_NOT_OF_ONE)
+    said["overrides"] = tuple(Override(**row) for row in said["overrides"])
+    return Manifest(**said)
 
 
 def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:

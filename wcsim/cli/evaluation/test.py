@@ -283,7 +283,7 @@ def _schools(policy: str) -> set[str]:
     manifest = run_of(policy)
     if manifest is None:
         return set()
-    found = {manifest.town_sha256}
+    found = {manifest.town_sha256, *manifest.more_towns.values()}
     for name in config_of(policy, "quick").collect.towns:
         with contextlib.suppress(TownError):  # it is not here any more
             found.add(streets_hash(find_town(name)))

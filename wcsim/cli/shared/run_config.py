@@ -300,14 +300,14 @@ def require_user(name: str) -> None:
     find_user(name)
 
 
-def how_to_test(run: Path, network: str, trained_in: str = "") -> str:
+def how_to_test(run: Path, network: str, trained_in: Collection[str] = ()) -> str:
     """The command that tests a run, as it can be typed.
 
-    >>> how_to_test(Path("runs/a b"), "own_network:OwnNet", "monaco")
+    >>> how_to_test(Path("runs/a b"), "own_network:OwnNet", ("helsinki", "monaco"))
     "wcsim test 'runs/a b' --network own_network:OwnNet --town manhattan"
     """
     named = ["--network", network] if is_own(network) else []
-    unseen = "manhattan" if trained_in == "monaco" else "monaco"
+    unseen = "manhattan" if "monaco" in trained_in else "monaco"
     return shlex.join(["wcsim", "test", str(run), *named, "--town", unseen])
 
 

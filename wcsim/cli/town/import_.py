@@ -31,7 +31,8 @@ if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
     from wcsim.towns.importing.importer import ImportOrder
 
-_ADOPTED = ("name", "sumocfg", "allow_outside", "split", "out", "source", "json")  # options that a ready scenario knows
+# Options that a ready scenario knows.
+_ADOPTED = ("name", "sumocfg", "allow_outside", "cycle_paths", "split", "out", "source", "json")
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Stage = Callable[[str], None]  # what begins now, in words
 
@@ -74,6 +75,8 @@ class ImportOptions:
     """Largest grade of a street (rise over run); steeper land is smoothed and lowered."""
     keep_service: Flag = False
     """Include driveways and yards, each with its own crossing."""
+    cycle_paths: Flag = False
+    """Wheelchairs also drive on cycle paths beside the road, where the law allows it."""
     seed: int = 42
     """Seed of the demand, the parked cars and the hill."""
     source: str = ""
@@ -113,7 +116,8 @@ def _adopt(options: ImportOptions, sumocfg: Path, out: Path, stage: Stage) -> To
         )
     if options.allow_outside:
         print(f"note: files outside of the folder of {sumocfg} are copied too; check {out} before you share it")
-    town = adopt_scenario(sumocfg, options.name, out, options.split, options.source, outside=options.allow_outside)
+    named = options.name, out, options.split, options.source
+    town = adopt_scenario(sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths)
     try:
         report = checked(town, told=stage)
     except BaseException:  # what cannot be read is no town
@@ -184,6 +188,7 @@ def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> Imp
         parked=options.parked,
         relief=Heights(dem=options.dem, hill_m=options.hill, max_grade=options.max_grade),
         keep_service=options.keep_service,
+        cycle_paths=options.cycle_paths,
         source=options.source,
         overwrite=options.replace,
     )

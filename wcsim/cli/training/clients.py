@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +24,7 @@ from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_j
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import in_town, learns_in_rounds, require_user, resolve_config, steps_note
+from wcsim.cli.shared.run_config import how_to_test, in_town, learns_in_rounds, require_user, resolve_config, steps_note
 from wcsim.cli.training.report import TickRate, print_crossings, print_report, report_of
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.training.train import Options
@@ -295,7 +294,8 @@ def _told(
     print_crossings(folder.path)
     if run.last:
         tested = folder.path / (run.best or folder.clients[0])
-        print(f"run folder: {folder.path}    test one: wcsim test {shlex.quote(str(tested))} --town monaco")
+        trained_in = (run.info.town, *run.info.more_towns)
+        print(f"run folder: {folder.path}    test one: {how_to_test(tested, '', trained_in)}")
     return Exit.DONE
 
 

@@ -91,7 +91,7 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes
     ticks, against = audits(() if journal is None else iter_journal(journal), ledgers)
     return ClientsReport(
         run=str(folder.path),
-        town=folder.manifest.town,
+        town=", ".join((folder.manifest.town, *folder.manifest.more_towns)),
         seed=seed,
         status=folder.manifest.status,
         clients=tuple(

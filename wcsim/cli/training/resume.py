@@ -67,9 +67,12 @@ def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
         PolicyError: Another one was typed, or it has other streets by now.
         TownError: It is not found under the name that it had.
     """
-    name = typed.town or value_of(manifest.command, "town") or manifest.town
+    made_in = words_of(value_of(manifest.command, "town") or manifest.town)
+    words = words_of(typed.town or "") or made_in
     try:
-        town = find_town(name)
+        town, *more = map(asked_town, words)
+        for word in manifest.more_towns:
+            asked_town(word)
     except TownError as error:
         if typed.town is not None:
             raise

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import tyro
 
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, require_no_cluster
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
@@ -34,7 +34,8 @@ from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.scenario.town import Town, by_name, streets_hash
 
 _OF_CLIENTS = ("config_for", "lease", "recovery")  # options that one network would not hear of
 
@@ -44,7 +45,8 @@ class Options:
     """Train a network to assist a user: a danger network, or by Q-learning."""
 
     town: str = "helsinki"
-    """Training town: a town's name, its folder, or a .sumocfg file. Test towns need --allow-test-town."""
+    """Training towns, separated by commas: names, folders, .sumocfg files, or made:SEED for generated ones. The world
+    changes town after world.epoch_ticks. Test towns need --allow-test-town."""
     preset: str = ""
     """Preset to start from: quick, laptop or best (danger networks), dqn or paper (Q-learning). Empty: quick, or
     dqn with --network, --clients, --steps, --reward, --hook or a setting of [learn]."""
@@ -113,8 +115,8 @@ def run(words: list[str]) -> int:
     require_rounds(config, _only_in_rounds(options))
     if learns_in_rounds(config):
         require_drawn_users(config, options.set, options.config)
-    town = checked_town(options.town, options.allow_test_town)
-    resolved = resolve_run(config, _info_of(options, words), town, _out(options, town))
+    town, info = _placed(options, words, config)
+    resolved = resolve_run(config, info, town, _out(options, town))
     note = steps_note(config, options.steps)
     train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
@@ -157,7 +159,7 @@ def _resume(options: Options, words: list[str]) -> int:
     """Go on with a run of one network, by what its folder says."""
     out = options.out
     if out is None:
-        out = _out(options, checked_town(options.town, True))
+        out = _out(options, _first_town(options))
     check_folder("--out", out)
     run = open_run(out)
     config, own = run.config, "a resumed run keeps its settings; leave that out"
@@ -204,7 +206,8 @@ def _told(options: Options, run: ResolvedRun) -> int:
 
     if not learns_in_rounds(run.config):  # rounds write no line an episode
         print_crossings(run.out)
-    print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, run.info.town)}")
+    trained_in = (run.info.town, *run.info.more_towns)
+    print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, trained_in)}")
     if options.json is not None:
         write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
     return Exit.DONE
@@ -226,17 +229,37 @@ def _train_clients(options: Options, words: list[str]) -> int:
     if options.network:
         raise ConfigError("--network and --clients: expected only one of them; --clients names the networks")
     if options.resume:
-        out = options.out if options.out is not None else _out(options, checked_town(options.town, True))
+        out = options.out if options.out is not None else _out(options, _first_town(options))
         return train_group(options, *resumed_group(options, out, typed(options, words)))
     clients = resolved(options)
-    town = checked_town(options.town, options.allow_test_town)
-    info = in_town(_info_of(options, words), town, clients[0].config)
+    town, info = _placed(options, words, clients[0].config)
+    info = in_town(info, town, clients[0].config)
     return train_group(options, GroupRun(clients=clients, out=_out(options, town), info=info), town)
+
+
+def _first_town(options: Options) -> Town:
+    """The one that names the run folder."""
+    return checked_town(some_words("--town", options.town)[0], True)
+
+
+def _placed(options: Options, words: list[str], config: RunConfig) -> tuple[Town, RunInfo]:
+    """The run's own town, and what is known of a run with those that take turns with it.
+
+    Raises TownError for one that is kept for tests, and for two of one name.
+    """
+    own, *more = dict.fromkeys(some_words("--town", options.town))
+    asked = {
+        word: checked_town(word, options.allow_test_town) for word in dict.fromkeys((own, *more, *config.collect.towns))
+    }
+    by_name(asked.values())
+    town = asked.pop(own)
+    hashes = {word: streets_hash(found) for word, found in asked.items()}
+    return town, replace(_info_of(options, words), more_towns=hashes)
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:
     """The town to train in. Raises TownError for one that is kept for tests."""
-    town = find_town(name)
+    town = asked_town(name)
     validate_net(town.net)
     if town.split == "test" and not allow_test_town:
         raise TownError(
@@ -274,7 +297,12 @@ def train_in(
             bar.show(now)
 
         def make_env() -> WheelchairEnv:
-            return WheelchairEnv(town.address, config=config, reward_terms=terms, run=run.out, hook=info.hook)
+            towns = tuple(info.more_towns)
+            env = WheelchairEnv(
+                town.address, towns=towns, config=config, reward_terms=terms, run=run.out, hook=info.hook
+            )
+            env.on_town = lambda word: open_run(run.out).event("town", town=Path(word).name)
+            return env
 
         def say(text: str) -> None:
             print(f"wcsim: {text}", file=sys.stderr)

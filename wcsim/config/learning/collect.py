@@ -21,7 +21,7 @@ class CollectConfig(Model):
     ticks: Annotated[int, Field(ge=10, le=100_000)] = 400  # Ticks in a segment.
     chairs: Annotated[int, Field(ge=1, le=12)] = 6  # Chairs in its world.
     episode_steps: Count = 300  # Longest episode.
-    towns: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Towns used in turn with the run's own.
+    towns: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Towns used in turn with those of --town.
     made_towns: Annotated[int, Field(ge=0, le=1000)] = (
         0  # Number of towns that `wcsim town make` generates for this run.
     )

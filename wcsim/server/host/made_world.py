@@ -5,8 +5,8 @@ from __future__ import annotations
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.server.seat_world import Specs
-from wcsim.server.specs import WorldOrder
-from wcsim.towns.scenario.town import find_town
+from wcsim.server.specs import WorldOrder, town_of_epoch
+from wcsim.towns.making.asked_town import asked_town
 
 
 def made_world(order: WorldOrder) -> World:
@@ -16,7 +16,8 @@ def made_world(order: WorldOrder) -> World:
 
 def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
     """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
-    return World(find_town(order.town), order.config, specs, seed, order.place, epoch=epoch)
+    town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
+    return World(town, order.config, specs, seed, order.place, epoch=epoch)
 
 
 def epoch_seed(seed: int, epoch: int) -> int:

@@ -21,7 +21,8 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec
-from wcsim.towns.scenario.town import Town, find_town, streets_hash
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.scenario.town import Town, towns_hash
 
 GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back
 REGATHER_S = 5.0  # how long a server that was restarted waits for all to come back before it goes on with those here
@@ -130,12 +131,14 @@ def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWor
 
 
 def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
-    world, town = order.world, find_town(order.town) if has_town else None
+    world, words = order.world, (order.town, *order.more_towns) if has_town else ()
+    towns = tuple(map(asked_town, words))
     return JournalHeader(
         name=order.name,
         town=order.town,
-        town_sha256="" if town is None else streets_hash(town),
-        config=_as_meant(world.config, town).model_dump_json(),
+        more_towns=order.more_towns,
+        town_sha256=towns_hash(towns),
+        config=_as_meant(world.config, towns).model_dump_json(),
         seed=order.seed,
         capacity=order.rules.capacity,
         tick_s=world.config.world.tick_s,
@@ -145,9 +148,9 @@ def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
     )
 
 
-def _as_meant(config: RunConfig, town: Town | None) -> RunConfig:
-    """Without whether the warm-up was asked for where a town has none of its own: there it says nothing."""
-    if town is None or town.file.warmup_s is not None:
+def _as_meant(config: RunConfig, towns: Sequence[Town]) -> RunConfig:
+    """Without whether the warm-up was asked for where no town has one of its own: there it says nothing."""
+    if not towns or any(town.file.warmup_s is not None for town in towns):
         return config
     return config.with_usual_warmup()
 

@@ -29,13 +29,14 @@ class JournalHeader:
 
     name: str  # of the run
     town: str  # what `find_town` takes
-    town_sha256: str  # see `streets_hash`
+    town_sha256: str  # see `towns_hash`
     config: str  # resolved, as JSON
     seed: int  # the root of all epochs' seeds
     capacity: int  # seats, taken or free
     tick_s: float
     fingerprint: str
     hook: str = ""  # the user's own step hook, module:Class
+    more_towns: tuple[str, ...] = ()  # that take turns with it, an epoch each
     recovery: str = "new_epoch"  # what a server does with the journal after a crash
 
 

@@ -33,7 +33,8 @@ from wcsim.server.journal.journal import (
 )
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.seat_world import MakesEpoch, SeatWorld, Specs
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.scenario.town import towns_hash
 
 T = TypeVar("T")
 W = TypeVar("W", bound=SeatWorld)
@@ -154,11 +155,11 @@ def journal_worlds(header: JournalHeader, hook: str = "") -> MakesEpoch[World]:
             f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got {hook or 'none'!r}; "
             "a hook is code: name it with --hook if you trust it"
         )
-    town = find_town(header.town)
-    if streets_hash(town) != header.town_sha256:
-        raise TownError(f"{header.town}: its net has changed since the journal was made; restore it")
+    towns = tuple(map(asked_town, (header.town, *header.more_towns)))
+    if towns_hash(towns) != header.town_sha256:
+        raise TownError(f"{', '.join(town.name for town in towns)}: its net has changed since the journal was made; restore it")
     config, place = parse(RunConfig, _config_of(header), "the configuration in the journal"), RunPlace(hook=hook)
-    return lambda specs, seed, epoch: World(town, config, specs, seed, place, epoch=epoch)
+    return lambda specs, seed, epoch: World(towns[epoch % len(towns)], config, specs, seed, place, epoch=epoch)
 
 
 def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> int:

@@ -24,7 +24,14 @@ _SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its
 
 
 def adopt_scenario(
-    sumocfg: Path, name: str, out: Path, split: str = "train", source: str = "", *, outside: bool = False
+    sumocfg: Path,
+    name: str,
+    out: Path,
+    split: str = "train",
+    source: str = "",
+    *,
+    outside: bool = False,
+    cycle_paths: bool = False,
 ) -> Town:
     """Copy a scenario and all the files it names into the new folder `out`, its structure kept, and open it.
 
@@ -37,6 +44,7 @@ def adopt_scenario(
         split: "train" or "test".
         source: Where it comes from; default: that it is somebody else's.
         outside: Whether it may name files outside of its own folder.
+        cycle_paths: Whether chairs drive on its cycle paths.
 
     Raises:
         TownError: a file is missing, broken, elsewhere, or of no kind of SUMO's, or `out` is in the way.
@@ -61,7 +69,7 @@ def adopt_scenario(
         base, files = copy_scenario(config, border, work)
         names = [path.relative_to(base) for path in files]
         hashes = {str(place): content_digest(work / place) for place in names}
-        toml = _town_toml(config, name, (split, source), config.path.relative_to(base), hashes)
+        toml = _town_toml(config, name, (split, source), config.path.relative_to(base), hashes, cycle_paths)
         (work / "town.toml").write_text(toml, encoding="utf-8")
         if out.is_dir():
             out.rmdir()
@@ -138,7 +146,9 @@ def _net_of(config: Configuration, border: Path | None) -> Path:
     return nets[0]
 
 
-def _town_toml(config: Configuration, name: str, told: tuple[str, str], sumocfg: Path, hashes: dict[str, str]) -> str:
+def _town_toml(
+    config: Configuration, name: str, told: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
+) -> str:
     split, source = told
     text = town_toml_text(
         name=name,
@@ -146,6 +156,7 @@ def _town_toml(config: Configuration, name: str, told: tuple[str, str], sumocfg:
         origin_m=net_middle(_net_of(config, None)),
         source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
         hashes=hashes,
+        cycle_paths=cycle_paths,
     )
     return text.replace("\nsource = ", f"\nsumocfg = {_toml(sumocfg)}\nsource = ", 1)
 

@@ -20,7 +20,6 @@ from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_l
 
 log = logging.getLogger("wcsim.towns")
 
-CHAIR_WAYS = ("sidewalk", "crossing", "shared")
 _GOOD_SHARE = 0.965  # of the walkable ground in one part: below it roads on islands go too
 _LEAST_LEFT = 0.3  # of the walkable area: a town is not cut down to less than this for the sake of the share
 EXTRACT = "clean.osm.xml"
@@ -68,7 +67,7 @@ def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     found = islands_by_links(net, folder / f"{order.name}.net.xml")
     if found.footways:
         net = _converted(order, root, folder, found.footways)
-    parts = walkable_parts(net, CHAIR_WAYS)
+    parts = walkable_parts(net, order.chair_ways)
     if share_of(parts) < _GOOD_SHARE:
         ground = islands_by_ground(net, folder / f"{order.name}.net.xml", parts)
         if ground.footways | ground.roads:
@@ -85,7 +84,7 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
     dropped = before.footways | before.roads
     try:
         net = _converted(order, root, folder, dropped)
-        parts = walkable_parts(net, CHAIR_WAYS)
+        parts = walkable_parts(net, order.chair_ways)
     except TownError:  # nothing is left
         parts = []
     if share_of(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
+from wcsim.towns.scenario.manifest import chair_ways
+
 _SUMOCFG = """\
 <sumoConfiguration>
     <input>
@@ -95,6 +97,7 @@ def town_toml_text(
     attribution: str = "",
     rebuild: str = "",
     hashes: Mapping[str, str] | None = None,
+    cycle_paths: bool = False,
 ) -> str:
     """`town.toml`, in the order and wording of `config.TownFile`."""
     lines = [
@@ -103,7 +106,7 @@ def town_toml_text(
         f"origin_m = [{origin_m[0]}, {origin_m[1]}]",
         f"kerb_height_m = {kerb_height_m}",
         "lowered_kerb_m = 0.0",
-        'chair_ways = ["sidewalk", "crossing", "shared"]',
+        f"chair_ways = {json.dumps(chair_ways(cycle_paths))}",
     ]
     texts = (("source", source), ("attribution", attribution), ("rebuild", rebuild))
     lines += [f"{key} = {_quoted(text)}" for key, text in texts if text]

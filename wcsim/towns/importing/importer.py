@@ -28,7 +28,7 @@ from wcsim.towns.osm.area import Box, bbox_option, check_box, middle_of, size_m
 from wcsim.towns.osm.driving_side import Side, side_at
 from wcsim.towns.osm.left_out import LeftOut, crossings_inside, left_out_notes, left_out_of, stops_inside, ways_inside
 from wcsim.towns.osm.read import Extract, read_extract
-from wcsim.towns.scenario.manifest import hashes_of
+from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hashes_of
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
@@ -52,6 +52,7 @@ class ImportOrder:
     parked: float = 0.7  # share of the mapped parking spaces that is taken
     relief: Heights = field(default_factory=Heights)
     keep_service: bool = False  # driveways and yards too, each with a crossing of its own
+    cycle_paths: bool = False  # whether chairs drive on them
     source: str = ""
     overwrite: bool = False  # a town that somebody has worked on
 
@@ -134,6 +135,7 @@ def _build(
         box=extract.box,
         lefthand=side.lefthand,
         keep_service=order.keep_service,
+        chair_ways=chair_ways(order.cycle_paths),
     )
     built = build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
@@ -253,6 +255,7 @@ def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet,
         attribution="(c) OpenStreetMap contributors, ODbL 1.0",
         rebuild=_rebuild_command(order, box, side.lefthand),
         hashes=hashes_of(work, order.name),
+        cycle_paths=order.cycle_paths,
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 
@@ -270,6 +273,6 @@ def _rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
         words += ["--hill", f"{order.relief.hill_m:g}"]
     if order.relief.dem is not None or order.relief.hill_m:
         words += ["--max-grade", f"{order.relief.max_grade:g}"]
-    words += ["--keep-service"] * order.keep_service
+    words += ["--keep-service"] * order.keep_service + [CYCLE_PATHS] * order.cycle_paths
     words += ["--source", order.source] if order.source else []
     return shlex.join(["wcsim", "town", "import", *words])

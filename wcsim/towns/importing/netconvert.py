@@ -8,6 +8,7 @@ from pathlib import Path
 
 from wcsim.errors import SumoError
 from wcsim.towns.osm.area import Box
+from wcsim.towns.scenario.manifest import chair_ways
 from wcsim.towns.sumo.tools import Limits, ToolRun, run_tool, sumo_home
 
 log = logging.getLogger("wcsim.towns")
@@ -70,6 +71,7 @@ class NetOrder:
     box: Box
     lefthand: bool
     keep_service: bool = False  # driveways and yards too, each with a crossing of its own
+    chair_ways: tuple[str, ...] = chair_ways(cycle_paths=False)
     more: tuple[str, ...] = ()  # netconvert options
 
 

@@ -13,7 +13,6 @@ from shapely.errors import GEOSException
 
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.importing.build_net import CHAIR_WAYS
 from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text
 from wcsim.towns.importing.elevation import Heights, hill_over
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
@@ -28,7 +27,7 @@ from wcsim.towns.making.plain_net import draw_signals, write_net
 from wcsim.towns.making.plan import draw_plan
 from wcsim.towns.making.shaping import shape_plan
 from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
-from wcsim.towns.scenario.manifest import hashes_of
+from wcsim.towns.scenario.manifest import chair_ways, hashes_of
 from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
@@ -113,7 +112,7 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
             streets = streets_of(shaped, rng)
             path = write_net(name, shaped, streets, draw_signals(rng), work, rng)
             net = read_net(path)
-            share = share_of(walkable_parts(net, CHAIR_WAYS))
+            share = share_of(walkable_parts(net, chair_ways(cycle_paths=False)))
         except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines
             log.info("town %s, attempt %d: %s", name, attempt, error)
             continue

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wcsim.config import TownFile
+from wcsim.config.scene import ChairWay
 from wcsim.core.reading import FileKind, read_bytes
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import Town, read_town_file
@@ -15,6 +16,7 @@ from wcsim.towns.sumo.xml_io import content_digest
 KINDS = ("net.xml.gz", "poly.xml.gz", "rou.xml.gz", "dem.tif", "add.xml", "sumocfg")
 BESIDE = ("town.toml", "LICENSE-DATA", "osm/bbox")  # what the importer writes besides, and the extract
 _DEM = FileKind(what="a GeoTIFF", limit_bytes=1 << 30, error=TownError)
+CYCLE_PATHS = "--cycle-paths"  # of `wcsim town import`
 _AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
 
@@ -64,9 +66,14 @@ def own_work(folder: Path) -> tuple[str, ...]:
     return tuple(sorted((there - written) | (changed & there)))
 
 
+def chair_ways(cycle_paths: bool) -> tuple[ChairWay, ...]:
+    """Ways of the chairs of a town that is imported or generated: where the law has it so, cycle paths too."""
+    return ("sidewalk", "crossing", "shared", *(("cycleway",) if cycle_paths else ()))
+
+
 def _by_hand(file: TownFile) -> bool:
     """True when `town.toml` says what no importer writes."""
-    usual = TownFile(name=file.name, split=file.split)
+    usual = TownFile(name=file.name, split=file.split, chair_ways=chair_ways(CYCLE_PATHS in file.rebuild))
     return any(getattr(file, key) != getattr(usual, key) for key in _AUTHORED_KEYS)
 
 

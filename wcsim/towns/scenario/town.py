@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -247,6 +247,12 @@ def content_hash(town: Town) -> str:
 def streets_hash(town: Town) -> str:
     """SHA-256 (hex) over the net alone: the same streets with other traffic are the same town to a network."""
     return content_digest(town.net)
+
+
+def towns_hash(towns: Sequence[Town]) -> str:
+    """SHA-256 (hex) over the streets of towns in their order: of one its `streets_hash`, of none ""."""
+    hashes = [streets_hash(town) for town in towns]
+    return "".join(hashes) if len(hashes) < 2 else hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
 
 def _main_config(folder: Path) -> Path:

@@ -13,10 +13,9 @@ from wcsim.config import parse
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.scenario.manifest import own_work
-from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town, open_town
+from wcsim.towns.making.asked_town import made_seed, made_town
+from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
 
-MADE: Final = "made"
 TIGHT: Final = "tight"  # the part whose towns are generated scenes
 _LIST = FileKind(what="a list of test episodes", limit_bytes=64 << 20, error=ConfigError)
 _SHIPPED = Path(__file__).parent / "lists"
@@ -91,17 +90,6 @@ def towns_of(file: SuiteFile, folder: Path) -> dict[str, Town]:
     return found
 
 
-def made_town(folder: Path, seed: int) -> Town:
-    """The town `made-SEED` in a folder, made if it is not there as it was made. Raises TownError or SumoError."""
-    out = folder / f"{MADE}-{seed}"
-    if out.is_dir() and not own_work(out):
-        return open_town(out)
-    from wcsim.towns.making.maker import make_town  # loads what builds streets
-    from wcsim.towns.making.wishes import Wishes
-
-    return make_town(out, seed, Wishes(split="test"), overwrite=True)
-
-
 def asked_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
     """The towns of `--make-suite`, joined by commas, each with the seed that it was made of; `made:7` is made now.
 
@@ -109,16 +97,8 @@ def asked_towns(words: str, folder: Path) -> list[tuple[Town, int | None]]:
         ConfigError: A seed is none.
         TownError: There is no such town, or it cannot be made.
     """
-    found: list[tuple[Town, int | None]] = []
-    for word in words.split(","):
-        kind, colon, seed = word.strip().partition(":")
-        if kind != MADE or not colon:
-            found.append((find_town(word.strip()), None))
-        elif not seed.isdecimal() or int(seed) >= 1 << 31:
-            raise ConfigError(f"--make-suite {shown(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
-        else:
-            found.append((made_town(folder, int(seed)), int(seed)))
-    return found
+    words_seeds = [(word.strip(), made_seed(word.strip())) for word in words.split(",")]
+    return [(find_town(word) if seed is None else made_town(folder, seed), seed) for word, seed in words_seeds]
 
 
 def require_towns(file: SuiteFile) -> None:

@@ -13,6 +13,8 @@ from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_
 from wcsim.server.journal.journal import read_header
 from wcsim.server.journal.records import Admitted, EpochBegun, JournalHeader, JournalRecord, Ticked
 from wcsim.server.journal.replay import count_ticks, replayed
+from wcsim.server.specs import town_of_epoch
+from wcsim.towns.making.asked_town import asked_town
 from wcsim.types import Joystick
 
 NOT_IN_JOURNALS = (
@@ -21,16 +23,20 @@ NOT_IN_JOURNALS = (
 )
 
 
-def journal_about(header: JournalHeader, ticks: int, *, live: bool = False) -> FilmAbout:
-    """What a journal shows."""
+def journal_about(header: JournalHeader, ticks: int, *, epoch: int | None = None, live: bool = False) -> FilmAbout:
+    """What a journal shows: one epoch, or from its first one on."""
+    town, maps = header.town, list[str]()
+    if header.more_towns:
+        town = asked_town(town_of_epoch(town, header.more_towns, epoch or 0)).address
+        maps = [f"Maps of other towns than {Path(town).name}: the run's worlds change towns."]
     config = parse_json(RunConfig, header.config, "the configuration in the journal")
     return FilmAbout(
-        title=f"{header.name or 'journal'}, {Path(header.town).name}",
-        town=header.town,
+        title=f"{header.name or 'journal'}, {Path(town).name}",
+        town=town,
         tick_s=header.tick_s,
         camera=config.cameras[0].model_dump_json(),
         actions=config.env.actions,
-        unknown=list(NOT_IN_JOURNALS),
+        unknown=[*NOT_IN_JOURNALS, *maps],
         ticks=ticks,
         live=live,
     )
@@ -44,7 +50,7 @@ def journal_film(path: Path, epoch: int | None, hook: str) -> Iterator[Said]:
         WcsimError: It is no journal, has no such epoch, or its records do not follow from each other.
     """
     header = read_header(path)
-    yield journal_about(header, count_ticks(path, epoch))
+    yield journal_about(header, count_ticks(path, epoch), epoch=epoch)
     scene = RecordScene()
     with closing(replayed(path, epoch, None, hook, scene.before)) as steps:
         for world, record in steps:

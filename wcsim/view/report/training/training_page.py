@@ -99,7 +99,8 @@ def _runs(training: Training) -> list[tuple[str, object]]:
         by_rounds = {name, Path(name).resolve().name} & set(training.rounds)
         counted = "updates" if by_rounds else "steps"
         state = f"{manifest.get('status', '')}, {manifest.get('steps', 0)} {counted}"
-        town, seed = manifest.get("town", ""), manifest.get("seed", "")
+        town = ", ".join((manifest.get("town", ""), *manifest.get("more_towns", {})))
+        seed = manifest.get("seed", "")
         if len(training.manifests) == 1:
             return [("town", town), ("seed", seed), ("status", state)]
         said.append(("run", f"{name}: town {town}, seed {seed}, {state}"))
