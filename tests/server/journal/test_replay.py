@@ -179,7 +179,7 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
     header = read_header(run / "journal")
     for change, kind, told in (
         ({"town": "atlantis"}, TownError, "atlantis"),
-        ({"town_sha256": "0"}, TownError, "its net has changed"),
+        ({"town_sha256": "0"}, TownError, "a net has changed"),
         ({"config": "{"}, ConfigError, "not a JSON object"),
         ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
     ):

@@ -57,7 +57,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
 
         Args:
             town: A town's name or folder.
-            towns: Further towns. Where an episode ends after `world.epoch_ticks` steps in a town, the next one follows.
+            towns: Further towns. When an episode ends after `config.epoch_ticks` steps in a town, the next follows.
                 The seed of a reset says which comes first.
             join: Take this seat in a running world instead. The server sets town, seed, run and hook. Cameras and
                 actions must match the server's. `join.spec` sets user and episode length.
@@ -171,7 +171,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if self._link is not None and self._link.interrupted:
             self.close()
         if self._link is not None and len(self._towns) > 1:
-            if seed is None and 0 < self.config.world.epoch_ticks <= self._steps:
+            if seed is None and 0 < self.config.epoch_ticks <= self._steps:
                 self.close()
                 return self._open(self._root_seed, self._turn + 1)
             if seed is not None:  # a world that is made anew by its link stays in its town
@@ -205,7 +205,6 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         except BaseException:
             self.close()
             raise
-
 
     def _order(self) -> WorldOrder:
         """The world of this turn: the seed says which of several towns comes first, and then they come in turn."""

@@ -10,11 +10,13 @@ from pathlib import Path
 from wcsim.agents.learning.extend import extend
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
+from wcsim.cli.shared.common import some_words
 from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
 from wcsim.config import RunConfig, parse, with_file, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.errors import PolicyError, TownError
-from wcsim.towns.scenario.town import Town, find_town, streets_hash
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.scenario.town import Town, streets_hash
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,25 +63,27 @@ def is_of_clients(path: Path) -> bool:
 
 
 def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
-    """The town that a run was made in.
+    """The first town that a run was made in.
 
     Raises:
-        PolicyError: Another one was typed, or it has other streets by now.
+        PolicyError: Others were typed, or one has other streets by now.
         TownError: It is not found under the name that it had.
     """
-    made_in = words_of(value_of(manifest.command, "town") or manifest.town)
-    words = words_of(typed.town or "") or made_in
+    made_in = some_words("--town", value_of(manifest.command, "town") or manifest.town)
+    words = made_in if typed.town is None else some_words("--town", typed.town)
+    told = f"--town {','.join(words)}"
     try:
-        town, *more = map(asked_town, words)
-        for word in manifest.more_towns:
-            asked_town(word)
+        towns, others = [asked_town(word) for word in words], [asked_town(word) for word in manifest.more_towns]
     except TownError as error:
         if typed.town is not None:
             raise
-        raise TownError(f"{path} was made in the town {name!r}: {error}; give its location: --town FOLDER") from None
-    if streets_hash(town) != manifest.town_sha256:
-        raise _another(path, "town_sha256", f"--town {name}")
-    return town
+        raise TownError(f"{path} was made with {told}: {error}; give its location: --town FOLDER") from None
+    kept = [manifest.town_sha256, *manifest.more_towns.values()]
+    if [streets_hash(town) for town in towns] != kept[: len(made_in)]:
+        raise _another(path, "town_sha256", told)
+    if [streets_hash(town) for town in others] != kept[1:]:
+        raise _another(path, "more_towns", ", ".join(manifest.more_towns))
+    return towns[0]
 
 
 def require_same(path: Path, manifest: Manifest, typed: Typed, meant: str = DQN) -> None:

@@ -157,7 +157,8 @@ def journal_worlds(header: JournalHeader, hook: str = "") -> MakesEpoch[World]:
         )
     towns = tuple(map(asked_town, (header.town, *header.more_towns)))
     if towns_hash(towns) != header.town_sha256:
-        raise TownError(f"{', '.join(town.name for town in towns)}: its net has changed since the journal was made; restore it")
+        named = ", ".join(town.name for town in towns)
+        raise TownError(f"{named}: a net has changed since the journal was made; restore it")
     config, place = parse(RunConfig, _config_of(header), "the configuration in the journal"), RunPlace(hook=hook)
     return lambda specs, seed, epoch: World(towns[epoch % len(towns)], config, specs, seed, place, epoch=epoch)
 

@@ -1,0 +1,128 @@
+"""Training in several towns: they take turns, the run folder keeps them, and no other ones are taken on resume."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import QUICK
+from tests.cli.training.test_clients import SMALL, start
+from tests.conftest import ROOT
+from tests.support.events import read_events
+from wcsim.agents.runs.run_folder import open_run
+from wcsim.cli.main import main
+from wcsim.cli.shared.exit_codes import Exit
+from wcsim.errors import TownError
+from wcsim.server.journal.journal import JOURNAL, read_header
+from wcsim.server.journal.replay import journal_worlds
+from wcsim.towns.making import asked_town
+from wcsim.towns.scenario.town import open_town, streets_hash
+from wcsim.towns.scene_folders.build import build_scene, find_scene
+
+FEW = ("--set", "learn.total_steps=24", "--set", "learn.phase1_steps=8", "--set", "world.epoch_ticks=8")
+EPISODES = ("--set", "learn.episode_steps=4")
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second small town."""
+    work = tmp_path_factory.mktemp("other")
+    build_scene(find_scene(str(ROOT / "scenarios" / "sumo" / "scenes" / "two-chairs")), work)
+    return work
+
+
+def towns_told(run: Path) -> list[str]:
+    return [event["town"] for event in read_events(run) if event["event"] == "town"]
+
+
+def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, other):
+    words = ("train", "--preset", "dqn", "--town", f"{corner},{other}", "--out", "run", *QUICK, *FEW, *EPISODES)
+    done = wcsim(*words)
+    assert done.code == 0, done.err
+    names = [open_town(corner).name, open_town(other).name]
+    run = folder / "run"
+    told = towns_told(run)
+    assert set(told) == {corner.name, other.name} and told[0] == told[2] and len(told) >= 3
+    manifest = open_run(run).manifest
+    assert (manifest.town, list(manifest.more_towns.values())) == (names[0], [streets_hash(open_town(other))])
+    again = wcsim("train", "--out", "same", *words[1:6], *words[7:])
+    assert again.code == 0 and towns_told(folder / "same") == told, "the seed says which comes first"
+    longer = wcsim("train", "--out", "run", "--resume", "--steps", "40")
+    assert longer.code == 0, longer.err
+    assert open_run(run).manifest.steps == 40 and len(towns_told(run)) > len(told)
+    for typed in (str(corner), f"{other},{corner}"):
+        refused = wcsim("train", "--out", "run", "--resume", "--town", typed)
+        assert refused.code == 2 and "--town" in refused.err
+    assert wcsim("train", "--out", "run", "--resume", "--town", f"{corner},{other}").code == 0
+    tested = wcsim("test", "run", "--town", other, "--only", "--episodes", "1", "--max-steps", "2")
+    assert tested.code == 2 and "was trained in" in tested.err
+    assert wcsim("report", "run").code == 0
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert all(name in page for name in names)
+
+
+def test_clients_share_a_town_a_generation(tmp_path, corner, other):
+    words = ("train", "--town", f"{corner},{other}", "--clients", "small,gru", "--steps", 24, "--out", "run")
+    child = start(tmp_path, *words, *SMALL, "--set", "world.epoch_ticks=8", "--set", "learn.phase1_steps=8")
+    _, err = child.communicate(timeout=280)
+    assert child.returncode == 0, err
+    header = read_header(tmp_path / "run" / JOURNAL)
+    assert header.more_towns == (str(other),)
+    worlds = journal_worlds(header)
+    for epoch, town in enumerate((corner, other, corner)):
+        world = worlds((), 1, epoch)
+        assert world.town.name == open_town(town).name
+        world.close()
+    assert main(["replay", str(tmp_path / "run" / JOURNAL), "--verify"]) == Exit.DONE
+    assert set(json.loads((tmp_path / "run" / "manifest.json").read_text())["more_towns"]) == {str(other)}
+
+
+def test_a_generated_town_is_made_once(tmp_path, monkeypatch, corner):
+    made: list[tuple[Path, str]] = []
+
+    def make(out, seed, wishes, overwrite):
+        made.append((out, wishes.split))
+        shutil.copytree(corner, out)
+        return open_town(out)
+
+    monkeypatch.setattr(asked_town, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("wcsim.towns.making.maker.make_town", make)
+    monkeypatch.setattr(asked_town, "own_work", lambda out: ())
+    town = asked_town.asked_town("made:7")
+    assert asked_town.asked_town("made:7").folder == town.folder
+    assert made == [(tmp_path / "train-towns" / "made-7", "train")]
+
+
+BAD = {
+    "corner,monaco": "monaco is a test town",
+    "made:x": "expected made:SEED with a seed",
+    "made:2147483648": "expected made:SEED with a seed",
+    ",": "expected one or more names",
+}
+
+
+@pytest.mark.parametrize("town", BAD)
+def test_towns_that_cannot_be_used_are_refused_before_a_folder_is_made(wcsim, folder, corner, town):
+    for words in (("--preset", "dqn"), ("--clients", "small,gru"), ("--preset", "quick")):
+        done = wcsim("train", "--town", town.replace("corner", str(corner)), "--out", "run", *words)
+        assert done.code == 2 and BAD[town] in done.err and not (folder / "run").exists()
+
+
+def test_two_towns_of_one_name_are_refused(wcsim, folder, corner, tmp_path):
+    shutil.copytree(corner, tmp_path / "copy")
+    done = wcsim("train", "--preset", "dqn", "--town", f"{corner},{tmp_path / 'copy'}", "--out", "run")
+    assert done.code == 2 and open_town(corner).name in done.err
+
+
+def test_a_missing_town_of_a_run_is_named(wcsim, folder, corner, other, tmp_path):
+    place = shutil.copytree(other, tmp_path / "moved")
+    words = ("--preset", "dqn", "--town", f"{corner},{place}", "--out", "run", *QUICK, *FEW, *EPISODES)
+    assert wcsim("train", *words).code == 0
+    shutil.rmtree(place)
+    done = wcsim("train", "--out", "run", "--resume", "--steps", "40")
+    assert done.code == 2 and str(place) in done.err
+    with pytest.raises(TownError):
+        asked_town.asked_town(str(place))
