@@ -48,7 +48,7 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     assert set(told) == {corner.name, other.name} and told[0] == told[2] and len(told) >= 3
     manifest = open_run(run).manifest
     assert (manifest.town, list(manifest.more_towns.values())) == (names[0], [streets_hash(open_town(other))])
-    again = wcsim("train", "--out", "same", *words[1:6], *words[7:])
+    again = wcsim("train", "--out", "same", *words[1:5], *words[7:])
     assert again.code == 0 and towns_told(folder / "same") == told, "the seed says which comes first"
     longer = wcsim("train", "--out", "run", "--resume", "--steps", "40")
     assert longer.code == 0, longer.err
@@ -61,7 +61,7 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     assert tested.code == 2 and "was trained in" in tested.err
     assert wcsim("report", "run").code == 0
     page = (run / "report.html").read_text(encoding="utf-8")
-    assert all(name in page for name in names)
+    assert names[0] in page and other.name in page
 
 
 def test_clients_share_a_town_a_generation(tmp_path, corner, other):
