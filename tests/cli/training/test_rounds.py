@@ -13,8 +13,8 @@ from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.rounds.train_rounds import RoundProgress, RoundTeller
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
+from wcsim.cli.shared.run_config import how_it_learns
 from wcsim.cli.training import rounds
-from wcsim.cli.training.demo import how_it_learns
 from wcsim.cli.training.rounds import share_done
 from wcsim.config import load_run_config
 from wcsim.errors import InterruptedRunError
@@ -103,5 +103,5 @@ def test_a_demo_says_what_its_settings_make_it_do():
     config = load_run_config("quick")
     told = how_it_learns(config)
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
+    assert "learns the oracle's labels, not rewards" in told
     assert how_it_learns(load_run_config("quick", ("collect.rounds=1",))).startswith("1 round of ")
-    assert how_it_learns(load_run_config("dqn")) == ""

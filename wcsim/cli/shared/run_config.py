@@ -16,7 +16,7 @@ from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
-from wcsim.core.reading import shown
+from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
@@ -233,12 +233,20 @@ def _shrunk(part: int, total: int, steps: int) -> int:
     return part if part <= steps / 2 else round(steps * min(0.5, part / total))
 
 
-def steps_note(config: RunConfig, steps: int | None) -> str:
-    """What `with_steps` made of a number of steps, in words; "" when none was given."""
-    learn = config.learn
-    if steps is None:
-        return ""
-    return f"{steps} steps: {learn.phase1_steps} in the first phase, updates from step {learn.learning_starts} on"
+def how_it_learns(config: RunConfig) -> str:
+    """From what and for how long a network learns, in a sentence or two."""
+    learn, collect = config.learn, config.collect
+    if learns_in_rounds(config):
+        return (
+            f"{counted(collect.rounds, 'round')} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} "
+            "chairs: simulated users and an oracle drive. A network learns the oracle's labels, not rewards, in "
+            f"{config.danger.updates} updates per round: which joystick positions end badly."
+        )
+    aid = " and from an oracle's labels (learn.aid=oracle)" if learn.aid == "oracle" else ""
+    return (
+        f"Q-learning from rewards{aid}, {learn.total_steps} steps: {learn.phase1_steps} in the first phase, updates "
+        f"from step {learn.learning_starts} on"
+    )
 
 
 def learning(config: RunConfig) -> RunConfig:

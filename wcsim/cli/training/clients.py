@@ -24,7 +24,14 @@ from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_j
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import how_to_test, in_town, learns_in_rounds, require_user, resolve_config, steps_note
+from wcsim.cli.shared.run_config import (
+    how_it_learns,
+    how_to_test,
+    in_town,
+    learns_in_rounds,
+    require_user,
+    resolve_config,
+)
 from wcsim.cli.training.report import TickRate, print_crossings, print_report, report_of
 from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
 from wcsim.cli.training.train import Options
@@ -89,8 +96,8 @@ def train_clients(
                 paid.add(state)
                 paid.keep_each(state.elapsed_s)
                 if rate.add(state):
-                    note = "" if run.resume else steps_note(run.clients[0].config, options.steps)
-                    notes, told = (note,) if note else (), run.info.overrides
+                    note = how_it_learns(run.clients[0].config)
+                    notes, told = () if run.resume else (note,), run.info.overrides
                     print_overrides(table.console, town.name, told, notes, verbose=options.verbose, kept=True)
                 table.show(state)
                 if watch(state) and not state.stopping:

@@ -17,6 +17,7 @@ from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse, wr
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
     QUICK,
+    how_it_learns,
     learning,
     learns_in_rounds,
     require_drawn_users,
@@ -26,7 +27,6 @@ from wcsim.cli.shared.run_config import (
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, load_run_config
-from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -183,19 +183,6 @@ def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:
 
 def _minutes(spent_s: float) -> str:
     return f"{spent_s:.0f} s" if spent_s < 90.0 else f"{spent_s / 60.0:.0f} min"
-
-
-def how_it_learns(config: RunConfig) -> str:
-    """What a training in rounds does, in a sentence; "" for one that learns from every step."""
-    collect, danger = config.collect, config.danger
-    if not learns_in_rounds(config):
-        return ""
-    times = counted(collect.rounds, "round")
-    return (
-        f"{times} of {collect.segments} x {collect.ticks} ticks with {collect.chairs} chairs: simulated users and an "
-        f"oracle drive. From this, a network learns in {danger.updates} updates per round which joystick positions end "
-        "badly."
-    )
 
 
 def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]:

@@ -15,7 +15,7 @@ from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.networks.names import client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
-from wcsim.cli.shared.run_config import how_to_test, require_known, require_user, resolve_config, steps_note
+from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_known, require_user, resolve_config
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, parse_json
 from wcsim.config.plant import known_plants
@@ -91,7 +91,7 @@ def run(words: list[str]) -> int:
     check_folder("--out", out)
     folder = _joined(options, config, out, ("wcsim", "join", *words))
     if options.steps is not None:
-        print(steps_note(config, options.steps))
+        print(f"note: {how_it_learns(config)}")
     print(f"run folder: {folder}    test it: {how_to_test(folder, config.learn.network)}")
     return 0
 

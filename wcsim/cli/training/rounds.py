@@ -23,8 +23,8 @@ Show = Callable[[RoundProgress], object]
 _DOES = {False: "driving", True: "learning"}
 
 
-def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: str = "") -> Path:
-    """Train with a progress bar; returns the run folder.
+def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: str = "", note: str = "") -> Path:
+    """Train with a progress bar, and a note above it; returns the run folder.
 
     Raises:
         InterruptedRunError: The user stopped it.
@@ -44,6 +44,8 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
             if not bar.console.is_terminal:
                 _log(bar, now)
 
+        if note:
+            bar.say(f"note: {note}")
         return _trained(run, town, machines, show, lambda told: bar.say(told, left=False))
 
 

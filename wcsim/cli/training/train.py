@@ -17,6 +17,7 @@ from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of, require_no_cluster
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
+    how_it_learns,
     how_to_test,
     in_town,
     learns_in_rounds,
@@ -26,7 +27,6 @@ from wcsim.cli.shared.run_config import (
     require_rounds,
     resolve_config,
     resolve_run,
-    steps_note,
 )
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.resume import Typed, given, is_of_clients, resumed
@@ -117,7 +117,7 @@ def run(words: list[str]) -> int:
         require_drawn_users(config, options.set, options.config)
     town, info = _placed(options, words, config)
     resolved = resolve_run(config, info, town, _out(options, town))
-    note = steps_note(config, options.steps)
+    note = how_it_learns(config)
     train_in(resolved, town, note=note, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
     return _told(options, resolved)
 
@@ -276,7 +276,7 @@ def train_in(
     if learns_in_rounds(run.config):
         from wcsim.cli.training.rounds import train_rounds_in
 
-        return train_rounds_in(run, town, worlds, cluster)
+        return train_rounds_in(run, town, worlds, cluster, note)
     require_no_cluster(cluster, "learns from every step")
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.callbacks import TrainProgress
