@@ -93,7 +93,7 @@ def test_what_is_left_out_is_the_bases(tmp_path):
         ("bias = [0.0, -1.5]", "bias: got"),
         ("discrete = 1", "expected true or false"),
         ('name = "../x"', "name: got"),
-        ("speed = 1", "unknown key 'speed'; expected one of: base, away_s"),
+        ("speed = 1", "unknown key 'speed'; expected one of: base, ask_share"),
         ('base = "drunk"', "unknown user profile 'drunk'"),
         ("base = 1", "base: got 1"),
         ("reaction_s = ", "is not TOML"),

@@ -125,6 +125,39 @@ class Levelled(Protocol):
         """Use this level from the next `act` on. Raises PolicyError for one outside of `levels`."""
 
 
+class Help:
+    """What a request for help does to a policy with levels: for a while it assists the most, then as before.
+
+    Args:
+        policy: Who assists.
+        ticks: How long, from the newest request on; with 0 nothing happens.
+    """
+
+    def __init__(self, policy: Policy, ticks: int) -> None:
+        self.left = 0  # ticks, while help is on
+        self._policy, self._ticks = policy, ticks
+        self._level: float | None = None  # to go back to
+
+    def ask(self) -> None:
+        """The user asks for help."""
+        self.left, policy = self._ticks, self._policy
+        if self.left and self._level is None and isinstance(policy, Levelled):
+            self._level = policy.level
+            policy.set_level(policy.levels[1])
+
+    def tick(self) -> None:
+        """A tick is over."""
+        self.left = max(0, self.left - 1)
+        if not self.left:
+            self.end()
+
+    def end(self) -> None:
+        """Help is over: the level is the one of before."""
+        self.left, level, self._level = 0, self._level, None
+        if level is not None and isinstance(self._policy, Levelled):
+            self._policy.set_level(level)
+
+
 @runtime_checkable
 class NeedsSenses(Protocol):
     """A policy that needs optional sensors. Tests turn them on for it."""

@@ -23,6 +23,9 @@ EPOCH_GROWTH_MB = 1_000.0
 SUMO_STEP_S = 0.001
 """What SUMO counts time in; it rounds every other step to it."""
 
+HELP_S = 10.0
+"""How long a request for help raises the assistance."""
+
 _USUAL_HZ, _CONTACT_HZ = 120.0, 240.0
 
 
@@ -77,6 +80,12 @@ class WorldConfig(Model):
     epoch_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == EPOCH_GROWTH_MB)] = (
         EPOCH_GROWTH_MB  # Memory in MB by which the process of a shared world may grow before it is replaced.
     )
+    help_s: Annotated[float, Field(ge=0.0, le=600.0, exclude_if=lambda seconds: seconds == HELP_S)] = (
+        HELP_S  # Time for which a request for help raises the assistance. 0: never.
+    )
+    help_users: Annotated[bool, Field(exclude_if=lambda on: not on)] = (
+        False  # Whether requests of simulated users raise it too. Without it they are only counted.
+    )
     draw_threads: Annotated[int, Field(ge=0, le=64)] = 0  # Threads that draw camera images. 0: one per core.
 
     @model_validator(mode="after")
@@ -109,6 +118,11 @@ class WorldConfig(Model):
                 f"only at whole steps; expected a multiple of tick_s: {max(1, round(ticks)) * self.tick_s:g}"
             )
         return self
+
+    @property
+    def help_ticks(self) -> int:
+        """`help_s` in ticks."""
+        return round(self.help_s / self.tick_s)
 
     @property
     def usual_substeps(self) -> int:

@@ -4,14 +4,27 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, SeesTruth, TellsUnsafe, Warns, tell_delay
+from wcsim.agents.policy_api import (
+    HearsSent,
+    Help,
+    Levelled,
+    Observation,
+    Policy,
+    SeesTruth,
+    TellsUnsafe,
+    Warns,
+    tell_delay,
+)
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import Drawn
+
+_HELPED: Final = 0.5  # of its choice, where a policy without levels helps
 
 log = logging.getLogger("wcsim.drive")
 
@@ -30,13 +43,18 @@ class Answer:
 class Assistance:
     """A policy that may be off, or overruled; it sees every tick all the same, so that it knows the street.
 
+    A request for help raises it for a while, though it be off: to its highest level. A policy without levels decides in
+    every tick anyway; its choice is halved then, so that the chair is slower and there is more time.
+
     Args:
         policy: Drives; it is begun by `begin`.
         actions: The joystick positions.
+        help_ticks: How long it helps after a request.
     """
 
-    def __init__(self, policy: Policy, actions: ActionSet) -> None:
-        self.on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
+    def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
+        self._on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
+        self._help = Help(policy, help_ticks)
         self._policy, self._actions = policy, actions
         self._drawn: Drawn | None = None  # for the episode of now
         self.own_level = self.level  # the one that the policy came with
@@ -45,6 +63,16 @@ class Assistance:
     def name(self) -> str:
         """The policy's."""
         return self._policy.name
+
+    @property
+    def on(self) -> bool:
+        """Whether the policy has its say, because it is switched on or helps."""
+        return not self.failed and (self._on or self.help_left > 0)
+
+    @property
+    def help_left(self) -> int:
+        """Ticks for which it still helps; 0 while no help is on."""
+        return self._help.left
 
     @property
     def levels(self) -> tuple[float, float] | None:
@@ -62,17 +90,29 @@ class Assistance:
         return isinstance(self._policy, TellsUnsafe)
 
     def switch(self, on: bool) -> None:
-        """Let the policy have its say, or not; one that broke is tried again."""
+        """Let the policy have its say, or not, which ends help; one that broke is tried again."""
         if on and self.failed:
             self.failed = ""
             self._guarded(self._anew)
-        self.on = on and not self.failed
+        if not on:
+            self._guarded(self._help.end)
+        self._on = on and not self.failed
+
+    def ask_for_help(self) -> None:
+        """Help from now on; where help is on already, its time begins again. A policy that broke does not."""
+        if not self.failed:
+            self._guarded(self._help.ask)
+
+    def end_tick(self) -> None:
+        """A tick has been driven: the time of help runs."""
+        self._guarded(self._help.tick)
 
     def set_level(self, level: float) -> None:
-        """Assist so from now on. Raises PolicyError for a policy without levels, or a level out of bounds."""
+        """Assist so from now on; help is over. Raises PolicyError without levels, or for a level out of bounds."""
         if not isinstance(self._policy, Levelled):
             raise PolicyError(f"policy {self.name!r} has no adjustable level; expected dwa or a danger network")
         try:
+            self._help.end()
             self._policy.set_level(level)
         except WcsimError:
             raise
@@ -118,6 +158,8 @@ class Assistance:
 
     def _answered(self, seen: Observation, info: dict[str, Any], own: int, asked: bool) -> Answer:
         chosen = self._asked(seen, info)
+        if self.help_left and not isinstance(self._policy, Levelled):
+            chosen = self._actions.nearest(_HELPED * self._actions.points[chosen])
         sent = chosen if self.on and asked else own
         if isinstance(self._policy, HearsSent):
             self._policy.sent(sent)
@@ -132,6 +174,7 @@ class Assistance:
         )
 
     def _anew(self) -> None:
+        self._help.end()
         tell_delay(self._policy, self._drawn)
         self._policy.reset()
 
@@ -143,9 +186,11 @@ class Assistance:
 
     def _broken(self, error: Exception) -> None:
         """Switch off a policy that raised."""
-        self.on = False
+        self._on = False
         self.failed = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
         self.failed = self.failed or type(error).__name__
+        with suppress(Exception):  # what it does now is of no account
+            self._help.end()
         log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
 
     def _asked(self, seen: Observation, info: dict[str, Any]) -> int:

@@ -31,6 +31,7 @@ class EventKind(StrEnum):
     OVERRULE = "overrule"
     OVERRULE_END = "overrule-end"
     HELP = "help"
+    HELP_END = "help-end"  # its time is over
     WARNING = "warning"
     INTERVENING = "intervening"
     ARRIVED = "arrived"

@@ -284,6 +284,7 @@ class DriveState(_Said, frozen=True, tag="state"):
     unsafe: list[int]
     assisted: bool
     level: float | None
+    help_s: float  # for which help is still on, 0 while it is not
     warning: bool
     intervening: bool
     overruled: bool

@@ -73,7 +73,7 @@ class DriveSession(Closing):
             self.profile = self.place.spec.profile
             self.actions = action_set(self.place.config.env.actions)
             self.tick_s = self.place.config.world.tick_s
-            self.assistance = Assistance(self.place.policy, self.actions)
+            self.assistance = Assistance(self.place.policy, self.actions, self.place.config.world.help_ticks)
             self._held.callback(self.assistance.close)
             spec, config = self.place.spec, self.place.config
             self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
@@ -164,13 +164,26 @@ class DriveSession(Closing):
                 self.say(EventKind.ASSISTANCE, "on" if on else "off")
             self._say_failure()
 
-    def ask_for_help(self) -> None:
-        """The person asks for help: once a tick, and it counts at once, as no tick may follow; the next says so too."""
+    @property
+    def help_left_s(self) -> float:
+        """Seconds for which help is still on; 0 while it is not."""
+        return self.assistance.help_left * self.tick_s
+
+    def ask_for_help(self, raises: bool = True) -> None:
+        """The user asks for help: once a tick, and it counts at once, as no tick may follow; the next says so too.
+
+        With `raises` the assistance helps, if the user does not drive alone before a handover.
+        """
         if self._help:
             return
         self._help = True
         self.tally.helps += self.handed_over
-        self.say(EventKind.HELP, "the user asks for help")
+        if raises and self.handed_over:
+            self.assistance.ask_for_help()
+        deed = "assists the most" if self.assistance.levels else "drives the chair half as fast"
+        more = f" For {self.help_left_s:g} s the policy {deed}." if self.assistance.help_left else ""
+        self.say(EventKind.HELP, f"The user asks for help.{more}")
+        self._say_failure()
 
     def set_level(self, level: float) -> None:
         """Set how much the policy assists. Raises PolicyError where it has no such level."""
@@ -217,9 +230,11 @@ class DriveSession(Closing):
         """
         if self._ended:
             self._next(self._go_back() if self._client.events.crashed else "after the end of the last one")
+        by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
         if wish.help:
             self.ask_for_help()
-        by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
+        elif by_user and self._client.events.help_asked:
+            self.ask_for_help(raises=self.place.config.world.help_users)
         stick = self._client.user if by_user else in_gate(wish.stick)
         self._see(stick)
         overrule = wish.overrule and self.handed_over
@@ -232,6 +247,10 @@ class DriveSession(Closing):
         sticks = user.sticks.copy() if by_user else NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
         self._help = False
+        helped = self.assistance.help_left > 0
+        self.assistance.end_tick()
+        if helped and not self.assistance.help_left:
+            self.say(EventKind.HELP_END)
         self._tell(driven)
         return driven
 

@@ -17,8 +17,8 @@ from wcsim.users.profiles import profile_names
 _TOLD: Final = {
     EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
     EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
+    EventKind.HELP_END: ("note", "Help is over. The assistance is as before."),
     EventKind.STEP_LIMIT: ("note", "This episode has reached its time limit. It starts again."),
-    EventKind.HELP: ("note", "Your call for help is counted. It alerts nobody."),
 }
 
 
@@ -89,6 +89,7 @@ def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> 
         unsafe=list(last.unsafe) if last else [],
         assisted=session.assistance.on,
         level=session.assistance.level,
+        help_s=round(session.help_left_s, 3),
         warning=last is not None and last.warning,
         intervening=last is not None and last.intervening,
         overruled=last is not None and last.overruled,
@@ -146,6 +147,8 @@ class PageTeller:
         elif event.kind in _TOLD:
             kind, told = _TOLD[event.kind]
             self._say(m.Notice(kind=kind, told=told))
+        elif event.kind is EventKind.HELP:
+            self._say(m.Notice(kind="note", told=event.told))
         elif event.kind is EventKind.POLICY_FAILED:
             self._say(m.Notice(kind="bad", told=f"The assistance failed and is off: {event.told}"))
 

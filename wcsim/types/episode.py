@@ -73,6 +73,7 @@ class Events:
     crossed: bool = False  # it finished a crossing, from one pavement to the opposite one
     entered_red: bool = False  # it started over a crossing at red
     crash: str = ""  # in words: the other party, who hit whom, edge and place in SUMO's net
+    help_asked: bool = False  # the user asked for help
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,6 +36,7 @@ PROFILE_LIMITS: dict[str, tuple[float, float]] = {
     "speed_share": (0.05, 1.0),
     "law_share": (0.0, 1.0),
     "give_up_s": (1.0, 3600.0),
+    "ask_share": (0.0, 1.0),
     "hold_s": (0.05, 5.0),
     "spread": (0.0, 0.9),
 }
@@ -72,6 +73,7 @@ class UserProfile:
     give_up_s: float  # blocked for so long, the user gives up
     discrete: bool  # four switches instead of a stick
     hold_s: float  # with switches: forward, and a rest after a turn, last at least this long
+    ask_share: float = 0.0  # chance to ask for help when it is scared
     spread: float = 0.3  # relative; parameters of an episode lie within 1 -+ this of the profile's
 
 
@@ -106,7 +108,7 @@ def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
     """The user of one episode: every parameter within the profile's spread of its own (30 %), and within its bounds.
 
     The chances to see and to keep to the law are spread by their complement (who misses 2 % misses 1.4 to 2.6 %), gains
-    by how far they are from one (a faithful hand stays faithful).
+    by how far they are from one (a faithful hand stays faithful). The chance to ask for help is the profile's.
     """
 
     def around(value: float) -> float:
@@ -173,7 +175,16 @@ _COMPETENT = UserProfile(
 
 _PROFILES: tuple[UserProfile, ...] = (
     _COMPETENT,
-    replace(_COMPETENT, name="slow", reaction_s=0.6, lag_s=0.3, lookahead_m=0.9, see_share=0.9, speed_share=0.6),
+    replace(
+        _COMPETENT,
+        name="slow",
+        reaction_s=0.6,
+        lag_s=0.3,
+        lookahead_m=0.9,
+        see_share=0.9,
+        speed_share=0.6,
+        ask_share=0.5,
+    ),
     replace(_COMPETENT, name="tremor", reaction_s=0.35, noise=0.06, tremor=0.25, tremor_hz=4.5),
     replace(
         _COMPETENT,
@@ -187,5 +198,5 @@ _PROFILES: tuple[UserProfile, ...] = (
         correct_every_s=0.4,
     ),
     replace(_COMPETENT, name="inattentive", reaction_s=0.45, see_share=0.35, see_m=3.0, away_share=0.3, law_share=0.8),
-    replace(_COMPETENT, name="switch", reaction_s=0.6, noise=0.0, see_share=0.9, discrete=True),
+    replace(_COMPETENT, name="switch", reaction_s=0.6, noise=0.0, see_share=0.9, discrete=True, ask_share=0.5),
 )

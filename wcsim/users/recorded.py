@@ -82,6 +82,7 @@ class RecordedUser:
     def __init__(self, recording: JoystickRecording, outline: Outline) -> None:
         self.arrived = False
         self.gave_up = False
+        self.asks_help = False  # a recording has no call for help
         self._recording = recording
         self._middle_m = outline.middle_x_m
         self._time_s = 0.0

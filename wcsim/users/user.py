@@ -50,6 +50,8 @@ STANDS_MPS = 0.25  # who drives slower than this may plan a turn on the spot
 CREEP_MPS, _BACK_STICK = 0.3, -0.5  # on, or back, to where there is room for it
 STUCK_S, _STUCK_M, _STUCK_RAD = 2.5, 0.1, 0.15  # a chair that is told to drive and moves less than this hangs somewhere
 FREE_M = 0.5  # and is backed up so far
+SCARED_MPS = 0.3  # who drives so much faster than it could stop before what it sees has seen it late
+_CALM_S = 5.0  # so long without that a scare is over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,9 +89,10 @@ class SimulatedUser:
         self.profile = profile
         self.arrived = False
         self.gave_up = False
+        self.asks_help = False  # at the last look; for who counts or answers it, it moves no stick
         self.patient = False  # gives up nothing: somebody else drives, and this one says where to
         # What one part draws does not change what another does.
-        attention_rng, hand_rng, self._miss_rng, self._law_rng = rng.spawn(4)
+        attention_rng, hand_rng, self._miss_rng, self._law_rng, self._fear_rng = rng.spawn(5)
         self._chair = chair
         self._delay_s = profile.reaction_s + profile.lag_s
         self._lookahead_s = _LOOKAHEAD_DELAYS * (self._delay_s + DRIVE_DELAY_S)
@@ -106,6 +109,7 @@ class SimulatedUser:
         self._witness: tuple[UserView, Seen] | None = None
         self._moved: tuple[float, Body] | None = None  # when and where the chair last was somewhere else
         self._freed_m = FREE_M
+        self._scared_at_s = -math.inf
 
     def follow(self, route: Route) -> None:
         """Take a new destination; patience and progress begin anew. Raises ConfigError for a route without points."""
@@ -180,7 +184,7 @@ class SimulatedUser:
         if self._path is None:
             return
         body = self._body(view, self._path)
-        self._witness = None
+        self._witness, self.asks_help = None, False
         # A stop that was begun is carried on without a look; who drives on towards a light keeps it in sight.
         heeds = self._stop_m is None and self._kerbs.heeds_light(self._arc_m)
         if self._perception.attend(dt_s, abs(self._intent.x) < _CALM_STICK, heeds):
@@ -230,6 +234,7 @@ class SimulatedUser:
         if kerb_m is not None:
             speed = min(speed, stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
         safe = avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s)
+        self.asks_help = self._calls(body.speed_mps - safe, view.time_s)
         if safe < speed:
             speed, self._stop_m = safe, body.arc_m + 0.5 * safe**2 / BRAKE_MPS2
         goal_m = body.arc_m + self.profile.lookahead_m + self._lookahead_s * max(0.0, body.speed_mps)
@@ -243,6 +248,14 @@ class SimulatedUser:
         if turn is not None:
             return turn
         return Plan(wish=self._steered(body, goal, speed))
+
+    def _calls(self, too_fast_mps: float, time_s: float) -> bool:
+        """Whether it asks for help: it is scared, and was not in the seconds before."""
+        if too_fast_mps < SCARED_MPS:
+            return False
+        scare_begins = time_s - self._scared_at_s > _CALM_S
+        self._scared_at_s = time_s
+        return scare_begins and bool(self._fear_rng.random() < self.profile.ask_share)
 
     def _carried_on(self, body: Body, dt_s: float) -> Joystick:
         """What the hand does during a look elsewhere: it lets go of the steering, and goes on with a stop."""

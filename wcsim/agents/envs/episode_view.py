@@ -182,6 +182,7 @@ class Chair:
             jam_teleports=0,
             crossed=False,
             entered_red=False,
+            help_asked=False,
         )
         info = self._info(replace(last, events=nothing, contacts=()), None, 0.0)
         return EpisodeStep(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
@@ -210,6 +211,7 @@ class Chair:
             "warning": snapshot.truth.danger if snapshot.truth else None,
             "intervening": distance > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE,
             "events": snapshot.events,
+            "help": snapshot.events.help_asked,
             "contacts": snapshot.contacts,
             "progress_m": snapshot.events.progress_m,
             "speed_mps": float(np.hypot(plant.v_B_mps[0], plant.v_B_mps[1])),

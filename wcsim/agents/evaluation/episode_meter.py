@@ -29,7 +29,7 @@ class EpisodeMeter:
         self._every = max(1, round(_PATH_S / tick_s))
         self._stood_s, self._in_red = 0.0, False
         self._path: list[tuple[float, float]] = []
-        self._at, self.steps = (0.0, 0.0), 0
+        self._at, self.steps, self._helps = (0.0, 0.0), 0, 0
 
     def add(self, info: Mapping[str, Any], free: bool | None) -> None:
         """One step, as an environment's `info` tells it; whether the moment that was answered was free of danger."""
@@ -45,6 +45,7 @@ class EpisodeMeter:
                 events=events,
             )
         )
+        self._helps += events.help_asked
         if not events.crashed:  # how a chair came into a crash is not told by what that did to it
             standing = events.on_carriageway and abs(info["speed_mps"]) < STANDS_MPS
             self._stood_s = self._stood_s + tick_s if standing else 0.0
@@ -69,7 +70,7 @@ class EpisodeMeter:
         """The sums of all steps under their names in a record; the episode is over then."""
         self._meter.end_episode(self.steps, crash_reason)
         path = self._path if self.steps % self._every == 0 or not self.steps else [*self._path, self._at]
-        return {**sums_of(self._meter.log()), "path_m": tuple(path)}
+        return {**sums_of(self._meter.log()), "path_m": tuple(path), "helps": self._helps}
 
     def log(self) -> StepLog:
         """Every step, for indicators over several episodes."""

@@ -12,7 +12,7 @@ import gymnasium
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import Row, row_of
-from wcsim.agents.policy_api import Policy, SeesTruth, calling, tell_delay
+from wcsim.agents.policy_api import Help, Policy, SeesTruth, calling, tell_delay
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.fault import blamed
@@ -22,7 +22,7 @@ Watch = Callable[[float], object]
 _AS_IN_SUITES = (
     *("crashes_own", "crashes_other", "crashes_per_km", "crashes_per_km_ci"),
     *("kpi2_median", "alive_at_end", "alive_at_end_ci"),
-    *("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s"),
+    *("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s", "helps"),
 )
 
 
@@ -63,6 +63,7 @@ class EvalRow:
     accel_rms_mps2: float | None  # from step to step
     stick_travel_per_s: float | None  # way of the stick that the chair was given
     asked_travel_per_s: float | None  # and of the user's
+    helps: int  # times that the user asked for help
 
     def to_json(self) -> dict[str, Any]:
         """Plain values under the same names."""
@@ -78,6 +79,7 @@ def evaluate(
     tick_s: float = 0.1,
     reward: RewardConfig | None = None,
     watch: Watch = lambda share: None,
+    help_ticks: int = 0,
 ) -> EvalRow:
     """Let a policy drive whole episodes, greedily.
 
@@ -90,6 +92,7 @@ def evaluate(
         tick_s: Duration of a step.
         reward: What counts as a collision; by default as everywhere.
         watch: Told after each step which share of the episodes is done.
+        help_ticks: How long a request of the user raises the policy's level; 0: not at all.
 
     Raises:
         ConfigError: `episodes` or `max_steps` is below 1.
@@ -107,8 +110,10 @@ def evaluate(
         with calling(policy, "reset"):
             policy.reset()
         meter = EpisodeMeter(tick_s, reward or RewardConfig())
-        seen = partial(_tell, watch, episode, episodes)
-        records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen))
+        seen, helping = partial(_tell, watch, episode, episodes), Help(policy, help_ticks)
+        records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen, helping))
+        with calling(policy, "set_level"):
+            helping.end()
         logs.append(meter.log())
     crashed = tuple(
         f"episode {number}: {blamed(record.reason, record.fault, record.crash)}"
@@ -159,6 +164,7 @@ def _drive(
     tick_s: float,
     meter: EpisodeMeter,
     watch: Watch,
+    helping: Help,
 ) -> EpisodeRecord:
     """One episode into the meter."""
     observation, info = begun
@@ -168,7 +174,10 @@ def _drive(
         if isinstance(policy, SeesTruth):
             policy.see(truth)
         with calling(policy, "act"):
+            if info.get("help"):
+                helping.ask()
             action = policy.act(observation)
+            helping.tick()
         observation, _, terminated, truncated, info = env.step(action)
         meter.add(info, None if truth is None else not truth.danger)
         if info["events"].crash_reason:

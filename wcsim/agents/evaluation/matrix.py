@@ -61,6 +61,7 @@ _GETTING_THERE: Columns = (
     ("crossings", "\nroads\ncrossed", "{:d}"),
     ("red_entries", "\nat\nred", "{:d}"),
     ("standing_on_carriageway_s", "\ns on\nroad", "{:.0f}"),
+    ("helps", "\n\nhelp", "{:d}"),
 )
 _HEEDLESS = ("random", "zero")  # baselines that do not ask what the user wants
 _UPPER_BOUND_NOTES = {
@@ -78,7 +79,7 @@ _FOLLOWING_LEGEND = (
 _THERE_LEGEND = (
     "own crash: the chair's fault",
     "at red: entered a crossing at red",
-    "s on road: seconds of standing on a carriageway",
+    "s on road: seconds of standing on a carriageway; help: times asked",
 )
 
 
@@ -95,6 +96,7 @@ class TestPlan:
     seed: int  # every policy begins from it, in every town with every profile
     tick_s: float = 0.1
     reward: RewardConfig | None = None  # what counts as a collision; None: as everywhere
+    help_ticks: int = 0  # for which a user's request raises a policy's level
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,9 +178,8 @@ def run_test(
             try:
                 for policy in group:
                     seen = partial(_tell, watch, policy.name, through, many)
-                    row = evaluate(
-                        policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.reward, seen
-                    )
+                    times = (plan.episodes, plan.max_steps, plan.seed, plan.tick_s)
+                    row = evaluate(policy, env, *times, plan.reward, seen, plan.help_ticks)
                     rows[id(policy)] = row
                     through += 1
                     if progress is not None:

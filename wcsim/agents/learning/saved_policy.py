@@ -19,7 +19,8 @@ from wcsim.agents.networks.encoder import form_of, image_size, vector_keys, vect
 from wcsim.agents.networks.names import require_named
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet, spec_to_json
 from wcsim.agents.networks.weights import checked_weights, read_weights
-from wcsim.agents.policy_api import CLASS_KEY, Observation
+from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
+from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_policy_file
 from wcsim.config import CameraConfig
 from wcsim.config.run_file import PolicyFile
@@ -37,6 +38,10 @@ class NetPolicy:
     """A trained network that acts greedily; of a longer window than its own it sees the newest images.
 
     One that carries a state does so from `act` to `act`, and begins anew with each episode.
+
+    It warns where the user's own stick costs more than following can. In one step, base reward and joystick penalty
+    differ by at most their sum (3 of 100 that a crash costs). A stick whose value is lower than the best one by more
+    than that, in unscaled reward, loses reward later too: the network expects a crash or a jolt. See `next_alarm`.
     """
 
     def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
@@ -44,19 +49,28 @@ class NetPolicy:
         self.name = name
         self.file = file
         self.net.set_training_mode(False)
-        self._state = net.begin(1)
+        self._actions, prior = action_set(file.net.actions), file.net.prior
+        self._most_lost = file.reward_scale * (prior.base + prior.penalty)  # by one step of not following
+        self.reset()
+
+    @property
+    def warning(self) -> bool:
+        """Whether the user's own stick is worth too little, as of the last `act`."""
+        return self._alarm.on
 
     def begin(self) -> None:
         """Forget everything."""
-        self._state = self.net.begin(1)
+        self.reset()
 
     def reset(self) -> None:
         """Forget the episode before."""
-        self._state = self.net.begin(1)
+        self._state, self._alarm = self.net.begin(1), Alarm()
 
     def act(self, observation: Observation) -> int:
         """The action of the highest value; what was seen is remembered, by a network that can."""
         values, self._state = self._seen(observation)
+        lost = float(values.max() - values[self._actions.nearest(observation[JOYSTICK_KEY])])
+        self._alarm = next_alarm(self._alarm, float(lost > self._most_lost), TWO_TICKS)
         return int(values.argmax())
 
     def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:

@@ -281,6 +281,7 @@ class Ego:
             crossed=self._on_road.crossed,
             entered_red=self._on_road.entered_red,
             crash=self._crash_told(reason) if reason else "",
+            help_asked=not first and self.user.asks_help,
         )
 
     def _crash_told(self, reason: str) -> str:

@@ -42,6 +42,7 @@ _JUDGED: tuple[Column, ...] = (
     ("needless", "\n\nunneeded", "{:d}"),
     ("warned_share", "\nwarned\nin time", "{:.0%}"),
     ("false_warnings_per_km", "false\nwarnings\nper km", "{:.0f}"),
+    ("helps", "\n\nhelp", "{:d}"),
 )
 LEGEND = """\
 own crash: the chair's fault; at red: entered a crossing at red
@@ -50,7 +51,8 @@ close to user: share of moving steps without danger within 0.177 of the command
 blocked: share of steps without danger that give less than half of a push ahead
 frozen: stood 3 s or more against the stick; on road: stood on a carriageway
 needed: else the user crashes within 5 s; missed: own crash, no intervention
-warned in time: share of dangers with a warning at least 1 s ahead"""
+warned in time: share of dangers with a warning at least 1 s ahead
+help: times that the user asked for it"""
 
 
 def show_result(

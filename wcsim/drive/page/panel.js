@@ -189,7 +189,7 @@ export class Panel {
     if (this.lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
     if (told.ended) this.say(`The assistance ${told.ended}.`);
     put(by("did"), told.line);
-    this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : state.assisted ? "on" : "off");
+    this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : !state.assisted ? "off" : state.help_s > 0 ? `helps for ${Math.ceil(state.help_s)} s` : "on");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
     if (this.lamp("lamp-road", state.on_road, state.on_road ? "you are on the road" : "you are not on it") && state.on_road) this.say("You are on the road.");
     const turn = state.bearing_deg;

@@ -300,6 +300,7 @@ def _packed_events(events: Events) -> PackedEvents:
         events.crossed,
         events.entered_red,
         events.crash,
+        events.help_asked,
     )
 
 
@@ -318,6 +319,7 @@ def _events(events: PackedEvents) -> Events:
         crossed=events.crossed,
         entered_red=events.entered_red,
         crash=events.crash,
+        help_asked=events.help_asked,
     )
 
 

@@ -107,6 +107,7 @@ class PackedEvents(_Part, frozen=True):
     crossed: bool
     entered_red: bool
     crash: b.Line
+    help_asked: bool
 
 
 class PackedDrawn(_Part, frozen=True):

@@ -128,6 +128,7 @@ JUDGED: Final = (
         says="warnings that no danger follows",
         form="{:.0f}",
     ),
+    Column(heading="help", key="helps", says="times that the user asked for help"),
 )
 COLUMNS: Final = (*SAFETY, *SERVICE, *JUDGED)
 

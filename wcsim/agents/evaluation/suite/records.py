@@ -74,6 +74,7 @@ class EpisodeRecord:
     accel_sq_sum: float = 0.0  # of the squared change of speed from step to step, (m/s2)^2
     stick_travel: float = 0.0  # way of the stick's tip that the chair was given, in stick's lengths
     asked_travel: float = 0.0  # and of the user's own
+    helps: int = 0  # times that the user asked for help
     path_m: tuple[tuple[float, float], ...] = ()  # once a second, and at the end, W
 
     @property

@@ -123,6 +123,7 @@ def _interventions(records: Sequence[EpisodeRecord]) -> Row:
         "missed": sum(record.missed for record in records),
         "warned_share": _ratio(sum(record.warned for record in judged), sum(record.to_warn for record in judged)),
         "false_warnings_per_km": sum(r.false_warnings for r in judged) / km if km >= _FAR_ENOUGH_KM else None,
+        "helps": sum(record.helps for record in records),
     }
 
 
