@@ -112,3 +112,63 @@ def test_a_policy_that_is_tried_again_hears_the_delay_of_the_episode_of_now() ->
     assistance.reset(Drawn(action_delay_ticks=2))
     assistance.switch(True)
     assert policy.heard == [1, "reset", 2, "reset"]
+
+
+def drive(assistance: Assistance, ticks: int) -> list[tuple[float | None, int]]:
+    """The level and what the chair was told, tick by tick."""
+    found = []
+    for _ in range(ticks):
+        sent = assistance.answer(AHEAD, {}, asked=True).sent
+        found.append((assistance.level, sent))
+        assistance.end_tick()
+    return found
+
+
+def test_help_raises_the_level_for_a_while_and_a_second_request_begins_it_again() -> None:
+    assistance = Assistance(Remembers(), ACTIONS, help_ticks=3)
+    assistance.set_level(0.5)
+    assistance.ask_for_help()
+    assert drive(assistance, 2) == [(2.0, 36)] * 2 and assistance.help_left == 1
+    assistance.ask_for_help()
+    assert drive(assistance, 5) == [(2.0, 36)] * 3 + [(0.5, 36)] * 2
+    assert assistance.help_left == 0
+
+
+def test_a_policy_without_levels_helps_by_half_of_its_choice() -> None:
+    assistance = Assistance(Follow(actions=ACTIONS), ACTIONS, help_ticks=2)
+    assistance.ask_for_help()
+    half = ACTIONS.nearest((0.0, 0.5))
+    assert drive(assistance, 3) == [(None, half), (None, half), (None, OWN)]
+    assistance.ask_for_help()
+    assert assistance.answer(AHEAD, {}, asked=False).sent == OWN, "who overrules is not helped"
+
+
+def test_help_is_given_though_the_assistance_is_off_and_not_by_a_policy_that_broke() -> None:
+    assistance = Assistance(Remembers(), ACTIONS, help_ticks=2)
+    assistance.switch(False)
+    assistance.ask_for_help()
+    assert assistance.on and drive(assistance, 3) == [(2.0, 36), (2.0, 36), (1.0, OWN)]
+    assert not assistance.on
+    broken = Assistance(Breaks(None), ACTIONS, help_ticks=50)
+    broken.ask_for_help()
+    drive(broken, 6)
+    assert (broken.on, broken.help_left) == (False, 0)
+    broken.ask_for_help()
+    assert (broken.on, broken.help_left) == (False, 0)
+
+
+@pytest.mark.parametrize(
+    ("ends", "level"),
+    [
+        (lambda each: each.switch(False), 1.0),
+        (lambda each: each.set_level(0.3), 0.3),
+        (lambda each: each.reset(None), 1.0),
+    ],
+    ids=["off", "level", "episode"],
+)
+def test_help_ends_with_what_else_is_set(ends, level) -> None:
+    assistance = Assistance(Remembers(), ACTIONS, help_ticks=9)
+    assistance.ask_for_help()
+    drive(assistance, 1)
+    ends(assistance)
+    assert (assistance.level, assistance.help_left) == (level, 0)

@@ -248,3 +248,35 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
         assert np.abs(at[:2] - blocks[index].episodes[0].start_m).max() < 0.3
         assert drive.place.spec.max_steps == blocks[index].episodes[0].max_steps
         assert "car-door" in drive.place.told
+
+
+def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSession, noted: Noted) -> None:
+    said: list[m.Notice] = []
+    session.look_on(PageTeller(said.append))
+    session.tick(Wish(help=True))
+    assert session.help_left_s == pytest.approx(9.9) and session.assistance.level == 2.0
+    for _ in range(100):
+        session.tick(Wish())
+    assert [each.level for each in noted.ticks] == [2.0] * 100 + [1.0]
+    assert session.help_left_s == 0.0 and noted.kinds().count(EventKind.HELP_END) == 1
+    assert [each.told for each in said] == [
+        "The user asks for help. For 10 s the policy assists the most.",
+        "Help is over. The assistance is as before.",
+    ]
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_the_request_of_a_simulated_user_counts_and_is_answered_where_that_is_set(
+    session: DriveSession, answered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = session.place.config
+    world = config.world.model_copy(update={"help_users": answered})
+    session.place = replace(session.place, config=config.model_copy(update={"world": world}))
+    events = replace(session.client.events, help_asked=True)
+    session._client = replace(session.client, events=events)
+    session.tick(Wish())
+    assert session.tally.helps == 0, "a person drives"
+    session._client = replace(session.client, events=events)
+    session.drive_by(DriverKind.SIMULATED)
+    session.tick(Wish())
+    assert session.tally.helps == 1 and bool(session.assistance.help_left) is answered

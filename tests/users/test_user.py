@@ -413,3 +413,45 @@ def test_a_user_knows_the_dead_band_and_the_shape_of_its_own_chair():
         _, asked = shaped(stick.x, stick.y, chair.deadband, chair.shape_exponent)
         assert asked * chair.v_max_mps == pytest.approx(0.5)
         assert pushed(asked, chair) == pytest.approx(stick.y)
+
+
+# --- help ---
+
+
+def asks(ask_share: float, seed: int = 0) -> tuple[list[float], list[Joystick]]:
+    """When a user asks for help in front of whom somebody appears three times, and its stick."""
+    user = make_user("slow", seed, STREET, ask_share=ask_share, see_share=1.0)
+    sim = on_pavement(user)
+    times = []
+    for _ in range(400):
+        ahead = sim.chair.x + 2.6
+        appears = [t for t in (8.0, 9.0, 20.0) if t <= sim.time_s < t + 0.3]
+        sim.actors = tuple(actor(PERSON, ahead, 5.5, name=f"p{t}") for t in appears)
+        sim.tick()
+        if user.asks_help:
+            times.append(sim.time_s)
+    return times, sim.track.sticks
+
+
+def test_who_is_scared_asks_for_help_once_and_its_stick_is_the_same():
+    asked, sticks = asks(1.0)
+    assert asked == [pytest.approx(8.1, abs=0.11), pytest.approx(20.1, abs=0.11)], "one scare in the seconds after 8"
+    silent, same = asks(0.0)
+    assert silent == [] and same == sticks
+
+
+def test_who_asks_is_drawn_from_the_seed():
+    found = [asks(0.5, seed)[0] for seed in range(6)]
+    assert found == [asks(0.5, seed)[0] for seed in range(6)]
+    assert 2 < sum(map(len, found)) < 12
+
+
+def test_who_sees_in_time_does_not_ask():
+    user = make_user("competent", 0, STREET, ask_share=1.0)
+    sim = on_pavement(user)
+    sim.actors = (actor(PERSON, 20.0, 5.5),)
+    asked = 0
+    for _ in range(300):
+        sim.tick()
+        asked += user.asks_help
+    assert asked == 0 and sim.chair.x > 10.0

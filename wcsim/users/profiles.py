@@ -183,7 +183,7 @@ _PROFILES: tuple[UserProfile, ...] = (
         lookahead_m=0.9,
         see_share=0.9,
         speed_share=0.6,
-        ask_share=0.5,
+        ask_share=0.3,
     ),
     replace(_COMPETENT, name="tremor", reaction_s=0.35, noise=0.06, tremor=0.25, tremor_hz=4.5),
     replace(
@@ -198,5 +198,5 @@ _PROFILES: tuple[UserProfile, ...] = (
         correct_every_s=0.4,
     ),
     replace(_COMPETENT, name="inattentive", reaction_s=0.45, see_share=0.35, see_m=3.0, away_share=0.3, law_share=0.8),
-    replace(_COMPETENT, name="switch", reaction_s=0.6, noise=0.0, see_share=0.9, discrete=True, ask_share=0.5),
+    replace(_COMPETENT, name="switch", reaction_s=0.6, noise=0.0, see_share=0.9, discrete=True, ask_share=0.3),
 )

@@ -51,3 +51,10 @@ def test_a_crash_says_nothing_of_how_smooth_the_drive_was():
     for speed in (1.0, 1.1, 1.2):
         calm.add(told(speed), None)
     assert calm.sums()["accel_sq_sum"] == pytest.approx(2.0)
+
+
+def test_requests_for_help_are_added_up():
+    meter = EpisodeMeter(0.1, RewardConfig())
+    for asks in (True, False, True):
+        meter.add(told(1.0, help_asked=asks), None)
+    assert meter.sums()["helps"] == 2

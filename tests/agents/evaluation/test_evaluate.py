@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from tests.agents.toy import ToyStreet, toy_camera
+from tests.drive.lookers import Remembers
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.matrix import TestPlan, TestResult, open_policy, run_test
 from wcsim.agents.policies.baselines import baseline
@@ -22,7 +23,7 @@ KEYS = (
     "crashes_per_km",
     "speed_mps", "routes_completed", "routes_given_up", "crossings", "crossings_per_km", "standing_on_carriageway_s",
     "red_entries", "crashes_own", "crashes_other", "crashes_per_km_ci", "kpi1_moving_within_ci", "kpi2_median",
-    "alive_at_end", "alive_at_end_ci", "accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s",
+    "alive_at_end", "alive_at_end_ci", "accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s", "helps",
 )  # fmt: skip
 CAMERA = toy_camera(24, 32)
 CONFIG = RunConfig(cameras=(CAMERA,))
@@ -42,12 +43,13 @@ class Script(gym.Env):
         events = Events(
             episode=0, step=self.k, crashed=self.k == self.crash_at, truncated=False, arrived=self.k == 2,
             crash_reason="tilt" if self.k == self.crash_at else "", gave_up=self.k == 3,
-            crossed=self.k in (1, 2), entered_red=self.k == 1, on_carriageway=self.k >= 4,
+            help_asked=self.k == 2, crossed=self.k in (1, 2), entered_red=self.k == 1, on_carriageway=self.k >= 4,
             crash="tilted too far, at x 1.0 y 2.0 in the net, edge e" if self.k == self.crash_at else "",
         )  # fmt: skip
         return {
             "joystick_distance": distance, "speed_mps": self.speed_mps, "truth": truth if self.truth else None,
             "events": events, "asked": Joystick(0.0, 0.2 + 0.2 * self.k), "given": Joystick(0.0, 0.0),
+            "help": events.help_asked,
         }  # fmt: skip
 
     def reset(self, *, seed=None, options=None):
@@ -65,6 +67,25 @@ class Script(gym.Env):
 
 
 FOLLOW = baseline("follow", CONFIG)
+
+
+class NotesLevels(Remembers):
+    """Notes its level of each step; a level is kept from episode to episode."""
+
+    def begin(self):
+        self.noted = []
+
+    def choose(self, observation):
+        self.noted.append(self.level)
+        return super().choose(observation)
+
+
+@pytest.mark.parametrize(("ticks", "raised"), [(0, 0), (3, 3), (9, 4)])
+def test_a_request_for_help_raises_the_level_for_a_while_and_for_this_episode(ticks, raised):
+    policy = NotesLevels()
+    evaluate(policy, Script(crash_at=6), episodes=2, max_steps=100, seed=7, help_ticks=ticks)
+    assert policy.noted == 2 * [1.0, 1.0, *[2.0] * raised, *[1.0] * (4 - raised)]
+    assert policy.level == 1.0
 
 
 def test_the_indicators_of_a_scripted_drive():
@@ -87,6 +108,7 @@ def test_the_indicators_of_a_scripted_drive():
     assert row.crashed == (f"episode 1: {told}", f"episode 2: {told}")
     result = TestResult(town="helsinki", seed=7, profile="ataxic", rows=(row,))
     assert result.crashed[1] == f"follow, episode 2: {told}"
+    assert row.helps == 2
     assert (row.freezes, row.standing_on_carriageway_s) == (0, 0.0)  # it never stands
 
 
@@ -150,9 +172,9 @@ def test_the_tables_show_what_was_counted_and_drops_when_there_are_some():
     assert max(map(len, text.splitlines())) <= 80
     following, there = cells(text)
     assert following[1:] == ["0.250", "33%", "0.050", "0.050", "100%", "33%", "100.0%", "0", "6", "1.00"]
-    assert there[1:] == ["2", "0", "0.12", "16.67", "2.0-60.2", "2", "4", "2", "0"]
+    assert there[1:] == ["2", "0", "0.12", "16.67", "2.0-60.2", "2", "4", "2", "0", "2"]
     fell = replace(result, rows=(row, replace(row, crash_reasons={"drop": 3, "tilt": 2})))
-    assert "drops" not in text and "drops" in shown(fell)
+    assert "drop" not in text and "drop" in shown(fell)
     assert [row[-1] for row in cells(shown(fell))[2:]] == ["0", "3"]
 
 

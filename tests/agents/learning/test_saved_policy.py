@@ -17,6 +17,7 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import SmallNet
+from wcsim.agents.policy_api import Warns
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.core import files
@@ -51,6 +52,27 @@ def test_a_loaded_policy_acts_like_the_saved_one(original, saved):
         observation, *_ = env.step(policy.act(observation))
     assert policy.name == "mine"
     assert policy.file.manifest_sha256 == "ab" * 32
+
+
+def test_it_warns_when_the_users_stick_is_worth_too_little_for_two_ticks(saved):
+    policy = load_policy(saved)
+    observation, _ = ToyStreet(CAMERA).reset(seed=2)
+    own, told = policy._actions.nearest(observation["joystick"]), []
+    for lost in (8.9, 8.9, 9.1, 0.0, 0.0, 9.1, 9.1, 0.0):  # unscaled; three steps of not following cost 9
+        values = torch.zeros(1, 81)
+        values[0, own] = -policy.file.reward_scale * lost
+        policy.net.forward = lambda _, values=values: values
+        policy.act(observation)
+        told.append(policy.warning)
+    assert isinstance(policy, Warns) and told == [False] * 6 + [True, False]
+    policy.net.forward = lambda _: torch.where(torch.arange(81)[None] == own, -1.0, 0.0)
+    for _ in range(2):
+        policy.act(observation)
+    assert policy.warning
+    policy.values({**observation, "joystick": -observation["joystick"]})
+    assert policy.warning, "values remember nothing"
+    policy.reset()
+    assert not policy.warning
 
 
 def test_saving_again_replaces_and_leaves_nothing_behind(original, saved):

@@ -17,7 +17,7 @@ KEYS = {
     "policy", "part", "episodes", "status", "km", "crashes_own", "crashes_other", "drops", "crash_reasons",
     "crashes_per_km", "crashes_per_km_ci", "kpi1", "kpi1_free_within", "kpi2_median", "alive_at_end", "speed_mps",
     "arrivals", "attempts", "road_s", "red_entries", "blocked_share", "freezes", "needed", "needless", "missed",
-    "warned_share", "false_warnings_per_km", "score", "score_ci",
+    "warned_share", "false_warnings_per_km", "helps", "score", "score_ci",
 }  # fmt: skip
 
 

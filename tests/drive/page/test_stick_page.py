@@ -191,6 +191,14 @@ def test_the_shortest_press_of_overrule_is_said(stage: Stage) -> None:
     assert said.count(True) == 1 and not said[-1]
 
 
+def test_the_lamp_counts_down_while_help_is_on(stage: Stage) -> None:
+    for help_s, assisted, told in ((9.9, True, "helps for 10 s"), (0.1, True, "helps for 1 s"), (0.0, True, "on")):
+        stage.state(help_s=help_s, assisted=assisted)
+        assert stage.text("#lamp-assist span") == told
+    stage.state(help_s=5.0, overruled=True)
+    assert stage.text("#lamp-assist span") == "overruled"
+
+
 def test_a_call_for_help_that_nobody_hears_is_not_told_as_one(stage: Stage) -> None:
     stage.page.click("#help")
     assert stage.text("#live") == "You asked for help." and len(stage.heard("help")) == 1

@@ -57,8 +57,8 @@ _GETTING_THERE: Columns = (
     ("km", "\n\nkm", "{:.2f}"),
     ("crashes_per_km", "own\nper\nkm", "{:.2f}"),
     ("crashes_per_km_ci", "\n\n95 %", "{0[0]:.1f}-{0[1]:.1f}"),
-    ("routes_completed", "\nroutes\ndone", "{:d}"),
-    ("crossings", "\nroads\ncrossed", "{:d}"),
+    ("routes_completed", "\ngoals\ndone", "{:d}"),
+    ("crossings", "\ncross-\nings", "{:d}"),
     ("red_entries", "\nat\nred", "{:d}"),
     ("standing_on_carriageway_s", "\ns on\nroad", "{:.0f}"),
     ("helps", "\n\nhelp", "{:d}"),
@@ -138,7 +138,7 @@ class TestResult:
         end of it or by a number, and the line below the first table says whom that is.
         """
         title = f"{self.town}, {self.profile} user, seed {self.seed}"
-        drops = ("drops",) if any(DROP in row.crash_reasons for row in self.rows) else ()
+        drops = ("drop",) if any(DROP in row.crash_reasons for row in self.rows) else ()
         there = _table("\ngetting there", _GETTING_THERE, width, drops)
         following = _table(f"{title}: following", _FOLLOWING, width)
         labels = _labels([row.policy for row in self.rows], width - _NUMBERS_WIDTH - (_GAPS if width >= _WIDE else 0))

@@ -32,6 +32,7 @@ from wcsim.supervisor.observation import observation_space
 from wcsim.types import ClassId
 
 JOYSTICK_SIZE = 2
+_WARN_STEPS = 3  # measured: with 1, noise of the values warns in three times as many steps without danger
 
 
 class NetPolicy:
@@ -39,9 +40,9 @@ class NetPolicy:
 
     One that carries a state does so from `act` to `act`, and begins anew with each episode.
 
-    It warns where the user's own stick costs more than following can. In one step, base reward and joystick penalty
-    differ by at most their sum (3 of 100 that a crash costs). A stick whose value is lower than the best one by more
-    than that, in unscaled reward, loses reward later too: the network expects a crash or a jolt. See `next_alarm`.
+    It warns by the value of the user's own stick, see `next_alarm`. A step of not following costs at most base reward
+    and joystick penalty (3; a crash costs 100). A stick that is worth less than the best action by more than three such
+    steps, in unscaled reward, leads to something worse: the network expects a crash or a jolt.
     """
 
     def __init__(self, net: QNet, name: str, file: PolicyFile) -> None:
@@ -50,7 +51,7 @@ class NetPolicy:
         self.file = file
         self.net.set_training_mode(False)
         self._actions, prior = action_set(file.net.actions), file.net.prior
-        self._most_lost = file.reward_scale * (prior.base + prior.penalty)  # by one step of not following
+        self._bearable = _WARN_STEPS * file.reward_scale * (prior.base + prior.penalty)
         self.reset()
 
     @property
@@ -70,7 +71,7 @@ class NetPolicy:
         """The action of the highest value; what was seen is remembered, by a network that can."""
         values, self._state = self._seen(observation)
         lost = float(values.max() - values[self._actions.nearest(observation[JOYSTICK_KEY])])
-        self._alarm = next_alarm(self._alarm, float(lost > self._most_lost), TWO_TICKS)
+        self._alarm = next_alarm(self._alarm, float(lost > self._bearable), TWO_TICKS)
         return int(values.argmax())
 
     def values(self, observation: Observation) -> np.ndarray[Any, np.dtype[np.float32]]:

@@ -124,6 +124,22 @@ class Starts(Held):
         time.sleep(5.0)
 
 
+class Levels(Held):
+    """Stands still, and notes its level of each step."""
+
+    levels, level = (0.0, 2.0), 1.0
+
+    def reset(self) -> None:
+        self.noted: list[float] = []
+
+    def act(self, observation: object) -> int:
+        self.noted.append(self.level)
+        return self.action
+
+    def set_level(self, level: float) -> None:
+        self.level = level
+
+
 class WarnsAlways(Held):
     """Follows nothing and warns all the time."""
 

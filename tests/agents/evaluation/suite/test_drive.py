@@ -6,6 +6,7 @@ from tests.agents.evaluation.suite.lists import (
     POINTS,
     Dies,
     Held,
+    Levels,
     NoNumber,
     OutOfTheGrid,
     Sleeps,
@@ -21,6 +22,7 @@ from wcsim.agents.evaluation.suite.drive import drive_block, refused
 from wcsim.agents.evaluation.suite.forks import users_alone
 from wcsim.agents.policies.baselines import baseline
 from wcsim.types import SeatSpec
+from wcsim.users.user import SimulatedUser
 
 
 def follow():
@@ -92,6 +94,30 @@ def test_who_warns_always_warns_falsely(corner):
     records = drive_block(order_of(corner, block_of(corner), judged=True), lambda: WarnsAlways(0.0, 0.0))
     assert all(record.false_warnings == 1 for record in records if record.to_warn == 0)
     assert any(record.to_warn == 0 for record in records)
+
+
+def test_users_requests_for_help_are_counted_and_raise_levels_where_that_is_set(corner, monkeypatch):
+    monkeypatch.setattr(SimulatedUser, "look", _asks_after(SimulatedUser.look, 20))
+    found = []
+    for settings in ((), ("world.help_users=true", "world.help_s=1.5")):
+        block = block_of(corner, max_steps=60, handover=10).model_copy(update={"settings": settings})
+        policies = [Levels(0.0, 0.0), Levels(0.0, 0.0)]
+        records = drive_block(order_of(corner, block), iter(policies).__next__)
+        assert [(record.helps, record.steps) for record in records] == [(1, 50), (1, 50)]
+        found.append({tuple(policy.noted) for policy in policies})
+    plain, helped = found
+    assert plain == {(1.0,) * 50} and helped == {(*[1.0] * 10, *[2.0] * 15, *[1.0] * 25)}
+
+
+def _asks_after(look, steps):
+    """`look` of a user who asks for help in this step of its episode."""
+
+    def looks(user, view):
+        look(user, view)
+        user.looked = getattr(user, "looked", -1) + 1
+        user.asks_help = user.looked == steps
+
+    return looks
 
 
 def test_a_policy_that_cannot_be_used_is_refused_in_every_episode(corner):
