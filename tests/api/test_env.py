@@ -35,7 +35,7 @@ NO_WARMUP = "world.warmup_s=0"
 TINY = ("cameras.0.width_px=32", "cameras.0.height_px=24")
 INFO_KEYS = {
     *("state", "user_action", "joystick_distance", "reward_terms", "truth", "warning", "intervening"),
-    *("events", "contacts", "progress_m", "speed_mps", "imu", "drawn", "asked", "given"),
+    *("events", "contacts", "progress_m", "speed_mps", "imu", "drawn", "asked", "given", "help"),
 }
 NOT_AN_IMAGE = (
     "It seems that your observation {} is an image but its `dtype` is (float32)",

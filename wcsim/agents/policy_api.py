@@ -125,7 +125,7 @@ class Levelled(Protocol):
         """Use this level from the next `act` on. Raises PolicyError for one outside of `levels`."""
 
 
-class Help:
+class Helping:
     """What a request for help does to a policy with levels: for a while it assists the most, then as before.
 
     Args:

@@ -125,6 +125,11 @@ class WorldConfig(Model):
         return round(self.help_s / self.tick_s)
 
     @property
+    def users_help_ticks(self) -> int:
+        """The same for a request of a simulated user."""
+        return self.help_ticks if self.help_users else 0
+
+    @property
     def usual_substeps(self) -> int:
         """Steps of the physics in most ticks."""
         return _steps(self.tick_s, _USUAL_HZ) if self.substeps is None else self.substeps

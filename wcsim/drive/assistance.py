@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from wcsim.agents.policy_api import (
     HearsSent,
-    Help,
+    Helping,
     Levelled,
     Observation,
     Policy,
@@ -54,7 +54,7 @@ class Assistance:
 
     def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
         self._on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
-        self._help = Help(policy, help_ticks)
+        self._help = Helping(policy, help_ticks)
         self._policy, self._actions = policy, actions
         self._drawn: Drawn | None = None  # for the episode of now
         self.own_level = self.level  # the one that the policy came with
@@ -99,7 +99,7 @@ class Assistance:
         self._on = on and not self.failed
 
     def ask_for_help(self) -> None:
-        """Help from now on; where help is on already, its time begins again. A policy that broke does not."""
+        """Helping from now on; where help is on already, its time begins again. A policy that broke does not."""
         if not self.failed:
             self._guarded(self._help.ask)
 

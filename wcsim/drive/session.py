@@ -231,10 +231,7 @@ class DriveSession(Closing):
         if self._ended:
             self._next(self._go_back() if self._client.events.crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
-        if wish.help:
-            self.ask_for_help()
-        elif by_user and self._client.events.help_asked:
-            self.ask_for_help(raises=self.place.config.world.help_users)
+        self._hear_help(wish.help, by_user)
         stick = self._client.user if by_user else in_gate(wish.stick)
         self._see(stick)
         overrule = wish.overrule and self.handed_over
@@ -247,10 +244,7 @@ class DriveSession(Closing):
         sticks = user.sticks.copy() if by_user else NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
         self._help = False
-        helped = self.assistance.help_left > 0
-        self.assistance.end_tick()
-        if helped and not self.assistance.help_left:
-            self.say(EventKind.HELP_END)
+        self._pass_help()
         self._tell(driven)
         return driven
 
@@ -355,6 +349,20 @@ class DriveSession(Closing):
             self.say(EventKind.STEP_LIMIT)
         for observer in self._observers:
             observer.tick(driven)
+
+    def _hear_help(self, wished: bool, by_user: bool) -> None:
+        """Hear a request in the wish, or of the simulated user while it drives."""
+        if wished:
+            self.ask_for_help()
+        elif by_user and self._client.events.help_asked:
+            self.ask_for_help(raises=self.place.config.world.help_users)
+
+    def _pass_help(self) -> None:
+        """A tick of help has passed, if it is on."""
+        helped = self.assistance.help_left > 0
+        self.assistance.end_tick()
+        if helped and not self.assistance.help_left:
+            self.say(EventKind.HELP_END)
 
     def _say_failure(self) -> None:
         if self.assistance.failed != self._failure:

@@ -12,8 +12,8 @@ import gymnasium
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRecord
 from wcsim.agents.evaluation.suite.rows import Row, row_of
-from wcsim.agents.policy_api import Help, Policy, SeesTruth, calling, tell_delay
-from wcsim.config import RewardConfig
+from wcsim.agents.policy_api import Helping, Policy, SeesTruth, calling, tell_delay
+from wcsim.config import RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.fault import blamed
 from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
@@ -77,9 +77,8 @@ def evaluate(
     max_steps: int,
     seed: int,
     tick_s: float = 0.1,
-    reward: RewardConfig | None = None,
+    config: RunConfig | None = None,
     watch: Watch = lambda share: None,
-    help_ticks: int = 0,
 ) -> EvalRow:
     """Let a policy drive whole episodes, greedily.
 
@@ -90,9 +89,8 @@ def evaluate(
         max_steps: An episode is cut after this many steps (it counts as survived).
         seed: Of the environment.
         tick_s: Duration of a step.
-        reward: What counts as a collision; by default as everywhere.
+        config: Says what counts as a collision, and whether requests for help raise levels; by default the usual one.
         watch: Told after each step which share of the episodes is done.
-        help_ticks: How long a request of the user raises the policy's level; 0: not at all.
 
     Raises:
         ConfigError: `episodes` or `max_steps` is below 1.
@@ -102,6 +100,7 @@ def evaluate(
         raise ConfigError(f"episodes={episodes}, max_steps={max_steps}; expected at least 1 of each")
     logs: list[StepLog] = []
     records: list[EpisodeRecord] = []
+    config = config or RunConfig()
     with calling(policy, "begin"):
         policy.begin()
     for episode in range(episodes):
@@ -109,8 +108,8 @@ def evaluate(
         tell_delay(policy, info.get("drawn"))
         with calling(policy, "reset"):
             policy.reset()
-        meter = EpisodeMeter(tick_s, reward or RewardConfig())
-        seen, helping = partial(_tell, watch, episode, episodes), Help(policy, help_ticks)
+        meter = EpisodeMeter(tick_s, config.reward)
+        seen, helping = partial(_tell, watch, episode, episodes), Helping(policy, config.world.users_help_ticks)
         records.append(_drive(policy, env, (observation, info), max_steps, tick_s, meter, seen, helping))
         with calling(policy, "set_level"):
             helping.end()
@@ -164,7 +163,7 @@ def _drive(
     tick_s: float,
     meter: EpisodeMeter,
     watch: Watch,
-    helping: Help,
+    helping: Helping,
 ) -> EpisodeRecord:
     """One episode into the meter."""
     observation, info = begun

@@ -25,7 +25,7 @@ from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISI
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
 from wcsim.agents.runs.run_folder import policy_path, split_level
-from wcsim.config import RewardConfig, RunConfig, with_overrides
+from wcsim.config import RunConfig, with_overrides
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import DROP
 from wcsim.supervisor.observation import imu_size
@@ -95,8 +95,7 @@ class TestPlan:
     max_steps: int  # after so many an episode is cut, and counts as survived
     seed: int  # every policy begins from it, in every town with every profile
     tick_s: float = 0.1
-    reward: RewardConfig | None = None  # what counts as a collision; None: as everywhere
-    help_ticks: int = 0  # for which a user's request raises a policy's level
+    config: RunConfig | None = None  # see `evaluate`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,8 +177,9 @@ def run_test(
             try:
                 for policy in group:
                     seen = partial(_tell, watch, policy.name, through, many)
-                    times = (plan.episodes, plan.max_steps, plan.seed, plan.tick_s)
-                    row = evaluate(policy, env, *times, plan.reward, seen, plan.help_ticks)
+                    row = evaluate(
+                        policy, env, plan.episodes, plan.max_steps, plan.seed, plan.tick_s, plan.config, seen
+                    )
                     rows[id(policy)] = row
                     through += 1
                     if progress is not None:

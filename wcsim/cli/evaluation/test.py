@@ -146,8 +146,7 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
         max_steps=options.max_steps,
         seed=options.seed,
         tick_s=config.world.tick_s,
-        reward=config.reward,
-        help_ticks=config.world.help_ticks if config.world.help_users else 0,
+        config=config,
     )
     with StageBar("testing") as bar, jams_once():
         bar.say(_told_of(plan, names))

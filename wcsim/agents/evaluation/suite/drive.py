@@ -25,7 +25,7 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
-from wcsim.agents.policy_api import Help, Policy, SeesTruth, Warns, tell_delay
+from wcsim.agents.policy_api import Helping, Policy, SeesTruth, Warns, tell_delay
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile, EpisodeFile
@@ -135,7 +135,7 @@ class _Seat:
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
-        self._help = Help(policy, config.world.help_ticks if config.world.help_users else 0)
+        self._help = Helping(policy, config.world.users_help_ticks)
         self._chair, self._link = Chair(config), HeldLink()
         self._meter = EpisodeMeter(config.world.tick_s, config.reward)
         self._alarms = Alarms(config.world.tick_s)
