@@ -11,6 +11,7 @@ from wcsim.agents.clients.clients_folder import create_clients_folder
 from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, world_order
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.cli import serve
+from wcsim.server.host import made_world
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town
 
@@ -24,3 +25,17 @@ def test_who_may_think_for_so_long_may_do_so_over_the_death_of_a_world_that_repl
     served = serve._order(serve.Options(lease=lease_s), find_town("helsinki"), config, Path("place"))
     for rules in (trained.rules, served.rules):
         assert rules.lease_s == lease_s and rules.rejoin_s >= max(lease_s, 30.0)
+
+
+def test_each_generation_of_a_world_is_in_the_next_town(
+    tmp_path: Path, corner: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, info = dqn_config(), RunInfo(seed=1, town="t", more_towns={str(corner): "0" * 64, "made:7": "0" * 64})
+    folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
+    run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
+    order = world_order(run, "helsinki", folder, tmp_path, WorldTerms(expected=1, lease_s=10.0))
+    assert order.more_towns == (find_town(str(corner)).address, "made:7")
+    monkeypatch.setattr(made_world, "asked_town", str)
+    monkeypatch.setattr(made_world, "World", lambda town, *given, epoch: (town, epoch))
+    worlds = [made_world.street_world(order.world, (None,), 3, epoch=epoch) for epoch in range(4)]
+    assert worlds == [("helsinki", 0), (str(corner), 1), ("made:7", 2), ("helsinki", 3)]

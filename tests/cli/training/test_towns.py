@@ -80,26 +80,10 @@ def test_clients_share_a_town_a_generation(tmp_path, corner, other):
     assert set(json.loads((tmp_path / "run" / "manifest.json").read_text())["more_towns"]) == {str(other)}
 
 
-def test_a_generated_town_is_made_once(tmp_path, monkeypatch, corner):
-    made: list[tuple[Path, str]] = []
-
-    def make(out, seed, wishes, overwrite):
-        made.append((out, wishes.split))
-        shutil.copytree(corner, out)
-        return open_town(out)
-
-    monkeypatch.setattr(asked_town, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr("wcsim.towns.making.maker.make_town", make)
-    monkeypatch.setattr(asked_town, "own_work", lambda out: ())
-    town = asked_town.asked_town("made:7")
-    assert asked_town.asked_town("made:7").folder == town.folder
-    assert made == [(tmp_path / "train-towns" / "made-7", "train")]
-
-
 BAD = {
+    "corner,corner": "a town comes twice",
     "corner,monaco": "monaco is a test town",
     "made:x": "expected made:SEED with a seed",
-    "made:2147483648": "expected made:SEED with a seed",
     ",": "expected one or more names",
 }
 

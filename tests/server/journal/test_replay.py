@@ -12,6 +12,7 @@ from wcsim.bridge.recording.trace_diff import first_difference
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
+from wcsim.drive.playing.sources.journal_source import journal_about
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
 from wcsim.server.journal.diff import journal_difference
 from wcsim.server.journal.journal import (
@@ -28,6 +29,8 @@ from wcsim.server.journal.journal import (
 )
 from wcsim.server.journal.replay import Seats, journal_worlds, rebuild_world, recompute, recompute_fcd, verify
 from wcsim.server.protocol.barrier import Kept
+from wcsim.towns.scenario.town import find_town, towns_hash
+from wcsim.towns.scene_folders.build import build_scene, find_scene
 
 
 @pytest.fixture(scope="module")
@@ -193,6 +196,22 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
         made_again(tmp_path / "empty")
     with pytest.raises(WcsimError, match="no epoch: it is truncated"):
         list(recompute(tmp_path / "empty"))
+
+
+def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, monkeypatch):
+    words = (str(corner), build_scene(find_scene("two-chairs"), tmp_path / "two-chairs")[0].address)
+    towns = [find_town(word) for word in words]
+    header = replace(
+        read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns)
+    )
+    monkeypatch.setattr("wcsim.server.journal.replay.World", lambda town, *given, epoch: town)
+    make = journal_worlds(header)
+    assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]
+    about = [journal_about(header, 9, epoch=epoch) for epoch in (None, 1)]
+    assert [film.town for film in about] == [town.address for town in towns]
+    assert all("change towns" in film.unknown[-1] for film in about)
+    with pytest.raises(TownError, match="a net has changed"):
+        journal_worlds(replace(header, more_towns=words[:1]))
 
 
 def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp_path):

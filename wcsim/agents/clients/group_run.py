@@ -14,6 +14,8 @@ from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules, rejoin_within
 from wcsim.server.specs import ClientSpec, Recovery, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
 from wcsim.server.transport.world_folder import endpoint_in
+from wcsim.towns.making.asked_town import made_seed
+from wcsim.towns.scenario.town import find_town
 from wcsim.users.profiles import recordings
 
 GATHER_S = 600.0  # the first tick waits so long for all clients, whose learners take their time to load
@@ -76,9 +78,10 @@ def world_order(run: GroupRun, town: str, folder: ClientsFolder, place: Path, te
         rejoin_s=rejoin_within(terms.lease_s),
         recordings=recordings(client.config.env.profile for client in run.clients),
     )
+    more = [word if made_seed(word) is not None else find_town(word).address for word in run.info.more_towns]
     return WorldSpec(
         town=town,
-        more_towns=tuple(run.info.more_towns),
+        more_towns=tuple(more),
         config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
         seed=run.info.seed,
         rules=rules,

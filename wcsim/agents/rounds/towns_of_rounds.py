@@ -8,10 +8,11 @@ from typing import Final
 
 from wcsim.config import RunConfig
 from wcsim.core import seeding
+from wcsim.errors import TownError
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.wishes import Wishes
-from wcsim.towns.scenario.town import Town, open_town
+from wcsim.towns.scenario.town import Town, find_town, open_town
 
 TOWNS: Final = "towns"
 
@@ -35,11 +36,14 @@ def towns_of(
         stage: Told what is made.
 
     Raises:
-        TownError: A town is missing, or cannot be made.
+        TownError: A town is missing, is meant for tests, or cannot be made.
         SumoError: One of SUMO's tools failed.
     """
-    typed = [word for word in more if word not in config.collect.towns]
-    others = [asked_town(word) for word in (*typed, *config.collect.towns)]
+    listed = [find_town(name) for name in config.collect.towns]
+    for town in listed:
+        if town.split == "test":
+            raise TownError(f"collect.towns: {town.name} is a test town; expected training towns")
+    others = [*map(asked_town, more), *listed]
     made = config.collect.made_towns if config.collect.segments else 0
     for number in range(made):
         drawn = seeding.derive(seed, "collect", "town", number)

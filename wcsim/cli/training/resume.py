@@ -63,26 +63,25 @@ def is_of_clients(path: Path) -> bool:
 
 
 def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
-    """The first town that a run was made in.
+    """The town that a run was made in, of several the first one.
 
     Raises:
         PolicyError: Others were typed, or one has other streets by now.
-        TownError: It is not found under the name that it had.
+        TownError: One is not found under the name that it had.
     """
-    made_in = some_words("--town", value_of(manifest.command, "town") or manifest.town)
-    words = made_in if typed.town is None else some_words("--town", typed.town)
-    told = f"--town {','.join(words)}"
+    said = typed.town or value_of(manifest.command, "town") or manifest.town
     try:
-        towns, others = [asked_town(word) for word in words], [asked_town(word) for word in manifest.more_towns]
+        towns = [asked_town(word) for word in some_words("--town", said)]
+        kept = [asked_town(word) for word in manifest.more_towns]
     except TownError as error:
         if typed.town is not None:
             raise
-        raise TownError(f"{path} was made with {told}: {error}; give its location: --town FOLDER") from None
-    kept = [manifest.town_sha256, *manifest.more_towns.values()]
-    if [streets_hash(town) for town in towns] != kept[: len(made_in)]:
-        raise _another(path, "town_sha256", told)
-    if [streets_hash(town) for town in others] != kept[1:]:
-        raise _another(path, "more_towns", ", ".join(manifest.more_towns))
+        raise TownError(f"{path} was made in the town {said!r}: {error}; give its location: --town FOLDER") from None
+    of_run = [manifest.town_sha256, *manifest.more_towns.values()]
+    for found in (towns, [towns[0], *kept]):
+        if [streets_hash(town) for town in found] != of_run:
+            own = ", ".join((manifest.town, *manifest.more_towns))
+            raise _another(path, "town or other streets", f"--town {said}", own)
     return towns[0]
 
 

@@ -239,22 +239,26 @@ def _train_clients(options: Options, words: list[str]) -> int:
 
 def _first_town(options: Options) -> Town:
     """The one that names the run folder."""
-    return checked_town(some_words("--town", options.town)[0], True)
+    return checked_town(some_words("--town", options.town)[0], allow_test_town=True)
 
 
 def _placed(options: Options, words: list[str], config: RunConfig) -> tuple[Town, RunInfo]:
     """The run's own town, and what is known of a run with those that take turns with it.
 
-    Raises TownError for one that is kept for tests, and for two of one name.
+    Raises:
+        TownError: One is kept for tests, or two have one name.
+        ConfigError: The world would never change town.
     """
-    own, *more = dict.fromkeys(some_words("--town", options.town))
-    asked = {
-        word: checked_town(word, options.allow_test_town) for word in dict.fromkeys((own, *more, *config.collect.towns))
-    }
-    by_name(asked.values())
-    town = asked.pop(own)
-    hashes = {word: streets_hash(found) for word, found in asked.items()}
-    return town, replace(_info_of(options, words), more_towns=hashes)
+    typed = some_words("--town", options.town)
+    towns = [checked_town(word, options.allow_test_town) for word in typed]
+    if len(by_name(towns)) < len(towns):
+        raise ConfigError(f"--town {options.town}: a town comes twice; expected each once")
+    if len(towns) > 1 and not learns_in_rounds(config) and not config.epoch_ticks:
+        raise ConfigError(
+            f"--town {options.town}: with world.epoch_ticks=0 the world never changes town; set it above 0"
+        )
+    more = {word: streets_hash(town) for word, town in zip(typed[1:], towns[1:], strict=True)}
+    return towns[0], replace(_info_of(options, words), more_towns=more)
 
 
 def checked_town(name: str, allow_test_town: bool) -> Town:
