@@ -38,6 +38,14 @@ def test_a_scenario_becomes_a_town_of_its_own(corner_town: Town, tmp_path: Path)
     assert [path.name for path in (tmp_path / "towns").iterdir()] == ["mine"]
 
 
+def test_chairs_drive_on_cycle_paths_of_a_scenario_where_they_may(corner_town: Town, tmp_path: Path) -> None:
+    usual, law = (
+        adopt_scenario(corner_town.sumocfg, "mine", tmp_path / str(ways), cycle_paths=ways) for ways in (False, True)
+    )
+    assert law.file.chair_ways == (*usual.file.chair_ways, "cycleway")
+    assert law.file == usual.file.model_copy(update={"chair_ways": law.file.chair_ways})
+
+
 @pytest.mark.parametrize(
     ("theirs", "copied"),
     [

@@ -71,7 +71,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self.metadata = {**self.metadata, "render_fps": self._face.metadata["render_fps"]}
         self._join = join
         self._towns, self._root_seed, self._turn, self._steps = (town, *towns), 0, 0, 0
-        self.on_town: Callable[[str], object] = lambda town: None  # told of each town of several
+        self.on_town: Callable[[str], object] | None = None  # told of each town of several
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
         self._waits_no_more = False
@@ -213,7 +213,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if len(self._towns) == 1:
             return order
         self.town = self._towns[(seeding.derive(root, "towns") + turn) % len(self._towns)]
-        self.on_town(self.town)
+        if self.on_town is not None:
+            self.on_town(self.town)
         return replace(order, town=self.town)
 
 
