@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, data_digest, key_of, read_manifest
-from wcsim.agents.danger.export.export_folder import REFERENCE
-from wcsim.agents.danger.export.guard_file import MEANING
-from wcsim.agents.danger.export.onnx_export import export_danger
+from wcsim.agents.export.export_folder import REFERENCE
+from wcsim.agents.export.guard_file import MEANING
+from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.policies.onnx_policy import MODEL_FILE
 from wcsim.agents.policy_api import Observation
 from wcsim.agents.rounds.learned_data import data_of
@@ -49,7 +49,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
     policy = run.policy("final")
     told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
-        export_danger(policy, Path(held) / "onnx", run.config, ride)
+        export_policy(policy, Path(held) / "onnx", run.config, ride)
 
         def fill(target: Path) -> None:
             for name in (POLICY_JSON, WEIGHTS):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger

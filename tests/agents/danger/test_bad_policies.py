@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.collecting.data_folder import read_manifest, require_same_settings, write_manifest
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import load_danger, save_danger

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.agents.danger.export.test_onnx_graph import network
+from tests.agents.export.test_danger_graph import network
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import DangerPolicy

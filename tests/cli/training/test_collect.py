@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tests.agents.danger.export.test_onnx_graph import CONFIG, network
+from tests.agents.export.test_danger_graph import CONFIG, network
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
 from wcsim.agents.danger.rule import DangerRule

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
+from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
 from tests.users.recording.drives import tick, write_drive
-from wcsim.agents.danger.export.export_folder import WRITTEN
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.rounds import recorded_ride
 from wcsim.agents.rounds.recorded_ride import RecordedRide
 from wcsim.cli.recordings.user_record import SMALL_CAMERA

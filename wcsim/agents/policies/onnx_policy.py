@@ -11,14 +11,14 @@ A model is bounded: in bytes, in the memory of its arrays and in the time of loa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import ANSWER_S, NotFinite, Observation
+from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import FileKind, is_file, read_toml, shown
@@ -97,7 +97,10 @@ class OnnxPolicy:
         Raises:
             PolicyError: The model cannot use the observation, gives something else, or needs more than `ANSWER_S`.
         """
-        given = {key: self._state[key] if key in self._state else _fed(key, observation) for key in self._inputs}
+        given = {
+            key: self._state[key] if key in self._state else _fed(key, item.shape, observation)
+            for key, item in self._inputs.items()
+        }
         try:
             found = self._found(given)
             values = np.asarray(found[self._outputs[0]], np.float64).reshape(-1)
@@ -159,12 +162,14 @@ def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> An
     return found[0]
 
 
-def _fed(key: str, observation: Observation) -> Any:
+def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
+    """An input of that shape; of a window that others in a test need, a model that says how many gets the newest."""
     if key not in observation:
         raise PolicyError(
             f"the model wants an input {shown(key, 40)!r}; this test observes {', '.join(sorted(observation))}"
         )
-    return np.ascontiguousarray(observation[key])[None]
+    images = shape[1] if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int) else 0
+    return np.ascontiguousarray(observation[key][-images:])[None]
 
 
 def open_session(path: Path) -> Any:

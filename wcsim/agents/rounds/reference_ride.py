@@ -8,8 +8,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair, HeldLink
-from wcsim.agents.envs.senses import with_senses
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES
+from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
@@ -30,7 +29,7 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     user who never errs would give a policy nothing to do, and a blind one would do as well. Where the episode ends it
     begins anew; where each one ends it is the longest, with fewer steps. Raises TownError.
     """
-    sensing = with_senses(config, SENSES)
+    sensing = with_senses(config, senses_of(policy))
     spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)
     pushes, longest = pushed_sticks(steps, seed), list[Observation]()
     with World(find_town(town), sensing, (spec,), seed) as world:

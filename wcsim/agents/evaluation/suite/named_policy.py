@@ -8,9 +8,9 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.danger.export.guard_file import guard_of
-from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
 from wcsim.agents.envs.senses import senses_of, with_senses
+from wcsim.agents.export.guard_file import guard_of
+from wcsim.agents.export.guarded_policy import GuardedPolicy
 from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.danger.guard import GuardRule
+from wcsim.agents.export.guard import GuardRule
 from wcsim.config import parse
 from wcsim.config.run_file import GuardFile
 from wcsim.core.reading import FileKind, is_file, read_json, shown

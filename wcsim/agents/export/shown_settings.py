@@ -1,4 +1,4 @@
-"""The settings that decide what a danger network is shown, as the words of `--set`."""
+"""The settings that decide what a network is shown, as the words of `--set`."""
 
 from __future__ import annotations
 
@@ -8,22 +8,28 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.policy_api import ODOMETRY_KEY
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import RunConfig
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 
-ODOMETRY, TURNS = "sensors.odometry=typical", "env.observe_gyro=true"
 _CAMERA: Final = ("width_px", "height_px", *SIGHT_KEYS)
-_OTHERS: Final = (("env", "actions"), ("env", "classes"), ("world", "tick_s"))
+_OTHERS: Final = (
+    *(("env", "actions"), ("env", "classes"), ("world", "tick_s")),
+    *(("env", "observe_gyro"), ("env", "observe_yaw")),
+)
 
 
 def settings_apart(own: RunConfig, other: RunConfig) -> list[str]:
     """The settings of what a network sees and can choose, as far as another configuration has others."""
     mine, others = own.model_dump(mode="json"), other.model_dump(mode="json")
+    there = other.sensors.on()
     camera, usual = mine["cameras"][0], others["cameras"][0]
     told = [(f"cameras.0.{key}", camera[key]) for key in _CAMERA if camera[key] != usual[key]]
+    for name, sensor in own.sensors.on().items():
+        if name not in there:
+            told += [(f"sensors.{name}", "typical")]
+            told += [(f"sensors.{name}.{key}", value) for key, value in sensor if value != getattr(type(sensor)(), key)]
     told += [(f"{part}.{key}", mine[part][key]) for part, key in _OTHERS if mine[part][key] != others[part][key]]
     return as_words(told)
 
@@ -42,7 +48,7 @@ def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) 
 
     Args:
         recorded: Settings of the recording.
-        own: Those that fit the policy.
+        own: Those that fit the policy, with its senses.
         file: The recording.
         policy: The network's name.
 
@@ -50,8 +56,6 @@ def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) 
         PolicyError: With all that has to be set when it is recorded again.
     """
     words = settings_apart(own, recorded)
-    words += [] if ODOMETRY_KEY in recorded.sensors.measures() else [ODOMETRY]
-    words += [] if recorded.env.observe_gyro else [TURNS]
     if words:
         typed = " ".join(f"--set {shlex.quote(word)}" for word in words)
         raise PolicyError(

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import psutil
 import pytest
 
-from wcsim.agents.danger.export import footprint
+from wcsim.agents.export import footprint
 
 
 class Ended(KeyboardInterrupt):

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.danger.export.onnx_graph import DangerGraph
-from wcsim.agents.danger.guard import GuardRule
 from wcsim.agents.danger.rule import RIVAL_KEYS
-from wcsim.agents.runs.policy_file import read_danger_file
+from wcsim.agents.export.danger_graph import DangerGraph
+from wcsim.agents.export.guard import GuardRule
+from wcsim.agents.export.value_graph import ValueGraph
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import imu_size
 from wcsim.types import ClassId
 
 _NOT_FOR: Final = (
@@ -19,18 +20,19 @@ _NOT_FOR: Final = (
     "has driven with it"
 )
 _INPUTS: Final = {
-    "depth": "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 m), rounded to the "
+    DEPTH_KEY: "uint8 (1, 1, H, W): 0 not measured, else 1 + 254 log(d / 0.1 m) / log(range / 0.1 m), rounded to the "
     "nearest, d along the optical axis, at least 0.1 m and at most the range; a pixel is what lies in the direction of "
     "its middle (of a larger picture: the nearest pixel, no mean)",
-    "seg": "uint8 (1, 1, H, W): the numbers of `classes` (Cityscapes labelIds; where 34 to 36 are not among them, "
+    CLASS_KEY: "uint8 (1, 1, H, W): the numbers of `classes` (Cityscapes labelIds; where 34 to 36 are not among them, "
     "kerbs are sidewalk and crosswalks road), at the pixels of depth",
-    "imu": "float32 (1, 8), each within -1..1: mean specific force x, y, z of the tick / 40 m/s2 (at rest z is "
-    "+0.245), roll / pi (right side down is positive), pitch / (pi / 2) (nose up is positive), turn rates about x, y, "
-    "z / 4 rad/s (right-handed); x ahead, y left, z up, of the chair; see `senses`",
-    "odometry": "float32 (1, 2), each within -1..1: mean speed of the tick / 4 m/s, turn rate / 4 rad/s, to the left "
-    "is positive",
-    "joystick": "float32 (1, 2): the user's stick, x right, y ahead, in -1..1",
+    JOYSTICK_KEY: "float32 (1, 2): the user's stick, x right, y ahead, in -1..1",
 }
+_FORCE_AND_TILT: Final = (
+    "each within -1..1: mean specific force x, y, z of the tick / 40 m/s2 (at rest z is +0.245), roll / pi (right side "
+    "down is positive), pitch / (pi / 2) (nose up is positive)"
+)
+_TURNS: Final = ", turn rates about x, y, z / 4 rad/s (right-handed)"
+_HEADING: Final = ", sine and cosine of the heading"
 _WHEN: Final = (
     "all inputs describe the end of a tick; one tick every tick_s. Use each picture once: a tick without a new picture "
     "has no frame (see the guard)"
@@ -44,6 +46,10 @@ _OUTPUTS: Final = {
     "warning": "float32 (1, 1): above 0.5 the user should be warned",
     "danger": "float32 (1, A) in 0..1: the danger of each action",
 }
+_VALUES: Final = (
+    "the reward that the network expects from an action on, reward_scale times the sum of discount^n times the reward "
+    "of the nth tick; compare values of one tick, they are no probabilities and no dangers"
+)
 _RULE: Final = (
     "already in `values`: the user's own action where its danger is below threshold, or below at_once and it was not "
     "above the threshold in the ticks before, which state_recent counts; else the nearest action that is below it, "
@@ -64,27 +70,49 @@ _GUARD: Final = (
 )
 
 
-def meaning_of(policy: Path, graph: DangerGraph, config: RunConfig) -> dict[str, Any]:
-    """Units, scales, signs, classes, rule, camera, chair and guard of an exported policy, as JSON values."""
-    file, actions = read_danger_file(policy), action_set(config.env.actions)
+def meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
+    """Units, scales, signs, classes, camera, chair and guard of an exported policy, as JSON values."""
+    actions, sensors = action_set(config.env.actions), config.sensors.on()
     folded = config.env.classes == "cityscapes"
+    sensed = {key: section.model_dump(mode="json") for key, section in sensors.items() if key in graph.inputs}
     return {
         "not_for": _NOT_FOR,
-        "inputs": _INPUTS,
+        "inputs": {key: _input(key, config) for key in graph.inputs},
         "when": _WHEN,
         "states": {name: list(shape) for name, shape in graph.shapes().items()},
         "reset": _RESET,
-        "outputs": _OUTPUTS,
+        "outputs": {key: _OUTPUTS[key] for key in graph.outputs},
         "actions_xy": actions.points.tolist(),
-        "rule": {key: value for key, value in asdict(graph.rule).items() if key not in RIVAL_KEYS},
-        "rule_meaning": _RULE,
+        **_of_kind(graph, config),
         "classes": {kind.name.lower(): int(kind) for kind in ClassId if kind < ClassId.KERB or not folded},
-        "camera": file.camera.model_dump(mode="json"),
-        "senses": {"imu": config.imu.model_dump(mode="json"), "odometry": "typical"},
+        "camera": config.cameras[0].model_dump(mode="json"),
+        "senses": {"imu": config.imu.model_dump(mode="json"), **sensed},
         "senses_meaning": _SENSES,
-        "chair": file.chair.model_dump(mode="json"),
+        "chair": config.chair.model_dump(mode="json"),
         "tick_s": config.world.tick_s,
         "action_delay_ticks": config.world.action_delay_ticks,
         "guard": asdict(GuardRule(tick_s=config.world.tick_s, deadline_s=config.world.tick_s)),
         "guard_meaning": _GUARD,
     }
+
+
+def _input(key: str, config: RunConfig) -> str:
+    """What an input holds."""
+    if key == IMU_KEY:
+        more = _TURNS * config.env.observe_gyro + _HEADING * config.env.observe_yaw
+        size = imu_size(config.env.observe_gyro, config.env.observe_yaw)
+        return f"float32 (1, {size}), {_FORCE_AND_TILT}{more}; x ahead, y left, z up, of the chair; see `senses`"
+    if key in _INPUTS:
+        return _INPUTS[key]
+    measure = config.sensors.measures()[key]
+    parts = ", ".join(f"{part} / {scale:g}" for part, scale in zip(measure.parts, measure.full_scale, strict=True))
+    return f"float32 (1, {len(measure.parts)}), each within -1..1: {parts}, means of the tick; to the left is positive"
+
+
+def _of_kind(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
+    """How a danger network's dangers become an action, or what the values of Q-learning are."""
+    if isinstance(graph, DangerGraph):
+        rule = {key: value for key, value in asdict(graph.rule).items() if key not in RIVAL_KEYS}
+        return {"rule": rule, "rule_meaning": _RULE}
+    scale = graph.net.spec.prior.reward_scale
+    return {"values_meaning": _VALUES, "reward_scale": scale, "discount": config.learn.gamma}

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
-from wcsim.agents.danger.guard import FAULTS, GuardRule, GuardState, GuardTick, fault_of, guarded
+from wcsim.agents.export.guard import FAULTS, GuardRule, GuardState, GuardTick, fault_of, guarded
+from wcsim.agents.export.guarded_policy import GuardedPolicy
 from wcsim.supervisor.actions import action_set
 
-EXAMPLE = runpy.run_path(str(Path(__file__).parents[4] / "examples" / "exported_policy.py"), run_name="example")
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
 RULE = GuardRule()
 SIDE = st.floats(-1.0, 1.0)
 AGES = st.sampled_from([0.0, 0.1, 0.3, 0.30001, 5.0, math.inf, math.nan])

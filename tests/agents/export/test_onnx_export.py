@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.agents.danger.export.test_guarded_policy import EXAMPLE
-from tests.agents.danger.export.test_onnx_graph import CONFIG, network, ride
-from wcsim.agents.danger.export import onnx_export
-from wcsim.agents.danger.export.guard_file import MEANING, guard_of
-from wcsim.agents.danger.export.guarded_policy import GuardedPolicy
-from wcsim.agents.danger.export.onnx_export import MOST_OFF, ExportFacts, export_danger
-from wcsim.agents.danger.guard import GuardRule
+from tests.agents.export.test_danger_graph import CONFIG, network, ride
+from tests.agents.export.test_guarded_policy import EXAMPLE
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import open_named
+from wcsim.agents.export import onnx_export
+from wcsim.agents.export.guard import GuardRule
+from wcsim.agents.export.guard_file import MEANING, guard_of
+from wcsim.agents.export.guarded_policy import GuardedPolicy
+from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import load_run_config
@@ -27,14 +27,14 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 RIDE = ride(200)
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ExportFacts]:
     place = tmp_path_factory.mktemp("export")
     save_danger(place / "policy", network(), DangerRule(threshold=0.4), CONFIG)
-    return place / "onnx", export_danger(place / "policy", place / "onnx", CONFIG, RIDE, level=0.35)
+    return place / "onnx", export_policy(place / "policy", place / "onnx", CONFIG, RIDE, level=0.35)
 
 
 def test_200_steps_are_those_of_the_network_and_of_wcsim(made):
@@ -105,7 +105,7 @@ def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
 def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
     save_danger(tmp_path / "rival", network(rival=True, gaps="rival"), DangerRule(), CONFIG)
     with pytest.raises(PolicyError, match=r"danger\.rival=false --set danger\.gaps=map"):
-        export_danger(tmp_path / "rival", tmp_path / "out", CONFIG, RIDE[:2])
+        export_policy(tmp_path / "rival", tmp_path / "out", CONFIG, RIDE[:2])
     (tmp_path / MEANING).write_text(json.dumps({"guard": {"oldest_s": -1.0}}))
     with pytest.raises(PolicyError, match="oldest_s"):
         guard_of(tmp_path)

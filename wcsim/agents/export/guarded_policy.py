@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.agents.danger.guard import GuardRule, GuardState, GuardTick, Stick, guarded
+from wcsim.agents.export.guard import GuardRule, GuardState, GuardTick, Stick, guarded
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
 from wcsim.supervisor.actions import ActionSet
 

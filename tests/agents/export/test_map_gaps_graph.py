@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.agents.danger.export.test_onnx_graph import CONFIG, ride
-from wcsim.agents.danger.export.drive_law import Drive
-from wcsim.agents.danger.export.map_gaps_graph import MapGaps
+from tests.agents.export.test_danger_graph import CONFIG, ride
 from wcsim.agents.danger.roll_outs import HOLD_S, STEP_S, STEPS
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.danger.street_map import OWN_PLANES
+from wcsim.agents.export.drive_law import Drive
+from wcsim.agents.export.map_gaps_graph import MapGaps
 from wcsim.config import with_overrides
 from wcsim.core.joystick import limits_of
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from wcsim.agents.danger.export.drive_law import Drive
-from wcsim.agents.danger.export.onnx_graph import DangerGraph
 from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import DangerRule, choose, next_recent, within
 from wcsim.agents.danger.sight import Eye
+from wcsim.agents.export.danger_graph import DangerGraph
+from wcsim.agents.export.drive_law import Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
 from wcsim.core.joystick import driven, limits_of, shaped_rows
 from wcsim.errors import PolicyError
@@ -74,7 +74,7 @@ def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
     for seen in ride(25):
         eye.look(seen)
         with torch.inference_mode():
-            values, _, _, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.INPUTS), *state)
+            values, _, _, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
         assert np.allclose(state[0][0, 5:8], eye.around.ego.motion, atol=1e-4)
         assert np.allclose(state[0][0, 2:5], eye.around.ego.pose_O, atol=1e-4)
         start, later_s = eye.around.start()
@@ -103,7 +103,7 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
     for seen in ride(shape=(height, width)):
         sight = eye.look(seen)
         with torch.inference_mode():
-            values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.INPUTS), *state)
+            values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
             wanted = torch.sigmoid(net(*inputs([sight], eye)))
         own = graph._codes(state[0], state[4])
         differ = (own - torch.as_tensor(sight.picture[:5]).float()).abs() > 2.0

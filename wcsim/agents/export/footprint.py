@@ -20,12 +20,11 @@ from typing import IO, Any, Final
 
 import numpy as np
 
-from wcsim.agents.danger.export import step_meter
+from wcsim.agents.export import step_meter
 from wcsim.errors import PolicyError
 
 SHARE: Final = 0.5  # of a core, while the quota is measured
 PERIOD_S: Final = 0.01  # in which it runs for its share, and stands still for the rest
-BAR_MS: Final = 3.0  # for a step of a danger network
 _PATIENCE_S: Final = 300.0
 
 

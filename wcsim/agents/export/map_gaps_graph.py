@@ -7,7 +7,6 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from wcsim.agents.danger.export.drive_law import Places
 from wcsim.agents.danger.map_gaps import (
     FAR_CELLS,
     FIRST_ROW,
@@ -19,6 +18,7 @@ from wcsim.agents.danger.map_gaps import (
 )
 from wcsim.agents.danger.roll_outs import INSIDE_M, NEAR_M, STEPS, TOUCH_M, WAY_M
 from wcsim.agents.danger.street_map import BEHIND_M, CELL_M, HALF_M, HIGHEST, LOWEST, SIDE, TRAIL
+from wcsim.agents.export.drive_law import Places
 from wcsim.types import F64
 
 _SPAN = 2 * FAR_CELLS - 1  # cells along which a nearest one is looked for

@@ -1,7 +1,7 @@
 """The whole way from camera frames to an action as one network, for export: what it remembers goes in and comes out.
 
 It makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the two together
-(`tests/agents/danger/export/test_onnx_graph.py`). Networks that look at what the rival remembers cannot be exported so.
+(`tests/agents/export/test_danger_graph.py`). Networks that look at what the rival remembers cannot be exported so.
 Each operation costs a machine more than the numbers in it, so there are as few as can be.
 """
 
@@ -13,8 +13,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from wcsim.agents.danger.export.drive_law import Drive, Motion, Places
-from wcsim.agents.danger.export.map_gaps_graph import MapGaps
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
 from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS, DangerRule
@@ -36,6 +34,8 @@ from wcsim.agents.danger.street_map import (
     kinds_of_ground,
     movers,
 )
+from wcsim.agents.export.drive_law import Drive, Motion, Places
+from wcsim.agents.export.map_gaps_graph import MapGaps
 from wcsim.agents.policies.alarm import CALM, NEWEST
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.ego_motion import (
@@ -57,8 +57,6 @@ _KEY, _TICK, _MOVER, _CLASS, _HIGH, _LOW = range(6)
 _KEYS: Final = 4096.0  # cells each way, after which keys come again: 410 m away, and float32 holds all of them
 _NOWHERE: Final = -1.0e6
 
-State = dict[str, tuple[int, ...]]
-
 
 class DangerGraph(nn.Module):
     """One step of a danger policy; every state is zero at the start of an episode.
@@ -69,11 +67,11 @@ class DangerGraph(nn.Module):
         rule: From dangers to an action.
     """
 
-    INPUTS: Final = ("depth", "seg", "imu", "odometry", "joystick")
-    STATES: Final = (
-        *("state_motion", "state_waiting", "state_sent", "state_last", "state_cells", "state_alarm", "state_recent"),
-    )
-    OUTPUTS: Final = ("values", "warning", "danger")
+    inputs: Final = ("depth", "seg", "imu", "odometry", "joystick")
+    outputs: Final = ("values", "warning", "danger")
+    checked: Final = "danger"  # the output that is compared with the network's own
+    border_share: Final = 0.02  # of the steps, in which a place on the border of two cells may be read in the other
+    window: Final = 1  # images that it looks at
 
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
         """Raises PolicyError for a network that cannot be exported."""
@@ -125,7 +123,7 @@ class DangerGraph(nn.Module):
         for name, array in kept.items():
             self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)), persistent=False)
 
-    def shapes(self) -> State:
+    def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shapes of all states."""
         return {
             "state_motion": (1, 8),  # begun, tick, x, y, yaw in O, v, w, acceleration

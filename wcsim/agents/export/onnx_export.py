@@ -1,4 +1,4 @@
-"""Exports a danger policy for whoever has no wcsim: one ONNX model per tick, what it means, and reference steps."""
+"""Exports a trained policy for whoever has no wcsim: one ONNX model per tick, what it means, and reference steps."""
 
 from __future__ import annotations
 
@@ -13,18 +13,23 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.export.export_folder import LOOP, REFERENCE, loop_place
-from wcsim.agents.danger.export.footprint import BAR_MS, PERIOD_S, SHARE, Footprint, footprint
-from wcsim.agents.danger.export.guard_file import MEANING
-from wcsim.agents.danger.export.meaning import meaning_of
-from wcsim.agents.danger.export.onnx_graph import DangerGraph
-from wcsim.agents.danger.export.shown_settings import ODOMETRY, TURNS, as_words, settings_apart
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import alone
 from wcsim.agents.danger.saved import load_net
+from wcsim.agents.envs.frame_window import FrameWindow, newest
+from wcsim.agents.envs.senses import senses_of, with_senses
+from wcsim.agents.export.danger_graph import DangerGraph
+from wcsim.agents.export.export_folder import LOOP, REFERENCE, loop_place
+from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint
+from wcsim.agents.export.guard_file import MEANING
+from wcsim.agents.export.meaning import meaning_of
+from wcsim.agents.export.shown_settings import as_words, settings_apart
+from wcsim.agents.export.value_graph import ValueGraph
+from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE, open_session
-from wcsim.agents.policy_api import Observation
+from wcsim.agents.policy_api import Observation, Policy
+from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import files
 from wcsim.errors import PolicyError
@@ -32,10 +37,10 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F32
 
 _PRESET: Final = "quick"  # that policy.toml begins with
-MOST_OFF: Final = 1e-4  # of a danger, between the model and the network it was made of
-BORDER_SHARE: Final = 0.02  # of the steps, in which a place may lie on the border of two cells and be read in the other
-BORDER_OFF: Final = 0.05  # of a danger, in such a step
+MOST_OFF: Final = 1e-4  # of the largest danger or value, between the model and the network it was made of
+BORDER_OFF: Final = 0.05  # of it, in a step in which a place on the border of two cells was read in the other
 LEAST_SAME: Final = 0.95  # of the actions, as wcsim's own policy chooses: a border may lead on to others
+Graph = DangerGraph | ValueGraph
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,9 +50,9 @@ class ExportFacts:
     steps: int
     interventions: int  # steps whose action is not the user's own
     warnings: int  # steps with a warning
-    most_off: float  # of a danger, over all reference steps but those at borders
+    most_off: float  # of the largest danger or value, over all reference steps but those at borders
     border_steps: int  # in which a place on the border of two cells was read in the other
-    border_off: float  # of a danger, in these
+    border_off: float  # of the largest danger, in these
     same_actions: float  # share of the steps
     same_as_wcsim: float  # share of the steps that the policy of wcsim itself chooses
     same_as_recorded: float | None = None  # share of a recording's actions that are these; None without a recording
@@ -56,10 +61,9 @@ class ExportFacts:
     quota_share: float = SHARE
     quota_period_s: float = PERIOD_S
     quota_by: str = "SIGSTOP and SIGCONT"
-    bar_ms: float = BAR_MS
 
 
-def export_danger(
+def export_policy(
     policy: Path,
     out: Path,
     config: RunConfig,
@@ -67,6 +71,7 @@ def export_danger(
     limit_ms: float = math.inf,
     level: float | None = None,
     recorded: Sequence[int] | None = None,
+    network: str | None = None,
 ) -> ExportFacts:
     """Write an ONNX folder that `wcsim test` takes as a policy, in one step.
 
@@ -78,6 +83,7 @@ def export_danger(
         limit_ms: For a decision, 99 of 100 times.
         level: Of assistance, a threshold of danger; None for the policy's own.
         recorded: What was chosen in the ride when it was recorded, by whomever, to compare with; None for no recording.
+        network: Somebody's own class that may be loaded, `module:Class`.
 
     Raises:
         PolicyError: The network cannot be exported, the model differs from it or is too slow, or ONNX is not
@@ -85,15 +91,16 @@ def export_danger(
         DiskFullError: There is no room.
     """
     torch.set_num_threads(1)  # one picture is too little for two threads, as in `open_policy`
-    net, rule = load_net(policy)
-    rule = alone(rule if level is None else replace(rule, threshold=level))
-    chosen = _chosen(DangerPolicy("own", net, config, rule), ride)
-    graph = DangerGraph(net, config, rule).train(False)
+    graph, own = _opened(policy, config, level, network)
+    graph.train(False)
+    config = with_senses(config, senses_of(own))
+    ride = [newest(seen, 1) for seen in ride]
+    chosen = _chosen(own, ride, graph.window)
     shapes = graph.shapes()
-    given = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.INPUTS)
+    given = tuple(torch.as_tensor(ride[0][key])[None] for key in graph.inputs)
     states = tuple(torch.zeros(shape) for shape in shapes.values())
-    outputs = (*graph.OUTPUTS, *(f"next_{name}" for name in shapes))
-    model = exported(graph, (*given, *states), (*graph.INPUTS, *shapes), outputs)
+    outputs = (*graph.outputs, *(f"next_{name}" for name in shapes))
+    model = exported(graph, (*given, *states), (*graph.inputs, *shapes), outputs)
     facts: list[ExportFacts] = []
 
     def fill(target: Path) -> None:
@@ -107,7 +114,7 @@ def export_danger(
         (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
         shutil.copyfile(loop_place(), target / LOOP)
         measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts[0])}
-        files.write_json(target / MEANING, {**meaning_of(policy, graph, config), **measured})
+        files.write_json(target / MEANING, {**meaning_of(graph, config), **measured})
 
     files.write_folder(out, fill)
     return facts[0]
@@ -139,35 +146,46 @@ def run_model(
     return {name: np.stack(values) for name, values in told.items()}
 
 
-def _chosen(policy: DangerPolicy, ride: Sequence[Observation]) -> list[int]:
-    """What the policy itself does on a ride."""
+def _opened(policy: Path, config: RunConfig, level: float | None, network: str | None) -> tuple[Graph, Policy]:
+    """A policy as a graph, and as wcsim drives with it."""
+    if not is_danger(policy):
+        held = load_policy(policy, network)
+        return ValueGraph(held.net, held.file.window), held
+    net, rule = load_net(policy)
+    rule = alone(rule if level is None else replace(rule, threshold=level))
+    return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
+
+
+def _chosen(policy: Policy, ride: Sequence[Observation], window: int) -> list[int]:
+    """What the policy itself does on a ride of single images."""
+    held = FrameWindow(window)
     policy.begin()
     policy.reset()
-    return [policy.act(seen) for seen in ride]
+    return [policy.act(held.add(dict(seen))) for seen in ride]
 
 
 def _write_reference(
     target: Path,
-    graph: DangerGraph,
+    graph: Graph,
     ride: Sequence[Observation],
     chosen: Sequence[int],
     points: ActionSet,
     recorded: Sequence[int] | None,
 ) -> ExportFacts:
-    dangers, actions, before = [], [], []
-    state = [torch.zeros(shape) for shape in graph.shapes().values()]
+    wanted, actions, before = [], [], []
+    at, state = graph.outputs.index(graph.checked), [torch.zeros(shape) for shape in graph.shapes().values()]
     with torch.inference_mode():
         for seen in ride:
             before.append([part.numpy() for part in state])
-            given = [torch.as_tensor(seen[key])[None] for key in graph.INPUTS]
-            values, _, danger, *state = graph(*given, *state)
-            dangers.append(danger[0].numpy())
-            actions.append(int(values.argmax()))
-    off = _off(run_model(target / MODEL_FILE, ride, graph.INPUTS, before)["danger"], np.stack(dangers))
-    told = run_model(target / MODEL_FILE, ride, graph.INPUTS)
-    inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.INPUTS}
+            out = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
+            state = list(out[len(graph.outputs) :])
+            wanted.append(out[at][0].numpy())
+            actions.append(int(out[0].argmax()))
+    off = _off(run_model(target / MODEL_FILE, ride, graph.inputs, before)[graph.checked], np.stack(wanted), graph)
+    told = run_model(target / MODEL_FILE, ride, graph.inputs)
+    inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.inputs}
     # Its own actions, whoever drove a recording: whoever runs the model again can have no others.
-    kept: dict[str, Any] = {**inputs, "danger": told["danger"], "action": np.array(actions)}
+    kept: dict[str, Any] = {**inputs, graph.checked: told[graph.checked], "action": np.array(actions)}
     np.savez_compressed(target / REFERENCE, **kept)
     own = points.nearest_many(inputs["joystick"])
     at_border = off > MOST_OFF
@@ -181,31 +199,32 @@ def _write_reference(
     return ExportFacts(
         steps=len(ride),
         interventions=int(np.sum(own != np.array(actions))),
-        warnings=int((told["warning"] > 0.5).sum()),
+        warnings=int(sum(np.sum(told[name] > 0.5) for name in graph.outputs if name == "warning")),
         most_off=float(off[~at_border].max(initial=0.0)),
         border_steps=int(at_border.sum()),
         border_off=float(off.max()),
         same_actions=float(np.mean(told["values"].argmax(axis=1) == actions)),
         same_as_wcsim=float(np.mean(same)),
         same_as_recorded=None if recorded is None else float(np.mean(np.array(actions) == np.array(recorded))),
-        cost=footprint(target / MODEL_FILE, target / REFERENCE, graph.INPUTS),
+        cost=footprint(target / MODEL_FILE, target / REFERENCE, graph.inputs),
         bytes=(target / MODEL_FILE).stat().st_size,
     )
 
 
-def _off(told: F32, wanted: F32) -> F32:
-    """How far the worst danger of each step is off, (steps,). Raises PolicyError where that is a fault.
+def _off(told: F32, wanted: F32, graph: Graph) -> F32:
+    """How far the worst number of each step is off, (steps,), of the largest. Raises PolicyError where it is a fault.
 
     Two libraries round the place of a cell in their last bit each in its own way: on the border of two cells one
     reads this and the other that, and what is read there may differ a little.
     """
-    off: F32 = np.abs(told - wanted).max(axis=1)
+    off: F32 = np.abs(told - wanted).max(axis=1) / max(float(np.abs(wanted).max()), 1e-9)
     share, worst = float(np.mean(off > MOST_OFF)), int(off.argmax())
-    if share > BORDER_SHARE or off[worst] > BORDER_OFF:
+    if share > graph.border_share or off[worst] > BORDER_OFF:
         raise PolicyError(
-            f"the exported model's dangers differ by up to {off[worst]:.2g} (step {worst}), and by more than "
-            f"{MOST_OFF:g} in {share:.1%} of the steps; expected at most {BORDER_OFF:g}, and {BORDER_SHARE:.0%}: "
-            "this is a bug of the export, please report it; nothing was written"
+            f"the exported model's {graph.checked} differ by up to {off[worst]:.2g} of the largest (step {worst}), and "
+            f"by more than {MOST_OFF:g} in {share:.1%} of the steps; expected at most {BORDER_OFF:g}, and "
+            f"{graph.border_share:.0%}: in a network of your own, compute the same for whatever it is shown, without "
+            "`if`; in one of wcsim this is a bug of the export, please report it; nothing was written"
         )
     return off
 
@@ -218,6 +237,6 @@ def _about(config: RunConfig) -> str:
     told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []
     told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
     size = as_words((f"cameras.0.{key}", own["cameras"][0][key]) for key in ("width_px", "height_px"))
-    settings = dict.fromkeys((*size, *settings_apart(config, usual), *as_words(told), ODOMETRY, TURNS))
+    settings = dict.fromkeys((*size, *settings_apart(config, usual), *as_words(told)))
     lines = ",\n  ".join(json.dumps(setting) for setting in settings)
     return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'
