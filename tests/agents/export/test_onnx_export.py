@@ -60,6 +60,7 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
     own = (
         *("cameras.0.hfov_deg=70", "cameras.0.p_BC_m=[0.3,0.0,1.1]", "chair.plant=mwd", "chair.v_max_mps=2.5"),
         *("env.classes=wcsim", "env.actions=disc69", "world.action_delay_ticks=1"),
+        *("env.observe_yaw=true", "sensors.odometry={radius_error=0.02}"),
     )
     config = load_run_config("laptop", own)
     (tmp_path / "policy.toml").write_text(onnx_export._about(config), encoding="utf-8")
@@ -69,6 +70,7 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
     keys = ("width_px", "height_px", *SIGHT_KEYS)
     assert all(getattr(tested.cameras[0], key) == getattr(config.cameras[0], key) for key in keys)
     assert tested.world.action_delay_ticks == 1
+    assert tested.env.observe_yaw and not tested.env.observe_gyro and tested.sensors == config.sensors
 
 
 @pytest.mark.proof
@@ -78,7 +80,7 @@ def test_the_example_drives_the_recorded_ride_again(made):
         done = subprocess.run([*words, *more], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert done.stdout.startswith("200 of 200 actions as recorded, ")
-        assert done.stdout.endswith("dangers as recorded in 100% of the steps\n")
+        assert done.stdout.endswith("danger as recorded in 100% of the steps\n")
 
 
 def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):

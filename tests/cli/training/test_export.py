@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
+from tests.agents.export.test_value_graph import Plain, config_of, saved
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
 from tests.users.recording.drives import tick, write_drive
@@ -51,7 +52,7 @@ def test_a_missing_extra_is_told_before_anything_is_driven(wcsim, policy, folder
 
 @pytest.mark.parametrize("name", ["dwa", "dwa@1.5", "follow", "tests.own:Policy"])
 def test_what_has_no_network_is_not_exported(wcsim, folder, name):
-    refused(wcsim("export", name, "--onnx", "x"), f"{name} has no network", "a danger network", "shipped")
+    refused(wcsim("export", name, "--onnx", "x"), f"{name} has no network", "RUN:phase1", "shipped")
     assert files_in(folder) == set()
 
 
@@ -68,7 +69,7 @@ def test_a_network_that_looks_at_pictures_is_not_exported_whoever_made_its_eye(w
 
 def test_a_run_that_is_not_there_is_not_taken_for_a_baseline(wcsim, folder):
     told = wcsim("export", "runs/a", "--onnx", "x")
-    refused(told, "runs/a is not a run", "danger network")
+    refused(told, "runs/a is not a run", "`wcsim train` made")
     assert "dwa" not in told.err and "did you mean" not in told.err
     refused(wcsim("export", "shiped", "--onnx", "x"), "did you mean 'shipped'?")
 
@@ -123,3 +124,29 @@ def test_the_reference_of_somebody_elses_drive_is_what_the_policy_chooses_there(
     alone = subprocess.run([sys.executable, "-P", "x/exported_policy.py"], capture_output=True, text=True, check=False)
     assert alone.returncode == 0, alone.stderr
     assert alone.stdout.startswith("12 of 12 actions as recorded")
+
+
+def test_a_network_of_q_learning_is_exported_with_what_it_is_shown_itself(wcsim, folder, monkeypatch):
+    saved(folder / "fig6", config_of("fig6", "groups", CONFIG.cameras[0]))
+    a_drive(folder, *SEEN)
+    told = wcsim("export", "fig6", "--onnx", "x", "--ride", "a.drive")
+    refused(told, "a.drive lacks inputs of fig6")
+    assert lacking(told.err) == ["--set", "env.observe_gyro=false"], "it has seen five numbers of the IMU in training"
+    a_drive(folder, *SEEN, "env.observe_gyro=false")
+    seen = tuple({**step, "imu": step["imu"][:5]} for step in ride(12))
+    ridden = RecordedRide(seen=seen, actions=(80,) * 12, delay_ticks=2)
+    monkeypatch.setattr(recorded_ride, "recorded_ride", lambda *given: ridden)
+    told = wcsim("export", "fig6", "--onnx", "x", "--ride", "a.drive", "--force")
+    assert told.code == 0, told
+    assert "100.0% of 12 actions match the network, 100.0% match wcsim's policy" in told.out
+    assert "the limit of 40 ms" in told.out and "map cells" not in told.out
+    meaning = json.loads(Path("x/meaning.json").read_text())
+    assert meaning["action_delay_ticks"] == 2 and list(meaning["inputs"]) == ["depth", "seg", "imu", "joystick"]
+
+
+def test_a_network_of_somebodys_own_is_exported_by_name_alone(wcsim, folder):
+    own = f"{Plain.__module__}:Plain"
+    saved(folder / "mine", config_of(own, camera=CONFIG.cameras[0]))
+    refused(wcsim("export", "mine", "--onnx", "x"), f"if you trust it, name it: --network {own}")
+    refused(wcsim("export", "mine", "--onnx", "x", "--network", "patch"), "name it: --network")
+    assert not Path("x").exists()
