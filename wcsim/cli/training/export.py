@@ -184,7 +184,7 @@ def _ride(options: Options) -> tuple[RunConfig, list[Observation], Recorded | No
 
 def _config(options: Options, delay_ticks: int | None, policy: Policy | None = None) -> RunConfig:
     """The settings that fit the policy, with its senses once it is open."""
-    config = config_of(
-        options.policy, "laptop", () if delay_ticks is None else (f"world.action_delay_ticks={delay_ticks}",)
-    )
+    preset = "laptop" if is_danger(policy_path(options.policy)) else "paper"  # for a folder outside of its run
+    delay = () if delay_ticks is None else (f"world.action_delay_ticks={delay_ticks}",)
+    config = config_of(options.policy, preset, delay)
     return config if policy is None else sensing(config, policy)
