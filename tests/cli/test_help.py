@@ -17,7 +17,7 @@ NESTED = {
     "users": ("record", "fit"),
     "bench": (
         *("tick", "camera", "chair", "users", "crashes", "reaction"),
-        *("bridge", "barrier", "parallel", "soak", "memory", "curve", "replay"),
+        *("bridge", "barrier", "parallel", "soak", "memory"),
     ),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]

@@ -14,6 +14,7 @@ from torch import nn
 from wcsim.agents.networks.encoder import image_size
 from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
+from wcsim.errors import PolicyError
 
 
 class ValueGraph(nn.Module):
@@ -29,6 +30,11 @@ class ValueGraph(nn.Module):
     border_share: Final = 0.0
 
     def __init__(self, net: QNet, window: int) -> None:
+        """Raises PolicyError for a network that sees something else than classes and depth."""
+        if net.encoder.form != "compact":
+            raise PolicyError(
+                f"a network that sees env.observation={net.encoder.form} cannot be exported; expected compact"
+            )
         super().__init__()
         self.net, self.window = net, window
         self.inputs = (DEPTH_KEY, CLASS_KEY, *net.encoder.vector_keys)

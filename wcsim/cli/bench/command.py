@@ -18,8 +18,6 @@ BENCHES = {
     "parallel": "ParallelOptions",
     "soak": "SoakOptions",
     "memory": "MemoryOptions",
-    "curve": "CurveOptions",
-    "replay": "ReplayOptions",
 }
 """The benches, each a file here of that name with a `run(options)`, and its class of options."""
 

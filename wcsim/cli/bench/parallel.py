@@ -1,8 +1,7 @@
 """`wcsim bench parallel`: several networks learn in one world at once, and the same ones one after the other.
 
 Each run is the command `wcsim train --clients ...` in a process of its own, start-up included. Where the time went is
-what each client wrote into its times.json. From the runs of one client alone a model says what sharing would save on
-other machines; it is compared with every run that was measured.
+what each client wrote into its times.json.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -25,15 +23,10 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.clients import client_names
-from wcsim.config import load_run_config
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 
-if TYPE_CHECKING:
-    from wcsim.bench.barrier.sharing_model import SharingParts
-
 _SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "overlap_s", "other_s", "elapsed_s")
-MODELLED_CORES = (1, 2, 4, 8, 16)
 
 
 @dataclass
@@ -91,10 +84,9 @@ def run(options: ParallelOptions) -> int:
                 groups.append(_trained(options, networks[:size], Path(work) / f"together-{size}-{count}", count))
     apart = {name: next(iter(one.waited.values())) for name, one in zip(names, alone, strict=True)}
     told = [_print_group(console, options, group, alone, apart) for group in groups]
-    modelled = _print_model(console, _parts_of(options, names, alone, groups), options.steps, groups)
     if options.json is not None:
         largest = told[-1] | {"waited": {"together": groups[-1].waited, "sequential": apart}}
-        result = {**largest, "steps": options.steps, "clients": list(names), "groups": told, "model": modelled}
+        result = {**largest, "steps": options.steps, "clients": list(names), "groups": told}
         write_json(options.json, result)
     return 0
 
@@ -142,8 +134,6 @@ def _print_group(
     apart: dict[str, dict[str, float]],
 ) -> dict[str, float]:
     """Where the time of clients went together and alone, and what sharing has saved; returns the keys of the result."""
-    from wcsim.bench.barrier.sharing_model import SharingParts, saved
-
     table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "total", "start")
     table.box, table.pad_edge, table.padding = box.SIMPLE_HEAD, False, (0, 0)  # no word is cut at 80 columns
     for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
@@ -155,14 +145,15 @@ def _print_group(
     console.print("overlap: learning while waiting, which is also part of learn and of world or barrier")
     same = alone[: len(group.waited)]
     sequential_s = sum(one.wall_s for one in same)
-    world_s = {1: _mean_world_s(same, options.steps), len(group.waited): _mean_world_s([group], options.steps)}
-    parts = SharingParts(clients=(), world_s=world_s, barrier_s=0.0, start_s=0.0, start_cores=1)
-    by = saved(parts, options.steps, [(o.wall_s, o.start_s) for o in same], (group.wall_s, group.start_s))
+    count = len(group.waited)
+    world_s = options.steps * (count * _mean_world_s(same, options.steps) - _mean_world_s([group], options.steps))
+    start_s = sum(one.start_s for one in same) - group.start_s
+    rest_s = sequential_s - group.wall_s - world_s - start_s  # idle cores, less what processes take from each other
     console.print(
         f"{len(group.waited)} clients on {counted(group.cores, 'core')}: together {group.wall_s:.1f} s, "
         f"one after the other {sequential_s:.1f} s: {sequential_s / group.wall_s:.2f} times as fast. "
-        f"Saved: {by.world_s:.1f} s by one world, {by.start_s:.1f} s by one start, "
-        f"{by.rest_s:.1f} s by otherwise idle cores",
+        f"Saved: {world_s:.1f} s by one world, {start_s:.1f} s by one start, "
+        f"{rest_s:.1f} s by otherwise idle cores",
         soft_wrap=True,
     )
     return {
@@ -172,7 +163,9 @@ def _print_group(
         "sequential_s": sequential_s,
         "speedup": sequential_s / group.wall_s,
         "ticks_per_s": group.ticks_per_s,
-        **{f"saved_{key}": value for key, value in asdict(by).items()},
+        "saved_world_s": world_s,
+        "saved_start_s": start_s,
+        "saved_rest_s": rest_s,
     }
 
 
@@ -180,55 +173,3 @@ def _mean_world_s(runs: Sequence[Trained], steps: int) -> float:
     """The world's step in these runs."""
     every_s = [shares["simulation_s"] for one in runs for shares in one.waited.values()]
     return sum(every_s) / len(every_s) / steps
-
-
-def _parts_of(
-    options: ParallelOptions, names: Sequence[str], alone: Sequence[Trained], groups: Sequence[Trained]
-) -> SharingParts:
-    """The parts of the model, from runs of one client alone, and the world's steps with more."""
-    from wcsim.bench.barrier.sharing_model import ClientCost, SharingParts
-
-    steps, costs = options.steps, []
-    each = [next(iter(one.waited.values())) for one in alone]
-    for name, one, shares in zip(names, alone, each, strict=True):
-        waiting_s = shares["simulation_s"] + shares["barrier_s"] - shares["overlap_s"]
-        act_s = max(shares["inference_s"], one.wall_s - one.start_s - waiting_s - shares["learning_s"])
-        costs.append(ClientCost(name=name, act_s=act_s / steps, learn_s=shares["learning_s"] / steps))
-    world_s = {1: _mean_world_s(alone, steps)}
-    world_s |= {len(group.waited): _mean_world_s([group], steps) for group in groups if group.cores > 1}
-    return SharingParts(
-        clients=tuple(costs),
-        world_s=world_s,
-        barrier_s=sum(shares["barrier_s"] for shares in each) / len(each) / steps,
-        start_s=sum(one.start_s for one in alone) / len(alone),
-        start_cores=alone[0].cores,
-        later=load_run_config(options.preset, options.set).learn.updates == "while_waiting",
-    )
-
-
-def _print_model(
-    console: Console, parts: SharingParts, steps: int, groups: Sequence[Trained]
-) -> dict[str, list[dict[str, float]]]:
-    """What the model says for each group and number of cores, beside what was measured."""
-    from wcsim.bench.barrier.sharing_model import apart_s, together_s
-
-    told: dict[str, list[dict[str, float]]] = {"modelled": [], "errors": []}
-    for size in sorted({len(group.waited) for group in groups}):
-        clients = parts.clients[:size]
-        for cores in MODELLED_CORES:
-            shared_s = together_s(parts, clients, steps, cores)
-            times = apart_s(parts, clients, steps, cores) / shared_s
-            told["modelled"].append({"size": size, "cores": cores, "together_s": shared_s, "speedup": times})
-            console.print(
-                f"model: {size} clients on {counted(cores, 'core')}: {shared_s:.0f} s, {times:.2f} times as fast"
-            )
-    for group in groups:
-        size, cores = len(group.waited), group.cores
-        reckoned_s = together_s(parts, parts.clients[:size], steps, cores)
-        error = reckoned_s / group.wall_s - 1.0
-        told["errors"].append({"size": size, "cores": cores, "error": error})
-        console.print(
-            f"measured: {size} clients on {counted(cores, 'core')}: {group.wall_s:.0f} s, "
-            f"by the model {reckoned_s:.0f} s, {100.0 * error:+.0f} %"
-        )
-    return told

@@ -1,1 +1,0 @@
-"""What a state costs in the replay memory: bytes on disk, time to write and to read."""
