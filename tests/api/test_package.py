@@ -17,8 +17,6 @@ import pytest
 
 import wcsim
 from tests.support.tracked import tracked
-from wcsim.agents.networks import encoder
-from wcsim.server.specs import SeatRequest
 
 ROOT = Path(__file__).parents[2]
 SOURCES = tracked("wcsim", ".py")
@@ -47,17 +45,6 @@ def test_public_names_are_those_that_are_meant():
     assert wcsim.ENV_ID == "wcsim/Street-v1"
     with pytest.raises(AttributeError, match="no attribute 'Street'"):
         _ = wcsim.Street
-
-
-def test_names_that_docs_told_before_still_work_and_say_where_they_are():
-    with pytest.warns(DeprecationWarning, match="wcsim.server.specs.SeatRequest"):
-        from wcsim.server.orders import JoinOrder
-    assert JoinOrder is SeatRequest
-    with pytest.warns(DeprecationWarning, match=r"networks\.encoder\.ObservationEncoder"):
-        from wcsim.agents.networks import ObservationEncoder
-    assert ObservationEncoder is encoder.ObservationEncoder
-    with pytest.raises(ImportError, match="Nothing"):
-        from wcsim.server.orders import Nothing  # noqa: F401
 
 
 def test_completion_shows_the_faces_and_nothing_that_was_only_needed():
@@ -286,7 +273,6 @@ SAME_FILE_NAME = {
     "soak": "the bench, and its command",
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",
-    "tour": "the bench, and its command",
     "train": "the loop, and the command",
     "video": "how it is written, and the command",
     "watch": "who notes crashes, and the command",

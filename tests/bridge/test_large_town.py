@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.support.grid_town import make_grid_town
+from tests.bridge.sumo.grid_town import make_grid_town
 from tests.support.worlds import follow, open_world
 from wcsim.bridge import tile_loader
 from wcsim.bridge.recording.trace import state_hash

@@ -12,7 +12,7 @@ from wcsim.cli.main import SUBCOMMANDS
 
 ROOT = Path(__file__).parents[2]
 NESTED = {
-    "town": ("import", "make", "list", "check", "pave", "run", "tour"),
+    "town": ("import", "make", "list", "check", "pave", "run"),
     "scene": ("run", "list", "bless", "new", "make"),
     "users": ("record", "fit"),
     "bench": (
@@ -61,7 +61,7 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
         has_chance &= words[0] != "scene" or words[1] == "make"
         assert ("--seed INT" in told) == has_chance
         has_result = words in {("train",), ("test",), ("doctor",), ("town", "check"), ("town", "run"), ("scene", "run")}
-        has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("town", "tour"), ("cache",)}
+        has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("cache",)}
         has_result |= words[0] == "users"
         has_result |= words in {("town", "make"), ("collect",), ("networks",), ("export",)}
         assert ("--json FILE" in told) == (has_result or words[0] == "bench"), words
@@ -73,7 +73,7 @@ def test_version(wcsim):
 
 
 def test_whatever_takes_a_town_says_that_a_scenario_will_do(wcsim):
-    takes = {("town", "check"), ("town", "pave"), ("town", "run"), ("town", "tour"), ("users", "record")}
+    takes = {("town", "check"), ("town", "pave"), ("town", "run"), ("users", "record")}
     takes |= {(name,) for name in ("look", "snapshot", "video", "drive", "test", "train", "collect", "demo", "serve")}
     takes |= {("export",), ("doctor",), ("replay",)} | {words for words in COMMANDS if words[0] == "bench"}
     takes -= {("bench", "chair"), ("bench", "barrier")}

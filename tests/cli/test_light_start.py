@@ -44,7 +44,7 @@ for lines in json.load(sys.stdin):
 NOWHERE = (
     *(("train", "--town", "atlantis"), ("serve", "--town", "atlantis"), ("test", "--town", "atlantis")),
     *(("demo", "--train-town", "atlantis"), ("snapshot", "atlantis"), ("video", "atlantis"), ("drive", "atlantis")),
-    *(("town", "check", "atlantis"), ("town", "run", "atlantis"), ("town", "tour", "atlantis")),
+    *(("town", "check", "atlantis"), ("town", "run", "atlantis")),
     *(("town", "pave", "atlantis", "--out", "x"), ("town", "import", "--name", "x", "--osm", "atlantis.osm")),
     ("town", "make", "x", "--size", "1"),
     *(("users", "record", "atlantis", "--out", "x.drive"), ("users", "fit", "atlantis", "--out", "x.toml")),

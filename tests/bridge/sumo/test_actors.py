@@ -9,7 +9,7 @@ import libsumo
 import numpy as np
 import pytest
 
-from tests.support.grid_town import make_grid_town
+from tests.bridge.sumo.grid_town import make_grid_town
 from wcsim.bridge.sumo.actors import ActorReader
 from wcsim.core import frames
 from wcsim.types import F64

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -15,10 +14,8 @@ from tests.support.events import read_events
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.errors import TownError
 from wcsim.server.journal.journal import JOURNAL, read_header
 from wcsim.server.journal.replay import journal_worlds
-from wcsim.towns.making import asked_town
 from wcsim.towns.scenario.town import open_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -93,20 +90,3 @@ def test_towns_that_cannot_be_used_are_refused_before_a_folder_is_made(wcsim, fo
     for words in (("--preset", "dqn"), ("--clients", "small,gru"), ("--preset", "quick")):
         done = wcsim("train", "--town", town.replace("corner", str(corner)), "--out", "run", *words)
         assert done.code == 2 and BAD[town] in done.err and not (folder / "run").exists()
-
-
-def test_two_towns_of_one_name_are_refused(wcsim, folder, corner, tmp_path):
-    shutil.copytree(corner, tmp_path / "copy")
-    done = wcsim("train", "--preset", "dqn", "--town", f"{corner},{tmp_path / 'copy'}", "--out", "run")
-    assert done.code == 2 and open_town(corner).name in done.err
-
-
-def test_a_missing_town_of_a_run_is_named(wcsim, folder, corner, other, tmp_path):
-    place = shutil.copytree(other, tmp_path / "moved")
-    words = ("--preset", "dqn", "--town", f"{corner},{place}", "--out", "run", *QUICK, *FEW, *EPISODES)
-    assert wcsim("train", *words).code == 0
-    shutil.rmtree(place)
-    done = wcsim("train", "--out", "run", "--resume", "--steps", "40")
-    assert done.code == 2 and str(place) in done.err
-    with pytest.raises(TownError):
-        asked_town.asked_town(str(place))

@@ -24,8 +24,9 @@ def settings_apart(own: RunConfig, other: RunConfig) -> list[str]:
     """The settings of what a network sees and can choose, as far as another configuration has others."""
     mine, others = own.model_dump(mode="json"), other.model_dump(mode="json")
     there = other.sensors.on()
-    camera, usual = mine["cameras"][0], others["cameras"][0]
-    told = [(f"cameras.0.{key}", camera[key]) for key in _CAMERA if camera[key] != usual[key]]
+    camera, usual = own.eye, other.eye
+    seen = {key: getattr(camera, key) for key in _CAMERA}
+    told = [(f"cameras.0.{key}", value) for key, value in seen.items() if value != getattr(usual, key)]
     for name, sensor in own.sensors.on().items():
         if name not in there:
             told += [(f"sensors.{name}", "typical")]

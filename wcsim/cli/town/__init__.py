@@ -1,1 +1,1 @@
-"""Commands about towns: import, make, check, pave, run, tour."""
+"""Commands about towns: import, make, check, pave, run."""

@@ -1,4 +1,4 @@
-"""`wcsim town import | make | list | check | pave | run | tour`."""
+"""`wcsim town import | make | list | check | pave | run`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,6 @@ from wcsim.cli.town.pave import run as run_pave
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.run import RunOptions
 from wcsim.cli.town.run import run as run_traffic
-from wcsim.cli.town.tour import TourOptions
-from wcsim.cli.town.tour import run as run_tour
 from wcsim.cli.town.trial import checked
 from wcsim.towns.scenario.town import find_town, list_towns
 
@@ -50,7 +48,6 @@ def run(words: list[str]) -> int:
         "check": CheckOptions,
         "pave": PaveOptions,
         "run": RunOptions,
-        "tour": TourOptions,
     }
     name = subcommand(words, "town", known, known.__getitem__)
     if name == "import":
@@ -64,8 +61,6 @@ def run(words: list[str]) -> int:
         return run_traffic(parse(RunOptions, words[1:], "town run"), words)
     if name == "pave":
         return run_pave(parse(PaveOptions, words[1:], "town pave"))
-    if name == "tour":
-        return run_tour(parse(TourOptions, words[1:], "town tour"))
     return _check(parse(CheckOptions, words[1:], "town check")) if name else 0
 
 

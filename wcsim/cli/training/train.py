@@ -45,8 +45,8 @@ class Options:
     """Train a network to assist a user: a danger network, or by Q-learning."""
 
     town: str = "helsinki"
-    """Training towns, separated by commas: names, folders, .sumocfg files, or made:SEED for generated ones. The world
-    changes town after world.epoch_ticks. Test towns need --allow-test-town."""
+    """Training towns, separated by commas: a town's name, its folder, or a .sumocfg file; made:SEED is generated. The
+    world changes town after world.epoch_ticks. Test towns need --allow-test-town."""
     preset: str = ""
     """Preset to start from: quick, laptop or best (danger networks), dqn or paper (Q-learning). Empty: quick, or
     dqn with --network, --clients, --steps, --reward, --hook or a setting of [learn]."""

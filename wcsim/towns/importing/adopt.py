@@ -156,8 +156,8 @@ def _town_toml(
         origin_m=net_middle(_net_of(config, None)),
         source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
         hashes=hashes,
-        cycle_paths=cycle_paths,
     )
+    text = text.replace('"shared"]', '"shared", "cycleway"]', int(cycle_paths))
     return text.replace("\nsource = ", f"\nsumocfg = {_toml(sumocfg)}\nsource = ", 1)
 
 

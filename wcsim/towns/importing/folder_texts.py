@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from wcsim.towns.scenario.manifest import chair_ways
+from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways
 
 _SUMOCFG = """\
 <sumoConfiguration>
@@ -97,16 +97,15 @@ def town_toml_text(
     attribution: str = "",
     rebuild: str = "",
     hashes: Mapping[str, str] | None = None,
-    cycle_paths: bool = False,
 ) -> str:
-    """`town.toml`, in the order and wording of `config.TownFile`."""
+    """`town.toml`, in the order and wording of `config.TownFile`. `rebuild` says whether chairs use cycle paths."""
     lines = [
         f"name = {_quoted(name)}",
         f"split = {_quoted(split)}",
         f"origin_m = [{origin_m[0]}, {origin_m[1]}]",
         f"kerb_height_m = {kerb_height_m}",
         "lowered_kerb_m = 0.0",
-        f"chair_ways = {json.dumps(chair_ways(cycle_paths))}",
+        f"chair_ways = {json.dumps(chair_ways(CYCLE_PATHS in rebuild))}",
     ]
     texts = (("source", source), ("attribution", attribution), ("rebuild", rebuild))
     lines += [f"{key} = {_quoted(text)}" for key, text in texts if text]

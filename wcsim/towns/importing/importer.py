@@ -255,7 +255,6 @@ def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet,
         attribution="(c) OpenStreetMap contributors, ODbL 1.0",
         rebuild=_rebuild_command(order, box, side.lefthand),
         hashes=hashes_of(work, order.name),
-        cycle_paths=order.cycle_paths,
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.config import parse
-from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile
+from wcsim.config.suite import BlockFile, SuiteFile
 from wcsim.core.reading import FileKind, is_file, read_json, shown
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making.asked_town import made_seed, made_town
@@ -117,8 +117,3 @@ def block_key(suite: Suite, index: int, policy: str) -> str:
 def profiles_of(blocks: Iterable[BlockFile]) -> tuple[str, ...]:
     """The users of these blocks, sorted."""
     return tuple(sorted({episode.profile for block in blocks for episode in block.episodes}))
-
-
-def goes_out(episode: EpisodeFile) -> int:
-    """Steps in which the policy drives, at most."""
-    return episode.max_steps - episode.handover_step

@@ -1,1 +1,0 @@
-"""A chair over every pavement, walking area and crossing of a town."""
