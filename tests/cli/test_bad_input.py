@@ -82,7 +82,6 @@ OPTIONS = {
     'collect --set collect.profiles=["none.toml"]': ("none.toml",),
     "train --preset dqn --data data/mine": ("--data: only a danger network that learns in rounds", "--preset quick"),
     "train --network fig6 --worlds 2": ("--worlds: only a danger network that learns in rounds",),
-    "train --set collect.rounds=0": ("collect.rounds",),
     "train --clients fig6,small --set learn.head=danger": ("learn.head=danger", "--preset dqn or paper"),
     "train --clients fig6,small --data data/mine": ("--data and --clients",),
     "train --clients fig6,small --worlds 2": ("--worlds 2: no clients are compared", "--select-by LIST"),
