@@ -84,7 +84,7 @@ OPTIONS = {
     "train --network fig6 --worlds 2": ("--worlds: only a danger network that learns in rounds",),
     "train --clients fig6,small --set learn.head=danger": ("learn.head=danger", "--preset dqn or paper"),
     "train --clients fig6,small --data data/mine": ("--data and --clients",),
-    "train --clients fig6,small --worlds 2": ("--worlds 2: no clients are compared", "--select-by LIST"),
+    "train --clients fig6,small --worlds 2": ("--worlds 2: no clients are tested", "--select-by LIST"),
     "train --config-for fig6=a.toml": ("--config-for: only for several networks", "--clients"),
     "train --lease=120": ("--lease: only for several networks", "--clients"),
     "train --preset dqn --recovery replay": ("--recovery: only for several networks", "--clients"),
