@@ -35,6 +35,7 @@ _NAME = re.compile(CLIENT_NAME)
 _CLAIM = re.compile(r"[0-9a-f]{32}")
 LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
 SELECTION, CHOICE = "selection", "choice.json"
+KPI1 = "kpi1"  # the value of `learn.select_by` that compares by KPI 1 of the first phase, and its name in the choice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -236,7 +236,7 @@ def _about(config: RunConfig) -> str:
     told = [(f"chair.{key}", value) for key, value in own["chair"].items() if value != plain["chair"][key]]
     told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []
     told += [("world.action_delay_ticks", config.world.action_delay_ticks)]
-    size = as_words((f"cameras.0.{key}", own["cameras"][0][key]) for key in ("width_px", "height_px"))
+    size = as_words((f"cameras.0.{key}", getattr(config.eye, key)) for key in ("width_px", "height_px"))
     settings = dict.fromkeys((*size, *settings_apart(config, usual), *as_words(told)))
     lines = ",\n  ".join(json.dumps(setting) for setting in settings)
     return f'preset = "{_PRESET}"\nsettings = [\n  {lines},\n]\n'

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Table
 
-from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
+from wcsim.agents.clients.clients_folder import CHOICE, KPI1, SELECTION, read_choice
 from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.networks.names import is_own
@@ -36,8 +36,6 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
 
 
-KPI1 = "kpi1"
-"""The value of `learn.select_by` that compares by KPI 1 of the first phase."""
 _HEADS = {KPI1: f"KPI 1, last {KPI1_STEPS} steps", "score": "score", "crashes_own": "own crashes"}
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.clients.clients_folder import CHOICE, SELECTION, read_choice
+from wcsim.agents.clients.clients_folder import CHOICE, KPI1, SELECTION, read_choice
 from wcsim.agents.evaluation.suite.result_files import RESULT, read_result
 from wcsim.agents.learning.watching.metrics import KPI1_STEPS
 from wcsim.agents.runs.run_folder import read_json
@@ -17,7 +17,6 @@ from wcsim.view.report.markup import Cell, Exhibit, csv_of, table
 from wcsim.view.report.page import Section, shown
 from wcsim.view.report.training.learning_curve import Training
 
-KPI1: Final = "kpi1"
 _SHOWN: Final = (
     *(("score", "score"), ("score_ci", "95 %"), ("crashes_own", "own crashes"), ("crashes_per_km", "per km")),
     *(("kpi1", "KPI 1"), ("kpi1_free_within", "obeyed"), ("kpi2_median", "KPI 2, median"), ("arrivals", "arrivals")),
