@@ -189,18 +189,30 @@ def is_folder(path: Path) -> bool:
 def require_no_links(folder: Path, error: type[FileError]) -> None:
     """Refuse a folder that others may have made, and that will be written to, when a name in it leads out of it.
 
+    Two names in the folder for one file are allowed: checkpoints share a replay.
+
     Raises:
         FileError: Of the class `error`: a symbolic link, or a file that has another name elsewhere.
     """
+    names: dict[tuple[int, int], list[str]] = {}
     waiting = [folder]
     while waiting:
         with os.scandir(waiting.pop()) as entries:
             for entry in entries:
-                linked = entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_nlink > 1
-                if entry.is_symlink() or linked:
-                    raise error(f"{shown(entry.path)}: is a link; expected a file, as writing would follow the link")
+                known = entry.stat(follow_symlinks=False)
+                if entry.is_symlink():
+                    raise _link_refused(entry.path, error)
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(Path(entry.path))
+                elif known.st_nlink > 1:
+                    names.setdefault((known.st_ino, known.st_nlink), []).append(entry.path)
+    for (_, links), paths in names.items():
+        if len(paths) < links:
+            raise _link_refused(paths[0], error)
+
+
+def _link_refused(path: str, error: type[FileError]) -> FileError:
+    return error(f"{shown(path)}: is a link; expected a file, as writing would follow the link")
 
 
 def shown(text: object, most: int = 160) -> str:

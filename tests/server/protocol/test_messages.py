@@ -119,10 +119,12 @@ def test_a_visible_truth_beyond_its_bounds_is_refused(ended, spoilt):
         m.decode_reply(frame)
 
 
-@pytest.mark.parametrize("flag", ["arrived", "gave_up", "on_carriageway", "crossed", "entered_red", "help_asked"])
+EVENTS = ("arrived", "gave_up", "on_carriageway", "crossed", "entered_red", "help_asked")
+
+
+@pytest.mark.parametrize("flag", EVENTS)
 def test_every_event_arrives_as_itself(ended, flag):
-    quiet = dict.fromkeys(("arrived", "gave_up", "on_carriageway", "crossed", "entered_red", "help_asked"), False)
-    client = replace(ended, events=replace(ended.events, **{**quiet, flag: True}))
+    client = replace(ended, events=replace(ended.events, **{name: name == flag for name in EVENTS}))
     assert m.decode_reply(m.encode(m.Frame(0, 3, 0, client))).client.events == client.events
 
 
