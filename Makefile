@@ -36,7 +36,7 @@ look: $(STAMP)
 	$(BIN)/wcsim look
 
 lint: $(STAMP)
-	$(BIN)/ruff check wcsim tests examples tools
+	$(BIN)/ruff check wcsim tests examples tools benchmarks
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python -m tests.api.ceilings
@@ -59,8 +59,8 @@ docs: $(STAMP)
 	@echo "built build/site/index.html. For the search: python -m http.server --directory build/site"
 
 bench: $(STAMP)
-	$(BIN)/wcsim bench tick
-	$(BIN)/wcsim bench camera
+	$(BIN)/python -m benchmarks tick
+	$(BIN)/python -m benchmarks camera
 
 # Builds wheel and source archive, and tries the wheel in a fresh venv. The version is that of pyproject.toml.
 VERSION ?= $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)

@@ -19,7 +19,7 @@ import wcsim
 from tests.support.tracked import tracked
 
 ROOT = Path(__file__).parents[2]
-SOURCES = tracked("wcsim", ".py")
+SOURCES = (*tracked("wcsim", ".py"), *tracked("benchmarks", ".py"))
 FORBIDDEN_CALLS = re.compile(r"\b(pickle|cloudpickle|torch\.load|yaml\.load|eval|exec)\s*[.(]")
 
 
@@ -102,7 +102,7 @@ def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 FOLDERS = sorted({path.parent for path in (*SOURCES, *tracked("tests", ".py"))})
 STAY = ("scenarios/sumo", "wcsim/bridge", "wcsim/physics", "wcsim/agents", "wcsim/supervisor", "tests")
 MOST_ENTRIES = 14
-MOST_ROOMS = 17  # the tests' folder has one of support beside the product's
+MOST_ROOMS = 18  # the tests' folder has those of support and of benchmarks beside the product's
 ROOTS = (ROOT, ROOT / "wcsim", ROOT / "tests")
 
 
@@ -238,16 +238,16 @@ def test_branches_and_parameters_are_counted():
 SAME_CLASS_NAME = ("Options", "RunOptions", "ListOptions")  # of one command each, read by tyro
 SAME_FILE_NAME = {
     "actors": "what an actor is, and how SUMO's are read",
-    "barrier": "the protocol's state machine, and the command of its bench",
+    "barrier": "the protocol's state machine, and the script of its benchmark",
     "base": "what a room's files build on",
     "build": "a scene's folder, and a learner of its settings",
-    "camera": "the sensor, and the command of its bench",
-    "chair": "its section of a run file, what crosses borders of it, and the command of its bench",
+    "camera": "the sensor, and the script of its benchmark",
+    "chair": "its section of a run file, what crosses borders of it, and its command",
     "collect": "its section of a run file, and its command",
     "command": "the commands of a group",
     "compare": "plants, and pictures with an oracle's",
     "drive": "a block of a suite, and the command on whose page a person drives",
-    "drives": "of the users' bench, and of the crashes'",
+    "drives": "of the users' benchmark, and of the crashes'",
     "driving": "trials, and the rows of the table that judge them",
     "elements": "of a scenario's files, when they are staged and when pavements are laid",
     "faults": "of a town, and those that a soak plants",
@@ -255,7 +255,7 @@ SAME_FILE_NAME = {
     "make": "a list of a suite, and the command of a town",
     "messages": "between clients and a server, and between a page and its drive",
     "overrides": "of a scenario's options, and of a run's settings",
-    "parts": "of a message, and of the barrier's bench",
+    "parts": "of a message, and of the barrier's benchmark",
     "people": "as the oracle reckons with them, and how they look",
     "pictures": "for people, and of a drive's page",
     "plant": "its file, and what physics makes of it",
@@ -270,7 +270,7 @@ SAME_FILE_NAME = {
     "run": "its section of a run file, a scene's, and the command of a town's",
     "scene": "its file, and the command",
     "sensors": "their section of a run file, and their numbers in a snapshot",
-    "soak": "the bench, and its command",
+    "soak": "the benchmark, and its script",
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",
     "train": "the loop, and the command",
@@ -297,6 +297,7 @@ def test_a_file_name_is_used_twice_only_where_the_folder_makes_it_plain():
 PAGES = [path for path in tracked("", ".md") if path.parent == ROOT or ROOT / "docs" in path.parents]
 FOLDERS_NAMED = {path.parts[len(ROOT.parts) + 1] for path in SOURCES if path.parent != ROOT / "wcsim"} | {
     "wcsim",
+    "benchmarks",
     "tests",
     "docs",
     "tools",

@@ -38,10 +38,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def wcsim(folder: Path, capfd: pytest.CaptureFixture[str]) -> Run:
     """Run `wcsim WORDS` in this process; capfd sees what native code writes too."""
+    return runner(main, capfd)
+
+
+def runner(command: Callable[[list[str]], int], capfd: pytest.CaptureFixture[str]) -> Run:
+    """How `wcsim` and the benchmarks are run."""
 
     def run(*words: object) -> Result:
         capfd.readouterr()
-        code = main([str(word) for word in words])
+        code = command([str(word) for word in words])
         out, err = capfd.readouterr()
         return Result(code=code, out=out, err=err)
 

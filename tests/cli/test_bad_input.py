@@ -50,7 +50,6 @@ OPTIONS = {
     "town make x --parked 2": ("parked 2", "0 to 1"),
     "town make x --hill 999": ("hill of 999 m", "0 to 200"),
     "scene dance": ("'dance'", "run, list, bless"),
-    "bench press": ("'press'", "tick, camera"),
     "train --seed -1": ("--seed -1", "0 to 2147483647"),
     "train --seed 2147483648": ("--seed 2147483648",),
     "test --seed -7": ("--seed -7",),
@@ -74,8 +73,6 @@ OPTIONS = {
     "train --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""", "--preset dqn"),
     'train --set collect.profiles=["saint"]': ("unknown user profile 'saint'", "competent"),
     "users record helsinki --out a.drive --set env.profile=slow": ("env.profile", "--profile NAME"),
-    "bench crashes --set env.profile=slow": ("env.profile", "--profile NAME"),
-    "bench users --set env.profile=slow": ("env.profile", "--profiles NAME"),
     "demo --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
     "demo --set env.max_steps=9": ("env.max_steps", "--max-steps N"),
     "collect --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
@@ -102,47 +99,18 @@ OPTIONS = {
     "test nobody": ("nobody is not a run", "wcsim train"),
     "test nobody:final": ("nobody is not a run",),
     "test follow:early": ("module 'follow' was not found", "follow.py"),
-    "bench tick --chairs two": ("'two'", "whole numbers"),
-    "bench tick --chairs 0": ("--chairs 0",),
-    "bench tick --ticks 0": ("--ticks 0",),
-    "bench tick --width 1": ("--width 1",),
-    "bench barrier --clients 0": ("--clients 0", "1 to 32"),
-    "bench barrier --ticks 5": ("--ticks 5",),
-    "bench camera --poses 0": ("--poses 0",),
-    "bench camera --towns ,": ("--towns",),
-    "bench users --profiles drunk": ("'drunk'", "competent, slow, tremor"),
-    "bench users --profiles ,": ("--profiles",),
-    "bench users --routes 0": ("--routes 0",),
-    "bench users --seconds 5": ("--seconds 5.0", "20.0"),
-    "bench crashes --policy runs/demo": ("'runs/demo'", "follow, random, zero, stop, dwa, oracle"),
-    "bench crashes --policy ,": ("--policy",),
-    "bench crashes --town nowhere": ("nowhere",),
-    "bench crashes --profile drunk": ("'drunk'", "competent, slow, tremor"),
-    "bench crashes --noise loud": ("'loud'", "typical or none"),
-    "bench crashes --delay 11": ("action_delay_ticks", "11"),
-    "bench crashes --chairs 0": ("--chairs 0", "1 to 64"),
-    "bench crashes --steps 3": ("--steps 3", "4 to"),
     "test follow --profile recorded:none.csv": ("none.csv", "cannot be read"),
-    "bench soak --kills 0": ("--kills: only learners use this", "--networks A,B"),
-    "bench soak --steps 50 --slow 4 --twice --set learn.gamma=0.9": ("--steps, --slow, --twice, --set: only learners",),
-    "bench soak --networks small,patch --clients 3": ("--clients 3", "--networks"),
-    "bench soak --networks small,patch --twice --kills 2": ("--kills: --twice compares two runs without faults",),
-    "bench soak --networks small,patch --steps 9": ("--steps 9", "10 to"),
-    "bench soak --clients 1": ("--clients 1", "2 to 16"),
-    "bench memory --ticks 1000": ("--every 1000", "1 to 500", "half of --ticks 1000"),
-    "bench memory --ticks 1 --every 1": ("--ticks 1",),
-    "bench memory --every 0": ("--every 0", "1 to 10000"),
-    "bench chair --plants hover": ("'hover'", "mwd, rwd"),
-    "bench chair --plants ,": ("--plants",),
-    "bench chair --hz 95": ("--hz 95", "100 to 1000"),
-    "bench chair --hz 245": ("--hz 245", "multiple of 10"),
-    "bench chair --rows flight --workers 1": ("'flight'", "start of a row's name"),
-    "bench chair --compare-hz 240": ("'240'", "two different rates"),
-    "bench chair --compare-hz fast": ("'fast'", "whole numbers"),
-    "bench chair --set learn.gamma=0.9": ("learn.gamma", "[chair] or [imu]"),
-    "bench chair --set chair.plant=mwd": ("chair.plant=mwd", "--plants"),
-    "bench chair --set chair.v_mx=1": ("unknown key 'chair.v_mx'",),
-    "bench chair --workers 0": ("--workers 0",),
+    "chair check --plants hover": ("'hover'", "mwd, rwd"),
+    "chair check --plants ,": ("--plants",),
+    "chair check --hz 95": ("--hz 95", "100 to 1000"),
+    "chair check --hz 245": ("--hz 245", "multiple of 10"),
+    "chair check --rows flight --workers 1": ("'flight'", "start of a row's name"),
+    "chair check --compare-hz 240": ("'240'", "two different rates"),
+    "chair check --compare-hz fast": ("'fast'", "whole numbers"),
+    "chair check --set learn.gamma=0.9": ("learn.gamma", "[chair] or [imu]"),
+    "chair check --set chair.plant=mwd": ("chair.plant=mwd", "--plants"),
+    "chair check --set chair.v_mx=1": ("unknown key 'chair.v_mx'",),
+    "chair check --workers 0": ("--workers 0",),
     "snapshot --width 9": ("9 pixels", "64 to 1920"),
     "snapshot --seconds nan": ("--seconds nan",),
     "snapshot --seconds -1": ("--seconds -1",),
@@ -220,7 +188,7 @@ def test_what_the_parser_refuses_ends_with_2_too(wcsim, folder, words):
 
 
 @pytest.mark.parametrize(
-    "words", ["train --town {}", "test --town {}", "town check {}", "snapshot {}", "video {}", "bench tick --town {}"]
+    "words", ["train --town {}", "test --town {}", "town check {}", "snapshot {}", "video {}"]
 )
 def test_an_unknown_town_is_answered_with_the_known_ones(wcsim, folder, words):
     refused(wcsim(*words.format("atlantis").split()), "unknown town 'atlantis'", "helsinki, manhattan, monaco")
@@ -269,8 +237,7 @@ def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_
 def test_two_towns_of_one_name_are_not_mixed_up(wcsim, folder, corner, tmp_path):
     other = broken(corner, "unknown-key", tmp_path / "other")
     (other / "town.toml").write_text((corner / "town.toml").read_text())
-    for words in (("test",), ("bench", "crashes")):
-        refused(wcsim(*words, "--town", f"{corner},{other}"), "both named")
+    refused(wcsim("test", "--town", f"{corner},{other}"), "both named")
     assert files_in(folder) == set()
 
 
@@ -327,8 +294,6 @@ def test_training_never_writes_over_anything(wcsim, folder, corner):
         "test --town {town} --json file/x.json",
         "town check {town} --json file/x.json",
         "town check {town} --json .",
-        "bench tick --town {town} --json file/x.json",
-        "bench crashes --town {town} --out file/x",
         "doctor --town {town} --json file/x.json",
         "snapshot {town} --out file/x.png",
         "video {town} --out file/x.webm",

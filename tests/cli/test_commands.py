@@ -159,55 +159,11 @@ def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path)
     assert len(read("t.json")["rows"]) == 3 + len(BASELINES)
 
 
-def test_bench_tick_gives_rate_and_shares(wcsim, folder, corner):
-    told = wcsim("bench", "tick", "--town", corner, "--ticks", "20", "--chairs", "2", "--json", "b")
-    assert (told.code, told.err.strip()) == (0, "")
-    assert fits(told.out)
-    result = read("b")
-    assert set(result) == {"physics_hz", "2", "rss_mb"}
-    row = result["2"]
-    assert row["ticks_per_s"] > 0.0
-    assert row["ratio_vs_naive"] > 1.0
-    assert {"sumo", "physics", "render"} <= set(row["share"])
-    assert sum(row["share"].values()) == pytest.approx(1.0, abs=0.02)
-
-
-def test_bench_crashes_gives_classes_and_lost_control(wcsim, folder, corner):
-    words = ("--policy", "follow,random", "--steps", "240", "--chairs", "2", "--seed", "3", *QUICK)
-    told = wcsim("bench", "crashes", "--town", corner, *words, "--out", "found", "--json", "all.json")
-    assert (told.code, told.err.strip()) == (0, "note: made the folder found")
-    assert fits("\n".join(line for line in told.out.splitlines() if " seat " not in line))
-    assert "kilometres" in told.out and "lost control" in told.out and "240" in told.out
-    result = read("all.json")
-    assert [(row["policy"], row["steps"]) for row in result] == [("follow", 240), ("random", 240)]
-    for row in result:
-        assert read(f"found/{row['town']}-{row['policy']}.json") == row
-        assert sum(row["classes"].values()) == len(row["crashes"])
-        assert row["lost_per_steps"]["8000"] == pytest.approx(len(row["lost"]) * 8000 / 240)
-    starts = [[item["start_W_m"] for item in row["episodes"] if item["episode"] == 0] for row in result]
-    assert starts[0] == starts[1]
-
-
-def test_bench_camera_gives_the_ratio(wcsim, folder, corner):
-    words = ("--towns", corner, "--poses", "1", "--rounds", "1", "--actors", "5", "--json", "c.json")
-    told = wcsim("bench", "camera", *words)
-    assert (told.code, told.err) == (0, "")
-    assert fits(told.out)
-    result = read("c.json")
-    assert set(result) >= {"ms_median", "ratio_vs_tiny", "embree", "tiny", "rgb_extra_ms"}
-    assert result["ratio_vs_tiny"] > 5.0
-    assert 0.0 < result["ms_median"] < 100.0
-    for reference in (result["tiny"], result["embree"]):
-        assert min(reference["class"], reference["depth"]) > 0.99
-    (town,) = result["towns"].values()
-    assert town["six_cameras"]["gain"] > 0.0 and "6 cameras in" in told.out
-
-
 HOW = ("low", "high", "method", "source", "ok", "note", "judged")
 
 
-def test_bench_chair_gives_rows_beside_their_ranges(wcsim, folder):
-    told = wcsim("bench", "chair", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
+def test_chair_check_gives_rows_beside_their_ranges(wcsim, folder):
+    told = wcsim("chair", "check", "--rows", "mass,stopping_6", "--workers", "1", "--json", "chair.json")
     assert (told.code, told.err) == (0, "")
     assert fits(told.out)
     plants = read("chair.json")["plants"]
@@ -219,33 +175,33 @@ def test_bench_chair_gives_rows_beside_their_ranges(wcsim, folder):
             assert row["low"] <= row["value"] <= row["high"] and row["ok"]
 
 
-def test_bench_chair_takes_settings_and_leaves_out_what_is_too_fast(wcsim, folder):
+def test_chair_check_takes_settings_and_leaves_out_what_is_too_fast(wcsim, folder):
     plant = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
     words = ("--set", "chair.yaw_rate_max_radps=1.0", "--rows", "turn_in,cruise_road", "--workers", "1", "--json", "x")
-    told = wcsim("bench", "chair", "--plants", plant, *words)
+    told = wcsim("chair", "check", "--plants", plant, *words)
     assert told.code == 0 and fits(told.out.partition("\n")[2])
     assert "left out" in told.err and "cruise_road" in told.err
     (row,) = read("x")["plants"][plant]["rows"]
     assert row["value"] == pytest.approx(1.0, rel=0.03) and row["bound"] == "stick"
 
 
-def test_bench_chair_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
+def test_chair_check_ends_with_1_when_a_row_is_red(wcsim, folder, monkeypatch):
     monkeypatch.setattr(engine, "GRAVITY_MPS2", 9.0)
-    told = wcsim("bench", "chair", "--plants", "rwd", "--rows", "mass", "--workers", "1")
+    told = wcsim("chair", "check", "--plants", "rwd", "--rows", "mass", "--workers", "1")
     assert told.code == 1 and "RED" in told.out
 
 
-def test_bench_chair_compares_rates(wcsim, folder):
+def test_chair_check_compares_rates(wcsim, folder):
     words = ("--plants", "rwd", "--rows", "mass", "--workers", "1", "--compare-hz", "120,240", "--json", "rates.json")
-    told = wcsim("bench", "chair", *words)
+    told = wcsim("chair", "check", *words)
     assert (told.code, told.err) == (0, "")
     assert fits(told.out)
     (row,) = read("rates.json")["plants"]["rwd"]["rows"]
     assert row["ok"] and row["change"] < 0.001 and len(row["values"]) == 2
 
 
-def test_bench_chair_draws_the_plants(wcsim, folder):
-    told = wcsim("bench", "chair", "--plants", "mwd", "--pictures", "drawn")
+def test_chair_check_draws_the_plants(wcsim, folder):
+    told = wcsim("chair", "check", "--plants", "mwd", "--pictures", "drawn")
     assert (told.code, told.err) == (0, "")
     picture = cv2.imread("drawn/plant_mwd.png")
     assert picture.shape[0] > 800 and len({tuple(pixel) for pixel in picture[::7, ::7].reshape(-1, 3)}) > 5

@@ -15,10 +15,7 @@ NESTED = {
     "town": ("import", "make", "list", "check", "pave", "run"),
     "scene": ("run", "list", "bless", "new", "make"),
     "users": ("record", "fit"),
-    "bench": (
-        *("tick", "camera", "chair", "users", "crashes", "reaction"),
-        *("bridge", "barrier", "parallel", "soak", "memory"),
-    ),
+    "chair": ("check",),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]
 COMMANDS = [(name,) for name in PLAIN] + [(name, word) for name, words in NESTED.items() for word in words]
@@ -56,7 +53,7 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
     for words in COMMANDS:
         told = wcsim(*words, "--help").out
         has_chance = words not in {("town", "list"), ("town", "check"), ("town", "pave"), ("replay",), ("cache",)}
-        has_chance &= words not in {("bench", "chair"), ("bench", "barrier"), ("report",), ("networks",), ("export",)}
+        has_chance &= words not in {("chair", "check"), ("report",), ("networks",), ("export",)}
         has_chance &= words not in {("users", "fit"), ("watch",)}
         has_chance &= words[0] != "scene" or words[1] == "make"
         assert ("--seed INT" in told) == has_chance
@@ -64,7 +61,7 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
         has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("cache",)}
         has_result |= words[0] == "users"
         has_result |= words in {("town", "make"), ("collect",), ("networks",), ("export",)}
-        assert ("--json FILE" in told) == (has_result or words[0] == "bench"), words
+        assert ("--json FILE" in told) == (has_result or words[0] == "chair"), words
 
 
 def test_version(wcsim):
@@ -75,8 +72,7 @@ def test_version(wcsim):
 def test_whatever_takes_a_town_says_that_a_scenario_will_do(wcsim):
     takes = {("town", "check"), ("town", "pave"), ("town", "run"), ("users", "record")}
     takes |= {(name,) for name in ("look", "snapshot", "video", "drive", "test", "train", "collect", "demo", "serve")}
-    takes |= {("export",), ("doctor",), ("replay",)} | {words for words in COMMANDS if words[0] == "bench"}
-    takes -= {("bench", "chair"), ("bench", "barrier")}
+    takes |= {("export",), ("doctor",), ("replay",)}
     for words in COMMANDS:
         told = re.sub(r"[\s│]+", " ", wcsim(*words, "--help").out)
         assert bool(re.search(r"name, its folder, or a \.sumocfg file", told)) == (words in takes), words

@@ -26,7 +26,7 @@ from wcsim.types import ClientSnapshot, Joystick
 
 AHEAD = Joystick(0.1, 0.8)
 NOWHERE = "nowhere"  # the town of stand-ins
-REAL, STAND_IN = "wcsim.server.host.process", "wcsim.bench.barrier.fake_world"  # a world process with either
+REAL, STAND_IN = "wcsim.server.host.process", "benchmarks.barrier.fake_world"  # a world process with either
 WAIT_S = 120.0
 QUICK = Patience(resend_s=0.3, reconnect_s=120.0, tick_s=120.0)
 
@@ -167,7 +167,7 @@ def stub_client(join: SeatRequest, folder: Path, *options: str) -> Iterator[subp
     """A client process that drives on and on."""
     order, sights = folder / f"{join.name}.json", folder / f"{join.name}.sights"
     order.write_bytes(to_line(join))
-    command = [sys.executable, "-m", "wcsim.bench.soak.stub_client", str(order), "--sights", str(sights), *options]
+    command = [sys.executable, "-m", "benchmarks.soak.stub_client", str(order), "--sights", str(sights), *options]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:
         yield process

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -54,7 +54,7 @@ SUBCOMMANDS = (
     Subcommand("video", "wcsim.cli.pictures.video", "make a video from a chair's camera, with a map"),
     Subcommand("drive", "wcsim.cli.drive", "drive a wheelchair yourself in your browser"),
     Subcommand("networks", "wcsim.cli.networks", "show what each network costs: parameters, memory, time"),
-    Subcommand("bench", "wcsim.cli.bench.command", "measure chairs, users, streets, cameras and speed"),
+    Subcommand("chair", "wcsim.cli.chair", "test wheelchairs on a yard, in the manner of ISO 7176"),
     Subcommand("cache", "wcsim.cli.cache", "show where built streets are cached, their size, or clear them"),
     Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
 )
@@ -66,9 +66,14 @@ class Terminated(KeyboardInterrupt):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code, see `cli/shared/exit_codes.py`."""
+    return guarded(_run_command, arguments)
+
+
+def guarded(work: Callable[[list[str]], int], arguments: list[str] | None) -> int:
+    """Give the words of a command line to `work`, the process's own if there are none; returns the exit code."""
     try:
         with _orderly_end(own_process=arguments is None):
-            code = _run(sys.argv[1:] if arguments is None else arguments, own_process=arguments is None)
+            code = _run(work, sys.argv[1:] if arguments is None else arguments, own_process=arguments is None)
             if arguments is None and code in (Exit.STOPPED, Exit.INTERRUPTED, Exit.TERMINATED):
                 _end_undisturbed()
         sys.stdout.flush()
@@ -103,15 +108,19 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise Terminated
 
 
-def _run(words: list[str], own_process: bool) -> int:
+def _run_command(words: list[str]) -> int:
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
+    if chosen is None:
+        return _no_subcommand(words)
+    return int(importlib.import_module(chosen.module).run(words[1:]) or Exit.DONE)
+
+
+def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) -> int:
     try:
         if own_process:
             require_streams()
         require_letters(words)
-        if chosen is None:
-            return _no_subcommand(words)
-        return int(importlib.import_module(chosen.module).run(words[1:]) or Exit.DONE)
+        return work(words)
     except WcsimError as error:
         print(f"wcsim: {printable(str(error))}", file=sys.stderr)
         return exit_of(error)

@@ -7,7 +7,7 @@ from typing import Final
 KERB_STEP_CM: Final = 5
 """What a wheel takes up or down, in the whole centimetres of the street's raster; a higher step is a kerb.
 
-The chairs of `plants/` climb it with a run-up, and are stopped by less than a kerb of 12 cm (`wcsim bench chair`).
+The chairs of `plants/` climb it with a run-up, and are stopped by less than a kerb of 12 cm (`wcsim chair check`).
 """
 KERB_STEP_M: Final = 0.01 * KERB_STEP_CM
 """A kerb that is no higher counts as lowered: the chair takes it, and no distance need be kept from it."""

@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import tyro
 
+from benchmarks.__main__ import PROGRAM
+from benchmarks.__main__ import main as measure
 from tests.support.tracked import tracked
 from wcsim.cli.main import main
 from wcsim.config import load_run_config
@@ -35,14 +37,14 @@ def blocks(text: str) -> list[str]:
 
 
 def commands(text: str) -> list[list[str]]:
-    """Words of each wcsim command in the blocks of a page, without "wcsim" itself."""
+    """Words of each command in the blocks of a page, without "wcsim"; a benchmark has that word before them."""
     found = []
     for block in blocks(text):
         for line in block.replace("\\\n", " ").split("\n"):
-            if not re.match(r"(\$ )?\w*=?\S* ?wcsim ", line):
+            if not re.match(rf"(\$ )?\w*=?\S* ?(wcsim|{PROGRAM}) ", line):
                 continue
             for part in re.split(r"&&|\|(?= )|;", line.partition(" #")[0]):
-                words = shlex.split(part.replace("$ ", "", 1))
+                words = shlex.split(part.replace("$ ", "", 1).replace(PROGRAM, "wcsim benchmark"))
                 if words[:1] == ["wcsim"]:
                     found.append(words[1:])
     return found
@@ -51,14 +53,19 @@ def commands(text: str) -> list[list[str]]:
 SHOWN = [(path, words) for path in PAGES for words in commands(path.read_text(encoding="utf-8"))]
 
 
+def run(words: list[str]) -> int:
+    """Do what a command says."""
+    return measure(words[1:]) if words[0] == "benchmark" else main(words)
+
+
 def name_of(case: object) -> str:
     return str(case.relative_to(ROOT)) if isinstance(case, Path) else " ".join(case)  # type: ignore[arg-type]
 
 
 def test_commands_are_found() -> None:
     fenced = "```\nwcsim look && wcsim train \\\n  --seed 1\n```\n```python\nwcsim x\n```\n"
-    page = f"a\n\n    $ wcsim doctor   # b\n    ls\n\n{fenced}"
-    assert commands(page) == [["look"], ["train", "--seed", "1"], ["doctor"]]
+    page = f"a\n\n    $ wcsim doctor   # b\n    {PROGRAM} soak\n\n{fenced}"
+    assert commands(page) == [["look"], ["train", "--seed", "1"], ["doctor"], ["benchmark", "soak"]]
     assert len(SHOWN) > 50
 
 
@@ -80,7 +87,7 @@ def understood(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_a_command_of_a_page_is_understood(page: Path, words: list[str]) -> None:
     del page
     with pytest.raises(Understood):
-        main(words)
+        run(words)
 
 
 @pytest.mark.usefixtures("understood")
@@ -108,7 +115,7 @@ def test_a_page_installs_extras_of_the_wheel_for_no_index_has_wcsim(page: Path) 
 
 
 OPTION = re.compile(r"--[a-z][a-z-]+")
-TOLD = re.compile(r"`(wcsim [a-z][^`]*--[^`]*)`")
+TOLD = re.compile(rf"`((?:wcsim|{PROGRAM}) [a-z][^`]*--[^`]*)`")
 INLINE = {found for page in PAGES for found in TOLD.findall(page.read_text(encoding="utf-8"))}
 A_MISTAKE = "wcsim test --polcy x"  # of `docs/results.md`, which says what a refusal costs
 
@@ -116,10 +123,10 @@ A_MISTAKE = "wcsim test --polcy x"  # of `docs/results.md`, which says what a re
 @pytest.mark.parametrize("told", sorted(INLINE - {A_MISTAKE}))
 def test_options_that_a_sentence_names_are_there(told: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Commands within a sentence leave things out, so only their options are looked up."""
-    words = told.split()[1:]
+    words = told.replace(PROGRAM, "wcsim benchmark").split()[1:]
     first = [word for word in words if word in ("--suite", "--make-suite")]
-    second = words[1:2] if words[0] in ("town", "scene", "bench", "users") else []
-    assert main([words[0], *second, *(each for word in first[:1] for each in (word, "x")), "--help"]) == 0
+    second = words[1:2] if words[0] in ("town", "scene", "chair", "benchmark", "users") else []
+    assert run([words[0], *second, *(each for word in first[:1] for each in (word, "x")), "--help"]) == 0
     known = set(OPTION.findall(capsys.readouterr().out))
     assert set(OPTION.findall(told)) <= known
 

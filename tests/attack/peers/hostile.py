@@ -22,9 +22,9 @@ import numpy as np
 import psutil
 import zmq
 
+from benchmarks.soak.stub_client import StubSight, read_sights
 from tests.attack.peers.messages import hostile_request
 from tests.attack.peers.wire import shapes
-from wcsim.bench.soak.stub_client import StubSight, read_sights
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import SeatRequest, to_line
 from wcsim.server.transport.keys import client_keys, server_public
@@ -140,7 +140,7 @@ def honest_client(order: SeatRequest, folder: Path) -> subprocess.Popen[bytes]:
     file = folder / f"{order.name}.json"
     file.write_bytes(to_line(order))
     sights = str(folder / f"{order.name}.sights")
-    words = [sys.executable, "-m", "wcsim.bench.soak.stub_client", str(file), "--sights", sights]
+    words = [sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--sights", sights]
     return subprocess.Popen(words, stdin=subprocess.DEVNULL)
 
 

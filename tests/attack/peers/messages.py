@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.support.worlds import quick_config
-from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.server.host.loop import Hosted, ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.launch.lifeline import Lifelines

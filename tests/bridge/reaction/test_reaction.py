@@ -1,4 +1,4 @@
-"""The reaction on a small street with SUMO in it; the whole battery is `wcsim bench reaction`."""
+"""The reaction on a small street with SUMO in it; the whole battery is `python -m benchmarks reaction`."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.bench.reaction.battery import BatteryOrder, run_battery, stand
-from wcsim.bench.reaction.engineless_world import ReactionStage
-from wcsim.bench.reaction.places import ChairPlace
-from wcsim.bench.reaction.streets import SMALL_STREETS, build_small_street
+from benchmarks.reaction.battery import BatteryOrder, run_battery, stand
+from benchmarks.reaction.engineless_world import ReactionStage
+from benchmarks.reaction.places import ChairPlace
+from benchmarks.reaction.streets import SMALL_STREETS, build_small_street
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand
 from wcsim.config import WorldConfig
 from wcsim.towns.street import load_street

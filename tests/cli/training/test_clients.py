@@ -37,12 +37,11 @@ SMALL = (
     *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     *("--set", "learn.batch_size=4", "--set", "learn.learning_starts=8", "--set", "learn.episode_steps=15"),
 )
-COMMAND = (sys.executable, "-m", "wcsim")
 
 
-def start(folder, *words):
+def start(folder, *words, program="wcsim"):
     return subprocess.Popen(
-        [*COMMAND, *(str(word) for word in words)],
+        [sys.executable, "-m", program, *(str(word) for word in words)],
         cwd=folder,
         env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100"},
         stdout=subprocess.PIPE,

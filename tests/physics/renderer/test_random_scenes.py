@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.camera.random_scenes import ground_m, scatter
 from tests.support.samples import strip_street
-from wcsim.bench.camera.random_scenes import ground_m, scatter
 from wcsim.config import CameraConfig
 from wcsim.types import ActorKind
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.camera.embree import RayOracle, depth_agrees
 from tests.physics.renderer.render_oracle import CAMERA, SIZES, actor, crowd
 from tests.support.samples import strip_street
-from wcsim.bench.camera.embree import RayOracle, depth_agrees
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole

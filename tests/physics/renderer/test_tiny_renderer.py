@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.camera import compare
+from benchmarks.camera.compare import compare_renderers, pooled
+from benchmarks.camera.embree import depth_agrees
 from tests.physics.renderer.render_oracle import CAMERA, actor, crowd
 from tests.support.samples import strip_street
-from wcsim.bench.camera import compare
-from wcsim.bench.camera.compare import compare_renderers, pooled
-from wcsim.bench.camera.embree import depth_agrees
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer.geometry import GeometryStore

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.host.test_process import BOTH, audited, drive_through, two_seats
 from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
-from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.config import with_overrides
 from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
 from wcsim.server.host.made_world import epoch_seed

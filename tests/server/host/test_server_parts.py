@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
+from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.servers import stand_in_order
-from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.errors import ConfigError
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.recovery import REGATHER_S, open_server

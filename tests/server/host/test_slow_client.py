@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from benchmarks.soak.stub_client import read_sights
 from tests.server.servers import STAND_IN, OtherWorlds
 from tests.support.worlds import quick_config
-from wcsim.bench.soak.stub_client import read_sights
 from wcsim.server.journal.journal import JOURNAL, iter_journal
 from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
 from wcsim.server.launch.launcher import Launcher
@@ -35,7 +35,7 @@ def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
     file = place / f"{name}.json"
     file.write_bytes(to_line(join))
     think_ms = 10.0 * THINK_MS if seat == SLOW else THINK_MS
-    argv = (sys.executable, "-m", "wcsim.bench.soak.stub_client", str(file), "--steps", str(STEPS))
+    argv = (sys.executable, "-m", "benchmarks.soak.stub_client", str(file), "--steps", str(STEPS))
     argv += ("--think-ms", str(think_ms), "--sights", str(folder / f"{name}.sights"))
     return ClientPlan(name=name, seat=seat, argv=argv, log=folder / "logs" / name, folder=folder)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.barrier.fake_world import FakeWorld
 from tests.support.worlds import quick_config
-from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.server.host.world_host import WorldHost, sealed
 from wcsim.server.journal.records import Admitted
 from wcsim.server.protocol import messages as m

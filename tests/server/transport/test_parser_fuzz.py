@@ -14,10 +14,10 @@ import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
-from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.errors import OverloadedError, ProtocolError
 from wcsim.server.journal.ledger import ledger_facts, read_ledger
 from wcsim.server.links.socket import open_seat

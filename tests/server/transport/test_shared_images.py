@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.barrier.fake_world import FakeWorld
 from tests.support.worlds import quick_config
 from wcsim.agents.clients.client import exit_of
-from wcsim.bench.barrier.fake_world import FakeWorld
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server.launch.states import ClientExit

@@ -1,1 +1,1 @@
-"""Policies judged in environments: KPIs, tables, confidence. `bench` measures wcsim, this measures policies."""
+"""Policies judged in environments: KPIs, tables, confidence."""

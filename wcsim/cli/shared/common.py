@@ -33,14 +33,15 @@ _TOLD = 5
 _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
 
 
-def parse(options: type[T], words: list[str], command: str) -> T:
+def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
     Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
     hear of it before the work than after it. So it does for an option that is a word without a name, such as TOWN.
     """
     _require_bare(options, words, command)
-    parsed = tyro.cli(options, args=words, prog=f"wcsim {command}", description=options.__doc__, registry=_numbers())
+    prog = f"{program} {command}"
+    parsed = tyro.cli(options, args=words, prog=prog, description=options.__doc__, registry=_numbers())
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
     check_output("--json", getattr(parsed, "json", None))
     return parsed

@@ -1,8 +1,7 @@
 """What a user's hand and eyes did, estimated from what they left behind: sticks, intents, what was noticed.
 
 Nothing here knows how the user model works inside: tremor comes from a spectrum, looks elsewhere from intents that do
-not move, delays and gains from fitting the stick to the intent. Each estimate stands beside the profile's parameter in
-`wcsim bench users`.
+not move, delays and gains from fitting the stick to the intent.
 """
 
 from __future__ import annotations

@@ -1,0 +1,90 @@
+"""Learners in one street whose processes are killed and stopped: `python -m benchmarks soak --networks`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.scripts.soak import SoakOptions, _soaked
+from benchmarks.scripts.soak import run as soak
+from benchmarks.soak.planned import FaultOrder
+from tests.cli.training.test_clients import SMALL, start
+from wcsim.errors import InterruptedRunError
+from wcsim.server.launch.backoff import RestartRules, Restarts
+from wcsim.towns.scenario.town import find_town
+
+NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
+SIX = "fig6,stack,gru,patch,small,convlstm"
+
+
+def soaked(folder, corner, *words, timeout_s=280):
+    """The result of a soak, which must be as it should be."""
+    words = ("soak", "--town", corner, "--json", "soak.json", "--out", "kept", *words, *SMALL)
+    child = start(folder, *words, program="benchmarks")
+    out, err = child.communicate(timeout=timeout_s)
+    assert (folder / "soak.json").is_file(), err
+    told = json.loads((folder / "soak.json").read_text())
+    assert (child.returncode, told["wrong"]) == (0, []), (out, err)
+    return told["runs"]
+
+
+def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("wcsim.cli.training.clients.train_clients", lambda *given: asked.append(given[-1]))
+    monkeypatch.setattr("benchmarks.soak.learners.soak_learners", lambda order, run, told, train: train(None))
+    options = SoakOptions(networks="small,patch", kills=150, stops=140)
+    _soaked(options, find_town(str(corner)), tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
+    plain = RestartRules()
+    assert asked == [replace(plain, deaths=290 + plain.deaths)]
+    restarts = Restarts(asked[0])
+    assert [restarts.died(progressed=False) for _ in range(290)][-1] == plain.longest_s
+
+
+def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp_path, monkeypatch):
+    begun = []
+
+    def stopped(*given):
+        begun.append(given)
+        raise InterruptedRunError("stopped")
+
+    monkeypatch.setattr("wcsim.cli.training.clients.train_clients", stopped)
+    options = SoakOptions(networks="small,patch", steps=100, twice=True, town=str(corner), out=tmp_path / "kept")
+    with pytest.raises(InterruptedRunError, match="stopped; an incomplete soak shows nothing: start it again"):
+        soak(options)
+    assert len(begun) == 1
+
+
+@pytest.mark.proof
+def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
+    words = ("--networks", "small,patch", "--steps", 60, "--kills", 1, "--stops", 0, "--lease", 30, "--slow", 2)
+    (run,) = soaked(tmp_path, corner, *words, "--seed", 2, "--set", "learn.checkpoint_every=20")
+    assert run["kills"] == 1 and run["ticks"] > 50
+    assert {key: run[key] for key in NOTHING} == NOTHING
+    waits = json.loads((tmp_path / "kept" / "run-1" / "waits.json").read_text())
+    assert set(waits["clients"]) == {"small", "patch"} and set(waits["waited_s"]) <= {"small", "patch"}
+    assert waits["clients"]["patch"]["learning_s"] > 0.0
+
+
+@pytest.mark.proof
+def test_six_learners_lose_nothing_through_kills_stops_and_ends_of_epochs(tmp_path, corner):
+    words = ("--networks", SIX, "--steps", 240, "--kills", 4, "--stops", 3, "--lease", 8, "--slow", 6, "--seed", 4)
+    more = ("--set", "learn.checkpoint_every=40", "--set", "world.epoch_ticks=100")
+    (run,) = soaked(tmp_path, corner, *words, *more, timeout_s=590)
+    assert (run["kills"], run["stops"]) == (4, 3)
+    assert {key: run[key] for key in NOTHING} == NOTHING
+    assert run["slowest_over_median"] > 2.0
+
+
+@pytest.mark.proof
+def test_two_runs_of_six_learners_have_one_journal_through_an_end_of_an_epoch(tmp_path, corner):
+    words = ("--networks", SIX, "--steps", 120, "--twice", "--slow", 6, "--lease", 120)
+    runs = soaked(tmp_path, corner, *words, "--set", "world.epoch_ticks=50", timeout_s=590)
+    assert len({run["journal_hash"] for run in runs}) == 1
+    weights = [
+        (tmp_path / "kept" / run / name / "policies" / "final" / "weights.safetensors").read_bytes()
+        for name in ("gru", "convlstm")
+        for run in ("run-1", "run-2")
+    ]
+    assert weights[0] == weights[1] != weights[2] == weights[3], "learned while waiting, by the clock of a busy machine"

@@ -1,1 +1,0 @@
-"""What only measures or proves wcsim: the yardsticks behind `wcsim bench`. The product imports nothing from here."""

@@ -1,0 +1,137 @@
+"""The tilt table: how far a chair can be tilted until its uphill wheels carry nothing, as ISO 7176-1 asks.
+
+The table is level ground and gravity turns, at most 0.2 degrees a second. Brakes are on, casters and swivels are held
+at the angle that brings the tip line nearest to the centre of mass, and everything grips, so that nothing slides. A
+chair on a beam rolls freely where it is tilted sideways, casters trailing, and its beam's bearing has no friction.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from wcsim.chair_check.declared import stand, worst_swivel_rad
+from wcsim.chair_check.row import TICK_S, Setup
+from wcsim.chair_check.static_balance import Stand, Vec2, tip_rad, uphill
+from wcsim.chair_check.yard import NEUTRAL, Yard
+from wcsim.core.frames import rad
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.engine import GRAVITY_MPS2
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
+
+_TILT_RADPS: Final = rad(0.2)
+_BEFORE_RAD: Final = rad(2.0)  # the slow part begins so far below the tilt that is expected
+_BEYOND_RAD: Final = rad(3.0)  # and is given up so far above it
+_FAST_RADPS: Final = rad(4.0)  # or it falls hard onto its anti-tips
+_SETTLE_S: Final = 10.0
+_QUIET_RADPS: Final = 1e-3
+_STAGES: Final = (1 / 3, 2 / 3, 1.0)
+_GRIP: Final = 2.0
+_ITERATIONS: Final = 1000  # many wheels held at once are stiff
+
+
+def expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+    """The tilt at which a chair tips, from the masses and contact points that its file declares."""
+    return tip_rad(_stand(setup, downhill, antitips), downhill)
+
+
+def measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+    """The tilt at which the simulated chair's uphill wheels carry nothing any more, at most 3 degrees above expected.
+
+    Args:
+        setup: The chair and the rate.
+        downhill: Unit vector in the chair's x and y.
+        antitips: Whether it has its anti-tips.
+    """
+    expected = expected_tip_rad(setup, downhill, antitips)
+    upper = uphill(_stand(setup, downhill, antitips), downhill)
+    with Yard(setup, iterations=_ITERATIONS) as yard:
+        _prepare(yard, downhill, antitips)
+        table = _Table(yard, downhill, upper)
+        table.settle()
+        start_rad = max(expected - _BEFORE_RAD, 0.0)
+        for share in _STAGES:  # a chair that falls onto its anti-tips rocks there for a while
+            table.tilt_to(share * start_rad)
+            table.settle()
+        return table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD)
+
+
+def _stand(setup: Setup, downhill: Vec2, antitips: bool) -> Stand:
+    spec = plant_spec(setup.chair)
+    chair = stand(spec, _swivel_rad(spec, downhill))
+    return chair if antitips else chair.without("antitip")
+
+
+def _rolls(spec: PlantSpec, downhill: Vec2) -> bool:
+    """Whether its wheels are left to roll: a beam is turned by the grip of its casters, sideways, too.
+
+    How much of the grip wheels give that are all held is not determined; of wheels that roll it is, by their loads.
+    """
+    return downhill[0] == 0.0 and any(pair.beam is not None for pair in spec.casters)
+
+
+def _swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
+    return 0.0 if _rolls(spec, downhill) else worst_swivel_rad(spec, downhill)
+
+
+def _prepare(yard: Yard, downhill: Vec2, antitips: bool) -> None:
+    spec = yard.chair.spec
+    yard.turn_swivels(_swivel_rad(spec, downhill))
+    if _rolls(spec, downhill):
+        yard.lock("swivel")
+        yard.free("beam")
+    else:
+        yard.lock("wheel", "caster", "swivel")
+    for name, index in (("frame", -1), *yard.links().items()):
+        pybullet.changeDynamics(yard.body, index, lateralFriction=_GRIP, physicsClientId=yard.client)
+        if name.startswith("antitip") and not antitips:
+            pybullet.setCollisionFilterGroupMask(yard.body, index, 0, 0, physicsClientId=yard.client)
+
+
+class _Table:
+    """A table under a chair that tilts downhill."""
+
+    def __init__(self, yard: Yard, downhill: Vec2, upper: frozenset[str]) -> None:
+        self._yard, self._downhill, self._upper = yard, downhill, upper
+        self._tilt_rad = 0.0
+
+    def settle(self) -> None:
+        """Wait until the chair is quiet, ten seconds at most."""
+        for _ in range(round(_SETTLE_S / TICK_S)):
+            self._tick(0.0)
+            if np.abs(self._yard.chair.state().w_B_radps).max() < _QUIET_RADPS:
+                return
+
+    def tilt_to(self, tilt_rad: float) -> None:
+        """Tilt to an angle, fast."""
+        away_rad = tilt_rad - self._tilt_rad
+        ticks = math.ceil(away_rad / (_FAST_RADPS * TICK_S))
+        for _ in range(ticks):
+            self._tick(away_rad / (ticks * TICK_S))
+
+    def tip_rad(self, most_rad: float) -> float:
+        """Tilt slowly until the uphill wheels are off the table for a tick, or to an angle at most.
+
+        A load of zero alone would not do: before it tips, a chair may stand on the whole width of its lower tyres, and
+        then the solver is free to give the upper wheels none.
+        """
+        while self._tilt_rad < most_rad:
+            if self._tick(_TILT_RADPS):
+                return self._tilt_rad
+        return self._tilt_rad
+
+    def _tick(self, rate_radps: float) -> bool:
+        """A tick at a rate; returns whether no uphill foot touched the table in it."""
+        yard, lifted = self._yard, True
+        yard.chair.command(NEUTRAL)
+        for _ in range(yard.setup.substeps):
+            self._tilt_rad += rate_radps / yard.setup.hz
+            fall = GRAVITY_MPS2 * math.sin(self._tilt_rad)
+            down = (fall * self._downhill[0], fall * self._downhill[1], -GRAVITY_MPS2 * math.cos(self._tilt_rad))
+            pybullet.setGravity(*down, physicsClientId=yard.client)
+            yard.substep()
+            lifted = lifted and self._upper.isdisjoint(yard.loads_N())
+        yard.chair.end_tick(None)
+        return lifted

@@ -1,0 +1,213 @@
+"""The test yard: plain streets, and one chair on one of them that is driven tick by tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+
+from wcsim.chair_check.row import TICK_S, Setup
+from wcsim.core.frames import forward
+from wcsim.physics.bullet import pybullet
+from wcsim.physics.engine import Engine
+from wcsim.physics.wheelchair.wheelchair import Wheelchair
+from wcsim.types import F64, ClassId, Joystick, PlantState, StreetMesh
+
+FORWARD: Final = Joystick(0.0, 1.0)
+NEUTRAL: Final = Joystick(0.0, 0.0)
+FACE_X_M: Final = 4.0  # where steps and walls stand across the way
+_HALF_M: Final = 40.0  # of a street
+_TIED_M: Final = 0.3  # behind the drive axle
+_FIRM_NM: Final = 5000.0
+_FIXED: Final = 4  # pybullet.JOINT_FIXED
+
+
+def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
+    """One plane through the origin that rises ahead (x) and to the left (y) by these angles."""
+    corners = [(x, y) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    rise = (math.tan(ahead_rad), math.tan(left_rad))
+    vertices = [(_HALF_M * x, _HALF_M * y, _HALF_M * (x * rise[0] + y * rise[1])) for x, y in corners]
+    return _mesh(vertices, [[0, 1, 2], [0, 2, 3]], [ClassId.ROAD] * 2)
+
+
+def grid_street(height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float) -> StreetMesh:
+    """Road around the origin, so far ahead, back and to the sides, as high as a function of x and y says."""
+    columns, rows = round(2.0 * long_m / cell_m) + 1, round(2.0 * wide_m / cell_m) + 1
+    xs, ys = np.linspace(-long_m, long_m, columns).tolist(), np.linspace(-wide_m, wide_m, rows).tolist()
+    vertices = [(x, y, height_m(x, y)) for x in xs for y in ys]
+    corners = [i * rows + k for i in range(columns - 1) for k in range(rows - 1)]
+    faces = [face for a in corners for face in ([a, a + rows, a + rows + 1], [a, a + rows + 1, a + 1])]
+    return _mesh(vertices, faces, [ClassId.ROAD] * len(faces))
+
+
+def step_street(rise_m: float, face: ClassId = ClassId.KERB) -> StreetMesh:
+    """A level road up to x = FACE_X_M and level ground `rise_m` higher (or lower) behind that face."""
+    x, far, half, h = FACE_X_M, FACE_X_M + _HALF_M, _HALF_M, rise_m
+    vertices = [(-half, -half, 0.0), (x, -half, 0.0), (x, half, 0.0), (-half, half, 0.0)]
+    vertices += [(x, -half, h), (far, -half, h), (far, half, h), (x, half, h)]
+    faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7], [2, 1, 4], [2, 4, 7]]
+    return _mesh(vertices, faces, [ClassId.ROAD] * 2 + [ClassId.SIDEWALK] * 2 + [face] * 2)
+
+
+def _mesh(vertices: list[tuple[float, float, float]], faces: list[list[int]], classes: list[ClassId]) -> StreetMesh:
+    return StreetMesh(
+        vertices_W_m=np.array(vertices, np.float32),
+        faces=np.array(faces, np.int32),
+        face_class=np.array(classes, np.uint8),
+        chunk_vertices=np.array([0, len(vertices)], np.int32),
+        chunk_faces=np.array([0, len(faces)], np.int32),
+    )
+
+
+@dataclass(slots=True)
+class Ride:
+    """What a drive showed, one item a tick."""
+
+    states: list[PlantState] = field(default_factory=list)
+    peaks_mps2: list[F64] = field(default_factory=list)  # of the low-passed accelerometer, (3,) each
+
+    @property
+    def p_m(self) -> F64:
+        """Places of the chair's origin, (ticks, 3)."""
+        return np.array([state.p_WB_m for state in self.states])
+
+    @property
+    def speed_mps(self) -> F64:
+        """Forward speeds at the end of each tick, (ticks,)."""
+        return np.array([state.v_B_mps[0] for state in self.states])
+
+    @property
+    def peak_mps2(self) -> float:
+        """The largest low-passed acceleration on any axis."""
+        return float(np.max(self.peaks_mps2))
+
+
+class Yard:
+    """An engine with a street and one chair, placed at the origin.
+
+    Args:
+        setup: The chair and the rate of the physics.
+        street: What it stands on; level ground if none.
+        iterations: Of the engine's solver, in a step.
+    """
+
+    def __init__(self, setup: Setup, street: StreetMesh | None = None, iterations: int = 50) -> None:
+        self.engine: Final = Engine(1.0 / setup.hz, iterations)
+        self.setup: Final = setup
+        self.engine.add_street(plane_street() if street is None else street)
+        self.chair: Final = Wheelchair(self.engine, setup.chair, setup.imu, seat=0)
+        self.place(0.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.engine.close()
+
+    @property
+    def body(self) -> int:
+        """PyBullet's id of the chair."""
+        return self.chair.body_id
+
+    @property
+    def client(self) -> int:
+        """PyBullet's id of the engine."""
+        return self.engine.client
+
+    def place(self, x_m: float, y_m: float = 0.0, yaw_rad: float = 0.0, z_m: float = 0.0) -> None:
+        """Stand the chair there, at rest."""
+        self.chair.place(np.array([x_m, y_m, z_m]), yaw_rad)
+
+    def links(self) -> dict[str, int]:
+        """Link indices by name."""
+        count = pybullet.getNumJoints(self.body, physicsClientId=self.client)
+        return {
+            pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)
+        }
+
+    def drive(
+        self,
+        stick: Joystick,
+        seconds: float,
+        until: Callable[[PlantState], bool] | None = None,
+        pull_N: float = 0.0,
+    ) -> Ride:
+        """Drive with a joystick position for whole ticks.
+
+        Args:
+            stick: What the driver wants.
+            seconds: For how long.
+            until: Ends the drive early when it holds of the state at the end of a tick.
+            pull_N: A force along -x of the world, tied to the chair behind its axle near the ground.
+        """
+        ride = Ride()
+        for _ in range(round(seconds / TICK_S)):
+            self.chair.command(stick)
+            for _ in range(self.setup.substeps):
+                self._pull(pull_N)
+                self.substep()
+            self.chair.end_tick(None)
+            ride.states.append(self.chair.state())
+            ride.peaks_mps2.append(self.chair.imu().accel_peak_mps2)
+            if until is not None and until(ride.states[-1]):
+                break
+        return ride
+
+    def substep(self) -> None:
+        """One physics step with controllers and sensors."""
+        self.chair.before_step()
+        self.engine.step()
+        self.chair.after_step()
+
+    def _pull(self, force_N: float) -> None:
+        if force_N > 0.0:
+            state = self.chair.state()
+            tied = state.p_WB_m - _TIED_M * forward(state.yaw_rad, 0.0)
+            pybullet.applyExternalForce(
+                self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME, physicsClientId=self.client
+            )
+
+    def turn_swivels(self, angle_rad: float) -> None:
+        """Turn every caster's fork to an angle; 0 is trailing."""
+        for name, index in self.links().items():
+            if name.startswith("swivel"):
+                pybullet.resetJointState(self.body, index, angle_rad, 0.0, physicsClientId=self.client)
+
+    def lock(self, *prefixes: str) -> None:
+        """Hold the joints of links whose names begin so where they are; every joint that moves if none is named."""
+        for name, index in self.links().items():
+            kind = pybullet.getJointInfo(self.body, index, physicsClientId=self.client)[2]
+            if kind == _FIXED or (prefixes and not name.startswith(prefixes)):
+                continue
+            angle = pybullet.getJointState(self.body, index, physicsClientId=self.client)[0]
+            pybullet.setJointMotorControl2(
+                self.body,
+                index,
+                pybullet.POSITION_CONTROL,
+                targetPosition=angle,
+                force=_FIRM_NM,
+                physicsClientId=self.client,
+            )
+
+    def free(self, prefix: str) -> None:
+        """Take the bearing friction from the joints of links whose names begin so."""
+        for name, index in self.links().items():
+            if name.startswith(prefix):
+                pybullet.setJointMotorControl2(
+                    self.body, index, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client
+                )
+
+    def loads_N(self) -> dict[str, float]:
+        """Normal force in the last step of every link that touches something, by name; the frame is "frame"."""
+        names = {index: name for name, index in self.links().items()}
+        loads: dict[str, float] = {}
+        for point in pybullet.getContactPoints(bodyA=self.body, physicsClientId=self.client):
+            name = names.get(point[3], "frame")
+            loads[name] = loads.get(name, 0.0) + float(point[9])
+        return loads

@@ -1,1 +1,0 @@
-"""`wcsim bench ...`: each measurement as a table and as JSON."""
