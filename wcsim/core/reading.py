@@ -194,7 +194,7 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
     Raises:
         FileError: Of the class `error`: a symbolic link, or a file that has another name elsewhere.
     """
-    names: dict[tuple[int, int], list[str]] = {}
+    names: dict[tuple[int, int, int], list[str]] = {}
     waiting = [folder]
     while waiting:
         with os.scandir(waiting.pop()) as entries:
@@ -205,8 +205,8 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append(Path(entry.path))
                 elif known.st_nlink > 1:
-                    names.setdefault((known.st_ino, known.st_nlink), []).append(entry.path)
-    for (_, links), paths in names.items():
+                    names.setdefault((known.st_dev, known.st_ino, known.st_nlink), []).append(entry.path)
+    for (_, _, links), paths in names.items():
         if len(paths) < links:
             raise _link_refused(paths[0], error)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +12,9 @@ from tests.attack.peers.peers import Attacker, a_join, refusal
 from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.clients.client import learn
 from wcsim.agents.runs import own_code
+from wcsim.agents.runs.run_folder import MANIFEST, create_run, make_manifest, open_run, read_json
 from wcsim.cli.main import main, printable
-from wcsim.core.files import locked
+from wcsim.core.files import locked, write_json
 from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.server.journal.records import JournalHeader, header_bytes, header_of
@@ -72,17 +72,22 @@ def test_resume_refuses_a_folder_that_names_code(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "evil.py").write_text("raise SystemExit('it ran')\n", encoding="utf-8")
-    manifest = json.loads((a_small_run / "manifest.json").read_text(encoding="utf-8"))
+    manifest = read_json(a_small_run, MANIFEST)
     for changes in ({"hook": "evil:H"}, {"rewards": ["evil:H"]}):
-        (a_small_run / "manifest.json").write_text(json.dumps({**manifest, **changes}), encoding="utf-8")
+        write_json(a_small_run / MANIFEST, {**manifest, **changes})
         assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
         assert "made elsewhere" in capsys.readouterr().err
+
+
+def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
+    with locked(a_small_run):
+        assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
+    assert open_run(a_small_run).config.learn.total_steps == 30
 
 
 @pytest.fixture
 def a_small_run(tmp_path: Path, corner: Path) -> Path:
     """A run folder as `wcsim train` leaves it, but for its policies."""
-    from wcsim.agents.runs.run_folder import create_run, make_manifest
     from wcsim.cli.shared.run_config import learning
     from wcsim.config import load_run_config
     from wcsim.towns.scenario.town import find_town, streets_hash
@@ -97,10 +102,10 @@ def a_small_run(tmp_path: Path, corner: Path) -> Path:
 @pytest.mark.parametrize("hard", [False, True])
 def test_a_folder_with_a_link_is_not_written_to(tmp_path: Path, hard: bool) -> None:
     precious = tmp_path / "precious"
-    precious.write_text("mine", encoding="utf-8")
+    precious.touch()
     inside = tmp_path / "run" / "deep" / "events.jsonl"
     inside.parent.mkdir(parents=True)
-    (tmp_path / "run" / "replay").write_text("shared", encoding="utf-8")
+    (tmp_path / "run" / "replay").touch()
     (inside.parent / "replay").hardlink_to(tmp_path / "run" / "replay")
     with locked(tmp_path / "run"):  # two names in the folder for one file, as checkpoints have
         pass

@@ -108,7 +108,7 @@ def test_a_snapshot_survives_the_wire(ended):
     camera = reply.client.sensors.cameras[0]
     assert (camera.class_id.dtype, camera.depth_m.dtype, camera.rgb.shape) == (np.uint8, np.float32, (24, 32, 3))
     assert reply.client.truth.safe_actions.dtype == np.bool_
-    assert reply.client.truth.visible is not None and reply.client.truth.visible.safe_actions.shape == (81,)
+    assert reply.client.truth.visible.safe_actions.shape == (81,)
 
 
 @pytest.mark.parametrize("spoilt", [np.full(3, -1.0), np.full(3, np.nan), np.zeros(1025)])

@@ -107,7 +107,9 @@ class ServedPolicy:
             if not isinstance(error, OSError | UnicodeError):
                 raise
             late = f" within {ANSWER_S:g} s" if isinstance(error, TimeoutError) else ""
-            told = f"no answer to {kind!r}{late}: {error}; is the process alive{' and fast enough' * bool(late)}?"
+            # The system names one end in three ways: nothing more to read, a reset, a broken pipe.
+            cause = "the process has closed the connection" if isinstance(error, ConnectionError) else error
+            told = f"no answer to {kind!r}{late}: {cause}; is the process alive{' and fast enough' * bool(late)}?"
             raise PolicyError(f"{self.name}: {told}") from None
 
     def _read(self, length: int, ends_s: float) -> bytes:
@@ -116,7 +118,7 @@ class ServedPolicy:
             self._socket.settimeout(max(1e-3, ends_s - time.monotonic()))
             more = self._socket.recv(length - len(found))
             if not more:
-                raise ConnectionError("the process has closed the connection")
+                raise ConnectionResetError
             found += more
         return found
 

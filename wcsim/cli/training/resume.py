@@ -14,6 +14,7 @@ from wcsim.cli.shared.common import some_words
 from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
 from wcsim.config import RunConfig, parse, with_file, with_overrides
 from wcsim.config.plant import plant_text
+from wcsim.core.files import locked
 from wcsim.errors import PolicyError, TownError
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -196,7 +197,8 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
     require_same_config(path, run.config, typed)
     begun = "config_was_sha256" in read_json(path, MANIFEST)  # by a process that ended between two files
     if begun or steps != run.config.learn.total_steps:
-        extend(path, steps)
+        with locked(path):  # by nobody else at work: a run in use keeps its steps
+            extend(path, steps)
         run = open_run(path)
     return resolve_run(learning(run.config), run.manifest.info, town, path, resume=True), town
 
