@@ -16,7 +16,7 @@ from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.agents.replay.groups import Groups
 
-CARRYING = ("fig6", "gru", "convlstm")
+CARRYING = ("fig6", "convlstm")
 
 
 def recall_model(network, seed=0, task=Recall):
@@ -44,7 +44,7 @@ def mean_return(learner, task):
 def test_a_network_with_a_state_recalls_and_one_without_cannot():
     """It is worth 1 to remember the first image, and 0 to guess."""
     scores = []
-    for network, steps in (("gru", 2600), ("patch", 800)):
+    for network, steps in (("fig6", 2600), ("patch", 800)):
         learner = recall_model(network)
         learner.learn(steps)
         scores.append(mean_return(learner, Recall))
@@ -115,7 +115,7 @@ def test_a_state_that_outlives_its_episode_is_found_out(fault, seed, monkeypatch
     """
     if fault is not None:
         fault(monkeypatch)
-    scores = counted("gru", seed)
+    scores = counted("fig6", seed)
     assert has_counted(scores) == (fault is None), scores
 
 
