@@ -33,7 +33,7 @@ _SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "overlap_s"
 class ParallelOptions:
     """Train several networks together in one world and one after the other, and print the time saved."""
 
-    clients: str = "fig6,stack,gru"
+    clients: str = "fig6,conv3d,convlstm"
     """Networks, separated by commas."""
     sizes: str = ""
     """Sizes of the groups, such as 3,6: the first 3 and the first 6 networks. (default: all of them)"""

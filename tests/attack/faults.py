@@ -92,7 +92,7 @@ def stopped_at(folder: Path, ticks: int, *words: object, limit_s: float = 120.0)
 def begun(folder: Path, corner: Path, steps: int = FOREVER, ticks: int = 25) -> Path:
     """An interrupted run of two clients in `folder/run`."""
     folder.mkdir(parents=True, exist_ok=True)
-    words = ("--town", corner, "--clients", "small,small", "--steps", steps, "--out", "run", *QUICK)
+    words = ("--town", corner, "--clients", "patch,patch", "--steps", steps, "--out", "run", *QUICK)
     code, err = stopped_at(folder, ticks, *words)
     assert code == Exit.STOPPED, err
     return folder / "run"
@@ -167,7 +167,7 @@ def stops(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """A client or the world that stands still for up to 20 s, as with SIGSTOP, and goes on; nobody loses a tick."""
     row, begin_s, run = Row(what="SIGSTOP and SIGCONT"), time.monotonic(), folder / "run"
     folder.mkdir()
-    words = ("--town", corner, "--clients", "small,small", "--steps", FOREVER, "--out", "run", *QUICK)
+    words = ("--town", corner, "--clients", "patch,patch", "--steps", FOREVER, "--out", "run", *QUICK)
     child = start(folder, *words)
     for number in range(count):
         rng, before = np.random.default_rng((seed, number)), ticks_of(run)
@@ -214,7 +214,7 @@ def flips_when_done(
 ) -> Row:
     """So many bits of each file that is read when a finished run is asked for again, by `wcsim` in this process."""
     row, begin_s = Row(what="flipped bits, finished run"), time.monotonic()
-    words = ("--town", corner, "--clients", "small,small", "--steps", 30, "--out", "run", *QUICK)
+    words = ("--town", corner, "--clients", "patch,patch", "--steps", 30, "--out", "run", *QUICK)
     folder.mkdir()
     _, err = start(folder, *words).communicate(timeout=200)
     run = folder / "run"

@@ -81,7 +81,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     words = (
         *("train", "--town", corner, "--out", "run"),
         *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=40", "--set", "learn.train_every=10"),
-        *("--set", "learn.network=small", "--set", "learn.batch_size=4", "--set", "learn.aid=none"),
+        *("--set", "learn.network=patch", "--set", "learn.batch_size=4", "--set", "learn.aid=none"),
         *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     )
     child = start(folder, *words)
@@ -96,7 +96,7 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
     assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
-    for other in (("--seed", 1), ("--set", "learn.gamma=0.5"), ("--network", "gru"), ("--steps", 299)):
+    for other in (("--seed", 1), ("--set", "learn.gamma=0.5"), ("--network", "fig6"), ("--steps", 299)):
         told = wcsim("train", "--out", "run", "--resume", *other)
         assert (told.code, told.err.count("\n"), str(other[1]) in told.err) == (Exit.REFUSED, 1, True), told
     told = wcsim("train", "--out", "run", "--resume")

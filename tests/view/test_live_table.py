@@ -12,12 +12,12 @@ from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, Held, WorldStatus
 from wcsim.view.live_table import LiveTable, head_of, line_of, table_of, waits_of
 
-NAMES = ("fig6", "stack", "gru")
+NAMES = ("fig6", "conv3d", "convlstm")
 
 
 def world(**changed):
     usual = {"stage": "collect", "epoch": 1, "tick": 70, "ticks": 40, "ticks_per_s": 9.5, "members": NAMES}
-    return WorldStatus(**{**usual, "master": "stack", "rss_mb": 310.2, "step_ms": 20.0, **changed})
+    return WorldStatus(**{**usual, "master": "conv3d", "rss_mb": 310.2, "step_ms": 20.0, **changed})
 
 
 def client(name, seat, **changed):
@@ -48,27 +48,27 @@ def row(lines, name):
 
 
 def test_a_row_a_client_and_a_line_for_the_world():
-    late = world(late=("gru",), late_s=3.21)
+    late = world(late=("convlstm",), late_s=3.21)
     clients = (
         client("fig6", 0, restarts=2),
-        client("stack", 1),
-        client("gru", 2),
+        client("conv3d", 1),
+        client("convlstm", 2),
         client("new", 3, standing="starting", status=None),
         client("dead", 4, standing="down", reason="killed by SIGKILL"),
     )
     lines = shown(table_of(state(seen=late, clients=clients)))
-    for text in ("world 1, tick 70", "9.5 ticks/s", "collect", "waiting for gru (3.2 s)", "310 MB"):
+    for text in ("world 1, tick 70", "9.5 ticks/s", "collect", "waiting for convlstm (3.2 s)", "310 MB"):
         assert text in lines[0]
     assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "-", "waiting", "2"]
-    assert row(lines, "stack")[:2] == ["stack", "*"]
-    assert row(lines, "gru")[-2] == "computing"
+    assert row(lines, "conv3d")[:2] == ["conv3d", "*"]
+    assert row(lines, "convlstm")[-2] == "computing"
     assert row(lines, "new") == ["new", "3", "-", "-", "-", "-", "-", "-", "starting", "0"]
     assert "down: killed by SIGKILL" in next(line for line in lines if line.startswith("dead"))
 
 
 def test_a_client_that_has_no_seat_yet_joins():
-    lines = shown(table_of(state(seen=world(members=("fig6", "stack")))))
-    assert row(lines, "gru")[-2] == "joining"
+    lines = shown(table_of(state(seen=world(members=("fig6", "conv3d")))))
+    assert row(lines, "convlstm")[-2] == "joining"
 
 
 def test_the_world_that_is_not_there():
@@ -79,8 +79,8 @@ def test_the_world_that_is_not_there():
 
 def test_who_is_waited_for_now():
     assert waits_of(world()) == ""
-    assert waits_of(world(late=("gru",), late_s=0.1)) == ""
-    assert waits_of(world(late=("gru", "fig6"), late_s=2.0)) == "waiting for gru, fig6 (2.0 s)"
+    assert waits_of(world(late=("convlstm",), late_s=0.1)) == ""
+    assert waits_of(world(late=("convlstm", "fig6"), late_s=2.0)) == "waiting for convlstm, fig6 (2.0 s)"
     assert waits_of(world(late=NAMES, late_s=2.0)) == ""  # nobody has acted, so nobody waits
 
 
@@ -88,7 +88,7 @@ def test_who_is_slow_in_the_mean():
     def held(*seconds):
         return tuple(Held(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
 
-    assert waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client gru (70% of 10.0 s waiting)"
+    assert waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client convlstm (70% of 10.0 s waiting)"
     assert waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
     assert waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
     assert waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waiting for fig6")
@@ -103,7 +103,7 @@ def test_a_line_every_ten_seconds_where_there_is_no_terminal():
     lines = out.getvalue().splitlines()
     assert [line.split()[0] for line in lines] == ["10", "20"]
     assert lines[0] == line_of(state(elapsed_s=10.0))
-    assert "fig6 40/100, KPI 1 0.250; stack 41/100" in lines[0]
+    assert "fig6 40/100, KPI 1 0.250; conv3d 41/100" in lines[0]
 
 
 def test_a_terminal_shows_the_newest_state():

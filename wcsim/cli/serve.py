@@ -124,13 +124,13 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
 def how_to_join(endpoint: str, listening: str, options: Options) -> str:
     """What a client has to say."""
     lines = [
-        f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network small --steps 1000"
+        f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network patch --steps 1000"
     ]
     if listening:
         address = reachable(listening, socket.gethostname())
         names = () if options.keys is None else known_names(options.keys)
         named = [f" --keys {shlex.quote(str(options.keys))} --name {name}" for name in names[:_TOLD_NAMES]] or [""]
-        lines += [f"over the network: wcsim join {address}{who} --network small --steps 1000" for who in named]
+        lines += [f"over the network: wcsim join {address}{who} --network patch --steps 1000" for who in named]
         if len(names) > _TOLD_NAMES:
             lines.append(f"also for {', '.join(names[_TOLD_NAMES:])}")
     return "\n".join(lines)

@@ -98,7 +98,7 @@ class DangerNetFile(Model):
     width: Annotated[int, Field(ge=4, le=256)]
     actions: Literal["square81", "disc69"]
     eye: Literal["map", "picture", "both"] = "map"
-    network: Name = "small"
+    network: Name = "patch"
     window: Window = 1
     memory: bool = True
     odometry: bool = True

@@ -11,7 +11,7 @@ from wcsim.agents.danger.learner import DangerLearner, rate_share
 from wcsim.errors import PolicyError
 
 
-@pytest.mark.parametrize("words", [("danger.memory=false",), ("danger.eye=picture", "learn.network=small")], ids=str)
+@pytest.mark.parametrize("words", [("danger.memory=false",), ("danger.eye=picture", "learn.network=patch")], ids=str)
 def test_64_steps_are_learned_by_heart(words):
     fast = ("danger.batch=32", "danger.learning_rate=0.004")
     config = small_config(*fast, "danger.weight_decay=0", "danger.ahead=0", *words)

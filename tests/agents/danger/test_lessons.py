@@ -15,7 +15,7 @@ from wcsim.agents.danger.street_map import AGE, SIDE
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
-BOTH = ("danger.eye=both", "learn.network=gru", "env.window=3")
+BOTH = ("danger.eye=both", "learn.network=fig6", "env.window=3")
 
 
 def test_a_mirror_turns_pictures_numbers_vector_start_and_labels():

@@ -52,13 +52,13 @@ def test_every_network_of_the_registry_can_be_the_eye(network):
     config = small_config("danger.eye=picture", f"learn.network={network}")
     net, lessons = net_of(config), lectures(config, 12)
     batch = lessons.batch(all_of(lessons)[:4])
-    assert batch.inputs[4].shape[1] == spec_of(config).window == (1 if network in ("impala", "patch", "small") else 4)
+    assert batch.inputs[4].shape[1] == spec_of(config).window == (1 if network == "patch" else 4)
     assert net(*batch.inputs).shape == (4, 81)
 
 
 def test_a_network_of_one_picture_cannot_see_a_window():
     with pytest.raises(PolicyError, match=r"env\.window=1"):
-        net_of(small_config("danger.eye=picture", "learn.network=small", "env.window=3"))
+        net_of(small_config("danger.eye=picture", "learn.network=patch", "env.window=3"))
 
 
 def test_a_picture_network_looks_at_pictures_and_a_map_network_does_not():

@@ -30,7 +30,7 @@ def policy_of(*words: str, base: float = -3.0) -> DangerPolicy:
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("danger.eye=picture",), ("danger.eye=both", "learn.network=gru", "env.window=3")], ids=str
+    "words", [(), ("danger.eye=picture",), ("danger.eye=both", "learn.network=fig6", "env.window=3")], ids=str
 )
 def test_a_policy_acts_and_a_reset_lets_it_drive_the_same_again(words):
     policy, config = policy_of(*words), small_config()

@@ -92,11 +92,11 @@ def test_a_description_out_of_bounds_is_refused(tmp_path: Path, key: str, value:
 
 
 def test_somebody_elses_class_is_loaded_for_those_who_name_it_alone(tmp_path: Path):
-    config = small_config("danger.eye=picture", "learn.network=small")
+    config = small_config("danger.eye=picture", "learn.network=patch")
     saved(tmp_path / "p", config)
     path = tmp_path / "p" / POLICY_JSON
     told = json.loads(path.read_text())
-    told["net"]["network"] = "wcsim.agents.networks.convolutional:SmallNet"
+    told["net"]["network"] = "wcsim.agents.networks.convolutional:PatchNet"
     path.write_text(json.dumps(told))
     with pytest.raises(PolicyError, match="--network"):
         load_net(tmp_path / "p")

@@ -130,12 +130,8 @@ def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
     assert 10 < tripped < 30
 
 
-def test_every_network_of_wcsim_can_be_exported(tmp_path, monkeypatch):
-    monkeypatch.setattr(onnx_export, "footprint", lambda *given: COST)
-    for network in set(NETWORK_NAMES) - {name for name, _ in KINDS}:
-        config = config_of(network, "groups" if network == "gru" else "windows")
-        policy = saved(tmp_path / "policy", config)
-        assert export_policy(policy, tmp_path / "onnx", config, RIDE[:6]).same_as_wcsim == 1.0, network
+def test_every_network_of_wcsim_is_exported_here():
+    assert {name for name, _ in KINDS} == set(NETWORK_NAMES)
 
 
 def test_what_takes_too_long_is_refused_and_nothing_is_written(tmp_path, monkeypatch):

@@ -43,7 +43,7 @@ class Fixed(ToyStreet):
 def config(**learn):
     small = {
         "total_steps": STEPS, "phase1_steps": 100, "learning_starts": 20, "replay_frames": 200, "batch_size": 16,
-        "checkpoint_every": 100, "network": "gru", "memory": "groups", "group_steps": 8, "burn_in": 4,
+        "checkpoint_every": 100, "network": "fig6", "memory": "groups", "group_steps": 8, "burn_in": 4,
         "replay_store": "disk", "train_every": 2,
     }  # fmt: skip
     return RunConfig(cameras=(CAMERA,), learn=LearnConfig(**{**small, **learn}))

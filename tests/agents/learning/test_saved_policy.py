@@ -16,7 +16,7 @@ from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.convolutional import SmallNet
+from wcsim.agents.networks.convolutional import PatchNet
 from wcsim.agents.policy_api import Warns
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.config import LearnConfig, RunConfig, with_overrides
@@ -148,7 +148,7 @@ def test_a_folder_that_is_no_policy_is_explained(tmp_path):
 
 def test_a_policy_cannot_choose_which_code_runs(tmp_path, monkeypatch):
     (tmp_path / "strange_net_c.py").write_text(
-        "from wcsim.agents.networks.convolutional import SmallNet as Net\n"
+        "from wcsim.agents.networks.convolutional import PatchNet as Net\n"
         "from pathlib import Path\nPath('ran').touch()\n"
     )
     monkeypatch.chdir(tmp_path)
@@ -160,7 +160,7 @@ def test_a_policy_cannot_choose_which_code_runs(tmp_path, monkeypatch):
     assert not Path("ran").exists()
     assert load_policy(folder, network="strange_net_c:Net").file.net.network == "strange_net_c:Net"
     assert Path("ran").exists()
-    monkeypatch.setitem(registry.NETWORKS, "mine", SmallNet)
+    monkeypatch.setitem(registry.NETWORKS, "mine", PatchNet)
     rewrite(folder, net={**data["net"], "network": "mine"})
     assert load_policy(folder).net.spec.network == "mine"
 

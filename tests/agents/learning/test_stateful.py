@@ -19,7 +19,7 @@ from wcsim.errors import ConfigError, PolicyError
 
 CAMERA = toy_camera(16, 20)
 SMALL = {"learning_starts": 40, "replay_frames": 200, "batch_size": 16, "group_steps": 4, "memory": "groups"}
-CARRYING = ("fig6", "gru", "convlstm")
+CARRYING = ("fig6", "convlstm")
 
 
 def config(window=None, **learn):
@@ -70,7 +70,7 @@ def test_step_by_step_is_the_same_as_in_one_go(network):
 def test_a_carried_state_replaces_the_window():
     assert with_window(config()).env.window == 1
     assert with_window(config(memory="steps")).env.window == 4
-    assert with_window(config(network="stack")).env.window == 4
+    assert with_window(config(network="conv3d")).env.window == 4
     assert model().q_net.spec.stateful
     assert not model(network="patch").q_net.spec.stateful
     with pytest.raises(PolicyError, match=r"sees 3 images at a time.*env\.window=1"):
@@ -100,7 +100,7 @@ def test_settings_have_bounds(key, value):
 
 
 @pytest.mark.parametrize("memory", ["steps", "groups", "windows"])
-@pytest.mark.parametrize(("network", "window"), [("patch", 1), ("stack", 3)])
+@pytest.mark.parametrize(("network", "window"), [("patch", 1), ("conv3d", 3)])
 def test_a_network_without_a_state_learns_from_all_three(memory, network, window):
     given = config(window=window, network=network, memory=memory)
     learner = build_model(given, DummyVecEnv([lambda: WindowedStreet(window, CAMERA, 23)]), 0)

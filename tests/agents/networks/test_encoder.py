@@ -22,7 +22,7 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.rewards import joystick_terms
 from wcsim.types import ClassId
 
-WINDOWED = ("conv3d", "convlstm", "fig6", "gru", "stack")
+WINDOWED = ("conv3d", "convlstm", "fig6")
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_network.py"
 
 
@@ -55,7 +55,7 @@ def test_any_image_size_gives_a_value_for_each_action(network, size):
     assert net(batch(*size, [(0, 0), (1, 0)])).shape == (2, 81)
 
 
-def test_small_has_about_a_fifth_of_a_million_parameters():
+def test_patch_has_about_a_fifth_of_a_million_parameters():
     assert 150_000 < sum(p.numel() for p in q_net().parameters()) < 250_000
 
 
@@ -197,12 +197,11 @@ def test_motion_is_learnt_from_a_window(network):
         assert (net[1](encoder(seen)).argmax(dim=1) == way).float().mean() < 0.7
 
 
-def test_a_fresh_lstm_remembers_and_a_fresh_gru_listens():
-    lstm, gru = (ObservationEncoder(space(24, 32, 4), name).body.memory for name in ("fig6", "gru"))
+def test_a_fresh_lstm_remembers():
+    lstm = ObservationEncoder(space(24, 32, 4), "fig6").body.memory
     forget = slice(128, 256)
     assert torch.equal(lstm.bias_ih_l0[forget] + lstm.bias_hh_l0[forget], torch.ones(128))
     assert lstm.bias_ih_l0.sum() == 128
-    assert not gru.bias_ih_l0.any()
     for first in range(0, 512, 128):
         gate = lstm.weight_hh_l0[first : first + 128]
         assert torch.allclose(gate @ gate.T, torch.eye(128), atol=1e-5)
@@ -264,7 +263,7 @@ def test_a_windowed_network_of_ones_own_is_built_with_the_window(monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "pairs", Pairs)
     assert ObservationEncoder(space(24, 32, 3), "pairs").features_dim == 6
     assert registry.preferred_window("pairs") == 1
-    assert [registry.preferred_window(name) for name in (*WINDOWED, "small")] == [4] * len(WINDOWED) + [1]
+    assert [registry.preferred_window(name) for name in (*WINDOWED, "patch")] == [4] * len(WINDOWED) + [1]
 
 
 # --- the registry ---

@@ -187,7 +187,7 @@ def _sound_manifest(config: RunConfig) -> dict[str, Any]:
     names = ("seed", "town", "town_sha256", "config_sha256", "rewards", "command", "versions", "git_revision", "steps")
     data = {name: getattr(manifest, name) for name in (*names, "status", "hook")}
     rows = [{"option": "--step-length", "author": "1", "wcsim": "0.1", "why": "ticks"}]
-    return json.loads(json.dumps({**data, "overrides": rows, "clients": ["small", "gru-2"]}))
+    return json.loads(json.dumps({**data, "overrides": rows, "clients": ["patch", "fig6-2"]}))
 
 
 def families(work: Path) -> list[Family]:

@@ -34,7 +34,7 @@ from wcsim.config import LearnConfig, RunConfig
 CAMERA = toy_camera(24, 32)
 WIDTHS = {"F64": 8, "F32": 4, "F16": 2, "BF16": 2, "I64": 8, "I32": 4, "I16": 2, "I8": 1, "U8": 1, "BOOL": 1,
           "F8_E4M3": 1, "F8_E5M2": 1, "C64": 8, "U64": 8, "F4": 1, "x": 4, "": 4}  # fmt: skip
-SOUND_NETWORKS = ("patch", "small", "patch", "gru")
+SOUND_NETWORKS = ("patch", "conv3d", "patch", "fig6")
 SIZES = (0, 1, 7, 8, 64, 4096, 65_536, 10**7, 2**31, 2**63, 2**64 - 1)
 Tensors = dict[str, tuple[str, list[Any], bytes]]  # type, shape and bytes of each
 Change = Callable[[Tensors, Rng], tuple[Tensors, str]]
@@ -218,7 +218,7 @@ def _other_description(about: dict[str, Any], rng: Rng) -> tuple[dict[str, Any],
     if what == "hidden":
         return {**about, "net": {**net, "hidden": size}}, f"hidden {size}"
     if what == "network":
-        name = pick(rng, ("small", "impala", "fig6", "gru", "stack", "os:system", "nowhere", "patch "))
+        name = pick(rng, ("patch", "fig6", "conv3d", "convlstm", "os:system", "nowhere", "patch "))
         return {**about, "net": {**net, "network": name}, "window": pick(rng, (1, 4, 16))}, name
     value = [size, pick(rng, (24, 2048))] if what == "image_hw_px" else size
     return {**about, what: value}, f"{what} {value}"

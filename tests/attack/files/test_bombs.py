@@ -162,7 +162,7 @@ def test_a_device_in_a_copied_run_is_not_read(tmp_path: Path, name: str) -> None
         {"command": "wcsim"}, {"command": [1]}, {"rewards": {"a": 1}}, {"versions": [1]},
         {"overrides": [{"option": 1}]},
         {"overrides": 3}, {"git_revision": None}, {"hook": ["a"]}, {"more": 1},
-        {"clients": "small"}, {"clients": ["../../x"]}, {"clients": ["a/b"]}, {"clients": [".."]}, {"clients": [""]},
+        {"clients": "patch"}, {"clients": ["../../x"]}, {"clients": ["a/b"]}, {"clients": [".."]}, {"clients": [""]},
         {"clients": ["a", "a"]}, {"clients": [1]}, {"clients": {"a": 1}}, {"clients": ["\x1b[31m"]},
     ],
 )  # fmt: skip
@@ -246,7 +246,7 @@ def test_weights_that_leave_the_finite_numbers_when_used_are_refused(tmp_path: P
 
 @pytest.mark.parametrize(
     "changes",
-    [{"hidden": 65_536}, {"network": "impala"}, {"network": "fig6"}],
+    [{"hidden": 65_536}, {"network": "fig6"}],
 )
 def test_a_description_gets_no_memory_before_it_fits_the_weights(
     tmp_path: Path, sound: policies.Sound, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any]

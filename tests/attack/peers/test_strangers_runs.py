@@ -120,12 +120,12 @@ def test_a_folder_with_a_link_is_not_written_to(tmp_path: Path, hard: bool) -> N
 def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> None:
     from tests.support.worlds import quick_config
 
-    kept = tmp_path / "small" / "checkpoints" / "step-00000100"
+    kept = tmp_path / "patch" / "checkpoints" / "step-00000100"
     kept.mkdir(parents=True)
-    join = SeatRequest(endpoint="ipc:///nowhere/x", name="small", claim="c")
+    join = SeatRequest(endpoint="ipc:///nowhere/x", name="patch", claim="c")
     order = ClientSpec(
         config_json=quick_config().model_dump_json(),
-        out=str(tmp_path / "small"),
+        out=str(tmp_path / "patch"),
         info=RunInfo(seed=1, town="helsinki"),
         join=join,
     )

@@ -41,7 +41,7 @@ def told(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("benchmarks.scripts.parallel.os.sched_setaffinity", lambda pid, cores: None)
     monkeypatch.setattr("benchmarks.scripts.parallel.os.sched_getaffinity", lambda pid: {0, 1})
     file = tmp_path / "told.json"
-    words = ["--clients", "small,patch", "--steps", str(STEPS), "--json", str(file)]
+    words = ["--clients", "patch,fig6", "--steps", str(STEPS), "--json", str(file)]
     assert main(["parallel", *words]) == 0
     return capsys.readouterr().out, json.loads(file.read_text())
 
@@ -52,7 +52,7 @@ def test_the_parts_of_a_row_sum_to_all_of_its_time(told):
     cells = [line.split() for line in lines if len(line.split()) == len(headings)]
     rows = [dict(zip(headings, row, strict=True)) for row in cells if row[1] in ("together", "alone")]
     assert [(row["client"], row["run"]) for row in rows] == [
-        ("small", "together"), ("patch", "together"), ("small", "alone"), ("patch", "alone"),
+        ("patch", "together"), ("fig6", "together"), ("patch", "alone"), ("fig6", "alone"),
     ]  # fmt: skip
     for row in rows:
         assert sum(float(row[part]) for part in PARTS) == pytest.approx(float(row["total"]))

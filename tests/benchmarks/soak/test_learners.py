@@ -16,7 +16,7 @@ from wcsim.server.launch.backoff import RestartRules, Restarts
 from wcsim.towns.scenario.town import find_town
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)
-SIX = "fig6,stack,gru,patch,small,convlstm"
+SIX = "fig6,conv3d,patch,fig6,patch,convlstm"
 
 
 def soaked(folder, corner, *words, timeout_s=280):
@@ -34,7 +34,7 @@ def test_a_learner_is_not_given_up_for_the_deaths_that_a_soak_causes(corner, tmp
     asked = []
     monkeypatch.setattr("wcsim.cli.training.clients.train_clients", lambda *given: asked.append(given[-1]))
     monkeypatch.setattr("benchmarks.soak.learners.soak_learners", lambda order, run, told, train: train(None))
-    options = SoakOptions(networks="small,patch", kills=150, stops=140)
+    options = SoakOptions(networks="patch,fig6", kills=150, stops=140)
     _soaked(options, find_town(str(corner)), tmp_path / "run-1", FaultOrder(kills=150, stops=140, lease_s=10.0))
     plain = RestartRules()
     assert asked == [replace(plain, deaths=290 + plain.deaths)]
@@ -50,7 +50,7 @@ def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp
         raise InterruptedRunError("stopped")
 
     monkeypatch.setattr("wcsim.cli.training.clients.train_clients", stopped)
-    options = SoakOptions(networks="small,patch", steps=100, twice=True, town=str(corner), out=tmp_path / "kept")
+    options = SoakOptions(networks="patch,fig6", steps=100, twice=True, town=str(corner), out=tmp_path / "kept")
     with pytest.raises(InterruptedRunError, match="stopped; an incomplete soak shows nothing: start it again"):
         soak(options)
     assert len(begun) == 1
@@ -58,13 +58,13 @@ def test_a_soak_that_a_signal_stops_is_no_result_and_not_begun_again(corner, tmp
 
 @pytest.mark.proof
 def test_learners_lose_nothing_when_one_is_killed(tmp_path, corner):
-    words = ("--networks", "small,patch", "--steps", 60, "--kills", 1, "--stops", 0, "--lease", 30, "--slow", 2)
+    words = ("--networks", "patch,fig6", "--steps", 60, "--kills", 1, "--stops", 0, "--lease", 30, "--slow", 2)
     (run,) = soaked(tmp_path, corner, *words, "--seed", 2, "--set", "learn.checkpoint_every=20")
     assert run["kills"] == 1 and run["ticks"] > 50
     assert {key: run[key] for key in NOTHING} == NOTHING
     waits = json.loads((tmp_path / "kept" / "run-1" / "waits.json").read_text())
-    assert set(waits["clients"]) == {"small", "patch"} and set(waits["waited_s"]) <= {"small", "patch"}
-    assert waits["clients"]["patch"]["learning_s"] > 0.0
+    assert set(waits["clients"]) == {"patch", "fig6"} and set(waits["waited_s"]) <= {"patch", "fig6"}
+    assert waits["clients"]["fig6"]["learning_s"] > 0.0
 
 
 @pytest.mark.proof
@@ -84,7 +84,7 @@ def test_two_runs_of_six_learners_have_one_journal_through_an_end_of_an_epoch(tm
     assert len({run["journal_hash"] for run in runs}) == 1
     weights = [
         (tmp_path / "kept" / run / name / "policies" / "final" / "weights.safetensors").read_bytes()
-        for name in ("gru", "convlstm")
+        for name in ("fig6", "convlstm")
         for run in ("run-1", "run-2")
     ]
     assert weights[0] == weights[1] != weights[2] == weights[3], "learned while waiting, by the clock of a busy machine"

@@ -25,7 +25,7 @@ SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK
 
 EARLY = {
     "train --network huge": "unknown network 'huge'",
-    "train --network smal": "did you mean 'small'?",
+    "train --network patc": "did you mean 'patch'?",
     "train --network nowhere:Net": "network module 'nowhere' was not found",
     "train --reward nowhere:Term": "reward term module 'nowhere' was not found",
     "train --hook nowhere:Hook": "step hook module 'nowhere' was not found",

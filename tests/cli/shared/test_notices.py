@@ -74,11 +74,11 @@ def test_an_address_that_listens_everywhere_is_told_by_the_name_of_the_machine(t
     options = serve.Options(listen="tcp://0.0.0.0:5599", keys=keys)
     lines = serve.how_to_join("ipc:///dev/shm/w", "tcp://0.0.0.0:5599", options).splitlines()
     assert lines[1:] == [
-        f"over the network: wcsim join tcp://lab3:5599 --keys '{keys}' --name {name} --network small --steps 1000"
+        f"over the network: wcsim join tcp://lab3:5599 --keys '{keys}' --name {name} --network patch --steps 1000"
         for name in ("ann", "ben")
     ]
     here = serve.how_to_join("ipc:///dev/shm/w", "tcp://127.0.0.1:5", serve.Options(listen="tcp://127.0.0.1:5"))
-    assert "wcsim join tcp://127.0.0.1:5 --network small" in here
+    assert "wcsim join tcp://127.0.0.1:5 --network patch" in here
 
 
 def test_a_folder_that_is_made_for_a_result_is_named(wcsim, folder, corner):

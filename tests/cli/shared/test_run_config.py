@@ -27,12 +27,12 @@ INFO = RunInfo(seed=3, command=("wcsim", "train"))
 
 def test_what_is_laid_over_what(tmp_path):
     file, own = tmp_path / "a.toml", tmp_path / "own.toml"
-    file.write_text('[learn]\ngamma = 0.1\nbatch_size = 9\nnetwork = "gru"\ntotal_steps = 77\n')
+    file.write_text('[learn]\ngamma = 0.1\nbatch_size = 9\nnetwork = "convlstm"\ntotal_steps = 77\n')
     own.write_text("[learn]\nbatch_size = 11\n")
     asked = Options(config=file, set=("learn.gamma=0.5",), steps=60)
     learn = resolve_config(asked, "fig6").learn
     assert (learn.gamma, learn.batch_size, learn.network, learn.total_steps) == (0.5, 9, "fig6", 60)
-    assert resolve_config(asked, "").learn.network == "gru"
+    assert resolve_config(asked, "").learn.network == "convlstm"
     assert resolve_config(asked, "fig6", own).learn == learn.model_copy(update={"batch_size": 11})
 
 
@@ -83,7 +83,8 @@ def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path)
 )
 def test_a_training_without_a_preset_takes_what_its_other_options_mean(said, preset):
     assert preset_of(Options(**said)) == preset
-    assert (preset_of(Options(**said), "gru"), preset_of(Options(**said), "", True)) == (said.get("preset", "dqn"),) * 2
+    learnt = said.get("preset", "dqn")
+    assert (preset_of(Options(**said), "fig6"), preset_of(Options(**said), "", True)) == (learnt, learnt)
 
 
 def test_a_file_with_settings_of_learning_means_q_learning(tmp_path):

@@ -69,12 +69,12 @@ def places(child):
 BAD = {
     "train --clients ,": ("--clients ','", "separated by commas"),
     "train --clients fig6,a/b": ("'a/b'", "module:Class"),
-    "train --clients fig6,nonesuch": ("unknown network 'nonesuch'", "gru"),
-    "train --clients fig6 --network gru": ("--network and --clients",),
+    "train --clients fig6,nonesuch": ("unknown network 'nonesuch'", "patch"),
+    "train --clients fig6 --network patch": ("--network and --clients",),
     "train --clients fig6 --lease 0": ("--lease 0.0",),
     "train --clients fig6 --steps 0": ("--steps 0", "1 or more"),
     "train --steps 0": ("--steps 0", "1 or more"),
-    "train --clients fig6 --config-for gru=x.toml": ("--config-for", "fig6"),
+    "train --clients fig6 --config-for patch=x.toml": ("--config-for", "fig6"),
     "train --clients fig6 --config-for fig6=none.toml": ("none.toml", "cannot be read"),
     "train --clients fig6 --set env.profile=ataxic": ("ataxic", "held out"),
     "train --clients fig6 --town atlantis": ("'atlantis'",),
@@ -111,7 +111,7 @@ def test_mistakes_are_told_in_two_lines_at_most(wcsim, folder, words):
 def test_names_of_clients():
     assert client_names(("fig6", "fig6", "fig6")) == ("fig6", "fig6-2", "fig6-3")
     assert client_names(("a.b:world", "a.b:logs")) == ("world-2", "logs-2")
-    assert client_names(("deep.file:Net", "file:Net", "small")) == ("Net", "Net-2", "small")
+    assert client_names(("deep.file:Net", "file:Net", "patch")) == ("Net", "Net-2", "patch")
 
 
 def test_names_of_networks_are_known_without_torch():
@@ -135,14 +135,14 @@ def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
 def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text("[learn]\ngamma = 0.5\n[env]\nwindow = 2\n")
-    options = Options(clients="small,gru", steps=100, config_for=(f"gru={own}",))
-    small, gru = resolved(options)
-    assert [(c.name, c.seat) for c in (small, gru)] == [("small", 0), ("gru", 1)]
-    assert [c.config.learn.network for c in (small, gru)] == ["small", "gru"]
-    assert (small.config.learn.gamma, gru.config.learn.gamma, gru.config.env.window) == (0.97, 0.5, 2)
-    assert small.config == learning(small.config)
+    options = Options(clients="patch,fig6", steps=100, config_for=(f"fig6={own}",))
+    patch, fig6 = resolved(options)
+    assert [(c.name, c.seat) for c in (patch, fig6)] == [("patch", 0), ("fig6", 1)]
+    assert [c.config.learn.network for c in (patch, fig6)] == ["patch", "fig6"]
+    assert (patch.config.learn.gamma, fig6.config.learn.gamma, fig6.config.env.window) == (0.97, 0.5, 2)
+    assert patch.config == learning(patch.config)
     own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
-    with pytest.raises(ConfigError, match="small and gru ask for different worlds"):
+    with pytest.raises(ConfigError, match="patch and fig6 ask for different worlds"):
         resolved(options)
 
 
@@ -157,10 +157,10 @@ def halfway(tmp_path, corner):
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
     info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(town), command=words)
-    clients = resolved(Options(clients="small,gru", steps=STEPS, preset="dqn"))
+    clients = resolved(Options(clients="patch,fig6", steps=STEPS, preset="dqn"))
     configs, world = {client.name: client.config for client in clients}, clients[0].config
     folder = create_clients_folder(tmp_path / "run", world, make_manifest(world, info), configs)
-    create_run(folder.path / "small", world, make_manifest(world, info)).with_status("done", STEPS)
+    create_run(folder.path / "patch", world, make_manifest(world, info)).with_status("done", STEPS)
     return GroupRun(clients=clients, out=folder.path, info=info, resume=True), town
 
 
@@ -224,8 +224,8 @@ def test_who_kills_processes_on_purpose_says_when_they_are_given_up(monkeypatch,
 
 def learning_state(elapsed_s, learned_s, step=1):
     """The second client learns, in a world that does not tick yet."""
-    status = ClientStatus(name="gru", step=step, learning_s=learned_s)
-    client = ClientState(name="gru", seat=1, standing="running", status=status)
+    status = ClientStatus(name="fig6", step=step, learning_s=learned_s)
+    client = ClientState(name="fig6", seat=1, standing="running", status=status)
     told = {"elapsed_s": elapsed_s, "world_standing": "running", "world_pid": 1, "world_restarts": 0, "world": None}
     return LaunchState(**told, clients=(client,))
 
@@ -238,7 +238,7 @@ def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypat
         for elapsed_s in (1.0, 59.0, 61.0, 90.0):
             yield learning_state(elapsed_s, learned_s=elapsed_s)
             times = read_paid_times(run.out)
-            kept.append(None if times is None else times.clients["gru"].learning_s)
+            kept.append(None if times is None else times.clients["fig6"].learning_s)
 
     def fail():
         raise RuntimeError("in the launcher")
@@ -246,7 +246,7 @@ def test_what_clients_pay_is_kept_each_minute_and_when_something_fails(monkeypat
     with pytest.raises(RuntimeError):
         ended(monkeypatch, halfway, states(), fail)
     assert kept == [None, None, 61.0, 61.0]
-    assert read_paid_times(run.out).clients["gru"].learning_s == 90.0
+    assert read_paid_times(run.out).clients["fig6"].learning_s == 90.0
 
 
 def test_steps_of_clients_that_were_done_before_stay_in_the_sum(monkeypatch, halfway):
@@ -260,20 +260,20 @@ def test_steps_of_clients_that_were_done_before_stay_in_the_sum(monkeypatch, hal
 
 
 def test_two_networks_learn_in_one_world(tmp_path, corner):
-    words = ("train", "--town", corner, "--clients", "small,gru", "--steps", 20, "--out", "run", "--json", "x.json")
+    words = ("train", "--town", corner, "--clients", "patch,fig6", "--steps", 20, "--out", "run", "--json", "x.json")
     child = start(tmp_path, *words, *SMALL)
     out, err = child.communicate(timeout=200)
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["name"], c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [
-        ("small", 20, 0, 0),
-        ("gru", 20, 0, 0),
+        ("patch", 20, 0, 0),
+        ("fig6", 20, 0, 0),
     ]
     assert (result["ticks"], result["status"]) == (20, "done")
     assert result["journal_hash"] in out
     assert result["ticks_per_s"] >= 0.0
     run = open_clients_folder(tmp_path / "run")
-    assert (run.manifest.status, run.manifest.seed, run.clients) == ("done", 0, ("small", "gru"))
+    assert (run.manifest.status, run.manifest.seed, run.clients) == ("done", 0, ("patch", "fig6"))
     for name in run.clients:
         own = open_run(tmp_path / "run" / name)
         assert (own.manifest.status, own.config.learn.network) == ("done", name)
@@ -289,7 +289,7 @@ def test_two_networks_learn_in_one_world(tmp_path, corner):
 
 @pytest.mark.proof
 def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
-    child = start(tmp_path, "train", "--town", corner, "--clients", "small,nowhere:Net", "--out", "run", *SMALL)
+    child = start(tmp_path, "train", "--town", corner, "--clients", "patch,nowhere:Net", "--out", "run", *SMALL)
     out, err = child.communicate(timeout=120)
     assert (child.returncode, out) == (2, "")
     assert err.strip().splitlines()[-1].startswith("wcsim: network module 'nowhere' was not found")
@@ -299,7 +299,7 @@ def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
 def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
     camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
     (tmp_path / "many.toml").write_text("".join(camera % number for number in range(65)))
-    child = start(tmp_path, "train", "--town", corner, "--clients", "small", "--config", "many.toml", "--out", "run")
+    child = start(tmp_path, "train", "--town", corner, "--clients", "patch", "--config", "many.toml", "--out", "run")
     _, err = child.communicate(timeout=90)
     assert (child.returncode, "64" in err, "Traceback" in err) == (Exit.REFUSED, True, False), err
     assert not (tmp_path / "run").exists()
@@ -309,7 +309,7 @@ def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
 def test_equal_seeds_give_equal_worlds(tmp_path, corner):
     hashes = []
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
-        words = ("train", "--town", corner, "--clients", "stack,gru", "--steps", 60, "--seed", seed, "--out", name)
+        words = ("train", "--town", corner, "--clients", "conv3d,fig6", "--steps", 60, "--seed", seed, "--out", name)
         child = start(tmp_path, *words, "--json", f"{name}.json", *SMALL)
         _, err = child.communicate(timeout=280)
         assert child.returncode == 0, err
@@ -320,41 +320,41 @@ def test_equal_seeds_give_equal_worlds(tmp_path, corner):
 @pytest.mark.proof
 @pytest.mark.parametrize("recovery", ["new_epoch", "replay"])
 def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
-    words = ("train", "--town", corner, "--clients", "stack,gru", "--steps", 120, "--out", "run", "--json", "x.json")
+    words = ("train", "--town", corner, "--clients", "conv3d,fig6", "--steps", 120, "--out", "run", "--json", "x.json")
     child = start(tmp_path, *words, *SMALL, "--set", "learn.checkpoint_every=20", "--recovery", recovery)
     run = tmp_path / "run"
 
     def pid_of(who):
         return [e["pid"] for e in read_events(run) if e["event"] in ("start", "restart") and e["who"] == who][-1]
 
-    waited(lambda: list(run.glob("gru/checkpoints/step-00000020/state.json")))
-    os.kill(pid_of("gru"), signal.SIGKILL)
+    waited(lambda: list(run.glob("fig6/checkpoints/step-00000020/state.json")))
+    os.kill(pid_of("fig6"), signal.SIGKILL)
     waited(lambda: any(e["event"] == "recovery" for e in read_events(run)))
     os.kill(pid_of("world"), signal.SIGKILL)
     _, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
-    assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["gru", "world"]
-    assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["gru", "world"]
+    assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["fig6", "world"]
+    assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["fig6", "world"]
     epochs = [record.epoch for record in iter_journal(run / "journal") if isinstance(record, EpochBegun)]
     assert epochs == ([0, 1] if recovery == "new_epoch" else [0])
 
 
 @pytest.mark.proof
 def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
-    words = ("train", "--town", corner, "--clients", "small,gru", "--steps", 200, "--out", "run", *SMALL)
+    words = ("train", "--town", corner, "--clients", "patch,fig6", "--steps", 200, "--out", "run", *SMALL)
     child = start(tmp_path, *words)
     waited(lambda: places(child))
-    waited(lambda: (tmp_path / "run" / "gru" / "metrics.csv").is_file())
-    waited(lambda: len((tmp_path / "run" / "gru" / "metrics.csv").read_text().splitlines()) > 1)
+    waited(lambda: (tmp_path / "run" / "fig6" / "metrics.csv").is_file())
+    waited(lambda: len((tmp_path / "run" / "fig6" / "metrics.csv").read_text().splitlines()) > 1)
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=200)
     assert child.returncode == Exit.STOPPED, err
     assert "--resume" in err
     assert places(child) == []
     assert open_clients_folder(tmp_path / "run").manifest.status == "interrupted"
-    for name in ("small", "gru"):
+    for name in ("patch", "fig6"):
         assert open_run(tmp_path / "run" / name).manifest.status == "interrupted"
     child = start(tmp_path, *words, "--resume", "--seed", 1)
     _, err = child.communicate(timeout=200)
@@ -387,7 +387,7 @@ def test_a_world_by_hand_and_a_client_by_hand(tmp_path, corner):
     for number, address in enumerate(addresses):
         keys = ("--keys", "keys") if address.startswith("tcp") else ()
         learn = ("--steps", 12, "--set", "learn.batch_size=4", "--set", "learn.learning_starts=4")
-        client = start(tmp_path, "join", address, "--network", "small", "--out", f"j{number}", *learn, *keys)
+        client = start(tmp_path, "join", address, "--network", "patch", "--out", f"j{number}", *learn, *keys)
         _, err = client.communicate(timeout=120)
         assert client.returncode == 0, err
         assert open_run(tmp_path / f"j{number}").config.cameras[0].width_px == 32
@@ -395,6 +395,6 @@ def test_a_world_by_hand_and_a_client_by_hand(tmp_path, corner):
     _, err = server.communicate(timeout=120)
     assert server.returncode == 0, err
     assert (tmp_path / "world" / "journal").is_file()
-    client = start(tmp_path, "join", addresses[0], "--network", "small", "--wait", 1)
+    client = start(tmp_path, "join", addresses[0], "--network", "patch", "--wait", 1)
     _, err = client.communicate(timeout=120)
     assert (client.returncode, "no answer within" in err) == (2, True), err

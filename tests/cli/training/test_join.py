@@ -8,7 +8,7 @@ from tests.server.servers import Server, stand_in_order
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.cli.training import join
 
-WORDS = ("--network", "small", "--steps", "20")
+WORDS = ("--network", "patch", "--steps", "20")
 
 
 @pytest.fixture

@@ -38,7 +38,7 @@ def suite(corner, tmp_path_factory):
 
 
 def a_group(*words):
-    options = Options(clients="small,gru", steps=100, set=words)
+    options = Options(clients="patch,fig6", steps=100, set=words)
     return GroupRun(clients=resolved(options), out=Path("x"), info=RunInfo(seed=1))
 
 
@@ -54,7 +54,7 @@ def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():
     first = first_phase(run)
     assert [client.steps for client in first.clients] == [30, 30] and not first.last
     assert {client.ordered.learn.learning_rate_fade for client in first.clients} == {0.0}
-    second = second_phase(run, "gru")
+    second = second_phase(run, "fig6")
     assert [client.steps for client in second.clients] == [30, 100] and second.last and second.resume
     assert second.clients[1].ordered == run.clients[1].config
 
@@ -83,12 +83,12 @@ def test_a_choice_that_names_no_client_is_refused(tmp_path):
 
 
 BAD = {
-    "--clients small,gru --select-by nonesuch": "there is no such list",
-    "--clients small,gru --select-by dev --set learn.phase1_steps=0": "less than 1 steps: set learn.phase1_steps",
-    "--clients small,gru --select-by kpi1 --set learn.phase1_steps=99": "less than 100 steps: set learn.phase1_steps",
-    "--clients small,gru --select-by kpi1 --worlds 2": "tests nothing; leave --worlds out",
-    "--clients small,gru --select-by gru --worlds 2": "tests nothing; leave --worlds out",
-    "--network small --select-by dev": "--clients A,B",
+    "--clients patch,fig6 --select-by nonesuch": "there is no such list",
+    "--clients patch,fig6 --select-by dev --set learn.phase1_steps=0": "less than 1 steps: set learn.phase1_steps",
+    "--clients patch,fig6 --select-by kpi1 --set learn.phase1_steps=99": "less than 100 steps: set learn.phase1_steps",
+    "--clients patch,fig6 --select-by kpi1 --worlds 2": "tests nothing; leave --worlds out",
+    "--clients patch,fig6 --select-by fig6 --worlds 2": "tests nothing; leave --worlds out",
+    "--network patch --select-by dev": "--clients A,B",
 }
 
 
@@ -113,32 +113,32 @@ def check(run, best, left):
 
 def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_path, capsys):
     run = replace(a_group(), out=tmp_path)
-    for name, first, last in (("small", 0.9, 0.3), ("gru", 0.2, 0.35)):
+    for name, first, last in (("patch", 0.9, 0.3), ("fig6", 0.2, 0.35)):
         rows = [(first, 1)] * 5 + [(last, 1)] * 20 + [(0.0, 2)]
         lines = [f"{100 * (n + 1)},{phase},{kpi1},{n}.0" for n, (kpi1, phase) in enumerate(rows)]
         (tmp_path / name).mkdir()
         (tmp_path / name / "steps.csv").write_text("\n".join([",".join(STEP_COLUMNS), *lines, ""]))
-    options = Options(clients="small,gru")
-    assert phases_apart._choose(options, run, "kpi1", None) == "small"
-    choice = {"by": "kpi1", "clients": {"small": {"kpi1": 0.3}, "gru": {"kpi1": 0.35}}, "best": "small"}
+    options = Options(clients="patch,fig6")
+    assert phases_apart._choose(options, run, "kpi1", None) == "patch"
+    choice = {"by": "kpi1", "clients": {"patch": {"kpi1": 0.3}, "fig6": {"kpi1": 0.35}}, "best": "patch"}
     assert json.loads((tmp_path / "selection" / "choice.json").read_text()) == choice
     assert "KPI 1, last 2000 steps" in (told := capsys.readouterr().out) and "learns the second phase" in told
-    assert phases_apart._choose(options, run, "gru", None) == "gru" == read_choice(tmp_path, ["small", "gru"])
+    assert phases_apart._choose(options, run, "fig6", None) == "fig6" == read_choice(tmp_path, ["patch", "fig6"])
     ((section, exhibit),) = selections(Training(manifests={str(tmp_path): {}}, clients={}))
-    assert exhibit.csv.splitlines() == ["client,KPI 1,learned on", "small,0.3,", "gru,0.35,second phase"]
-    assert "The user chose gru" in exhibit.says and section.title == "Which client learns the second phase"
+    assert exhibit.csv.splitlines() == ["client,KPI 1,learned on", "patch,0.3,", "fig6,0.35,second phase"]
+    assert "The user chose fig6" in exhibit.says and section.title == "Which client learns the second phase"
 
 
 @pytest.mark.proof
 def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner, suite, monkeypatch):
-    words = ("train", "--town", corner, "--clients", "small,gru", "--select-by", suite, "--out", "run", *STEPS, *SMALL)
+    words = ("train", "--town", corner, "--clients", "patch,fig6", "--select-by", suite, "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, *words, "--json", "x.json")
     out, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
     run = tmp_path / "run"
     choice = json.loads((run / "selection" / "choice.json").read_text())
     best = choice["best"]
-    (left,) = {"small", "gru"} - {best}
+    (left,) = {"patch", "fig6"} - {best}
     assert choice["clients"][best]["score"] >= choice["clients"][left]["score"]
     check(run, best, left)
     assert "learns the second phase" in out and f"{left}: KPI 1" in out and f"wcsim test run/{best}" in out
@@ -160,7 +160,7 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     file = suite_in(corner, *[block_of(corner, max_steps=60)] * 3).file
     blocks = [block.model_copy(update={"seed": seed}) for seed, block in enumerate(file.blocks)]
     write_list(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
-    words = ("--town", corner, "--clients", "small,gru", "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
+    words = ("--town", corner, "--clients", "patch,fig6", "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, "train", *words)
     kept = tmp_path / "run" / "selection" / "kept"
     waited(lambda: list(kept.glob("*.json")), within_s=280.0)
@@ -174,5 +174,5 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     assert child.returncode == 0, err
     after = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(after) == 9 and {name: after[name] for name in before} == before
-    best = read_choice(tmp_path / "run", ["small", "gru"])
-    check(tmp_path / "run", best, *({"small", "gru"} - {best}))
+    best = read_choice(tmp_path / "run", ["patch", "fig6"])
+    check(tmp_path / "run", best, *({"patch", "fig6"} - {best}))

@@ -32,7 +32,7 @@ class Leaky(nn.Module):
 def test_a_client_that_grows_is_replaced_and_nobody_loses_a_step(tmp_path, corner):
     (tmp_path / "own.py").write_text(LEAKY)
     settings = ("learn.process_growth_mb=15", "learn.replay_frames=100", "world.epoch_ticks=230")
-    words = ("--clients", "small,own:Leaky", "--steps", 1500, "--out", "run", "--json", "x.json")
+    words = ("--clients", "patch,own:Leaky", "--steps", 1500, "--out", "run", "--json", "x.json")
     child = start(tmp_path, "train", "--town", corner, *words, *SMALL, *(w for s in settings for w in ("--set", s)))
     _, err = child.communicate(timeout=400)
     assert child.returncode == 0, err
@@ -42,4 +42,4 @@ def test_a_client_that_grows_is_replaced_and_nobody_loses_a_step(tmp_path, corne
     replaced = [event for event in events if event["event"] == "replaced" and event["who"] == "Leaky"]
     assert len(replaced) >= 2 and "has grown from" in replaced[0]["reason"], events
     assert [event for event in events if event["event"] == "death"] == []
-    assert {open_run(tmp_path / "run" / name).manifest.steps for name in ("small", "Leaky")} == {1500}
+    assert {open_run(tmp_path / "run" / name).manifest.steps for name in ("patch", "Leaky")} == {1500}

@@ -61,7 +61,7 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
 
 
 def test_clients_share_a_town_a_generation(tmp_path, corner, other):
-    words = ("train", "--town", f"{corner},{other}", "--clients", "small,gru", "--steps", 24, "--out", "run")
+    words = ("train", "--town", f"{corner},{other}", "--clients", "patch,fig6", "--steps", 24, "--out", "run")
     child = start(tmp_path, *words, *SMALL, "--set", "world.epoch_ticks=8", "--set", "learn.phase1_steps=8")
     _, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
@@ -85,6 +85,6 @@ BAD = {
 
 @pytest.mark.parametrize("town", BAD)
 def test_towns_that_cannot_be_used_are_refused_before_a_folder_is_made(wcsim, folder, corner, town):
-    for words in (("--preset", "dqn"), ("--clients", "small,gru"), ("--preset", "quick")):
+    for words in (("--preset", "dqn"), ("--clients", "patch,fig6"), ("--preset", "quick")):
         done = wcsim("train", "--town", town.replace("corner", str(corner)), "--out", "run", *words)
         assert done.code == 2 and BAD[town] in done.err and not (folder / "run").exists()

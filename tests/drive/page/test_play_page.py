@@ -81,7 +81,7 @@ def test_a_journal_is_played_jumped_in_and_looked_through(corner: Path, tmp_path
 
 
 LEARN = (
-    *("--clients", "patch,small", "--steps", "300", "--seed", "1", "--set", "learn.batch_size=8"),
+    *("--clients", "patch,fig6", "--steps", "300", "--seed", "1", "--set", "learn.batch_size=8"),
     *("--set", "learn.episode_steps=60", "--set", "world.epoch_ticks=150", "--set", "learn.learning_starts=50"),
 )
 
@@ -118,6 +118,6 @@ def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Pa
             process.send_signal(signal.SIGTERM)
             process.wait(PATIENCE_S)
     assert journal_digest(watched / "journal") == journal_digest(alone / "journal")
-    for name in ("patch", "small"):
+    for name in ("patch", "fig6"):
         weights = [next((run / name / "policies" / "final").glob("*.safetensors")) for run in (alone, watched)]
         assert weights[0].read_bytes() == weights[1].read_bytes()

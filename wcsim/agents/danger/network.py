@@ -39,7 +39,7 @@ class DangerSpec:
     width: int = 20
     actions: str = "square81"
     eye: Literal["map", "picture", "both"] = "map"
-    network: str = "small"  # of the registry, for the pictures
+    network: str = "patch"  # of the registry, for the pictures
     window: int = 1  # pictures that it sees
     memory: bool = True  # see `sight.Looks`
     odometry: bool = True
@@ -69,7 +69,7 @@ class DangerSpec:
 def spec_of(config: RunConfig) -> DangerSpec:
     """The network that a run's configuration asks for. Raises PolicyError when there is no such network."""
     danger, learn, camera = config.danger, config.learn, config.cameras[0]
-    network, window = "small", 1
+    network, window = "patch", 1
     if danger.eye != "map":
         from wcsim.agents.networks.registry import preferred_window
 

@@ -1,4 +1,4 @@
-"""Small convolutional networks without batch normalisation: a stem of its own, then stride-2 layers to a small map."""
+"""A small convolutional network without batch normalisation: patches, then stride-2 layers to a small map."""
 
 from __future__ import annotations
 
@@ -6,30 +6,30 @@ import torch
 from torch import nn
 
 _MAP_HEIGHT = 8  # stride-2 layers are added until the feature map is no higher than this
+_PATCH_PX, _PATCH_CHANNELS = 4, 24
 FEATURES = 128
-PATCH_PX, PATCH_CHANNELS = 4, 24
 
 
-def strided(stem: nn.Module, image_shape: tuple[int, ...]) -> tuple[list[nn.Module], int]:
-    """A stem and stride-2 convolutions behind it, down to a map of about 8x10; also how many channels that has."""
-    layers: list[nn.Module] = [stem, nn.ReLU()]
-    with torch.no_grad():
-        _, width, height, _ = stem(torch.zeros(1, *image_shape)).shape
+def strided(image_shape: tuple[int, int, int]) -> tuple[list[nn.Module], int]:
+    """Patches and stride-2 convolutions behind them, down to a map of about 8x10; also how many channels that has."""
+    channels, height, _ = image_shape
+    layers: list[nn.Module] = [nn.Conv2d(channels, _PATCH_CHANNELS, _PATCH_PX, stride=_PATCH_PX), nn.ReLU()]
+    height, width = height // _PATCH_PX, _PATCH_CHANNELS
     while height > _MAP_HEIGHT:
         layers += [nn.Conv2d(width, 32, 3, stride=2, padding=1), nn.ReLU()]
         height, width = (height + 1) // 2, 32
     return layers, width
 
 
-class StridedNet(nn.Module):
-    """A stem, stride-2 convolutions down to a map of about 8x10, 16 channels of it, one linear layer.
+class PatchNet(nn.Module):
+    """Patches of 4 x 4 pixels, convolutions down to a map of about 8x10, 16 channels of it, one linear layer.
 
-    The stem makes a map (B, channels, H, W) of images of the given shape.
+    It has about 0.2 M parameters for any image size.
     """
 
-    def __init__(self, stem: nn.Module, image_shape: tuple[int, ...], vector_size: int) -> None:
+    def __init__(self, image_shape: tuple[int, int, int], vector_size: int) -> None:
         super().__init__()
-        layers, width = strided(stem, image_shape)
+        layers, width = strided(image_shape)
         layers += [nn.Conv2d(width, 16, 1), nn.ReLU(), nn.Flatten()]
         self.cnn = nn.Sequential(*layers)
         with torch.no_grad():
@@ -39,17 +39,3 @@ class StridedNet(nn.Module):
     def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """Features (B, 128) of image (B, C, H, W) and vector (B, V)."""
         return torch.as_tensor(self.dense(torch.cat([self.cnn(image), vector], dim=1)))
-
-
-class SmallNet(StridedNet):
-    """About 0.2 M parameters for any image size."""
-
-    def __init__(self, image_shape: tuple[int, int, int], vector_size: int) -> None:
-        super().__init__(nn.Conv2d(image_shape[0], 16, 5, stride=2, padding=2), image_shape, vector_size)
-
-
-class PatchNet(StridedNet):
-    """First cuts the image into patches of 4 x 4 pixels: a third of the time of `small` for small images."""
-
-    def __init__(self, image_shape: tuple[int, int, int], vector_size: int) -> None:
-        super().__init__(nn.Conv2d(image_shape[0], PATCH_CHANNELS, PATCH_PX, stride=PATCH_PX), image_shape, vector_size)

@@ -58,7 +58,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
     def __init__(
         self,
         observation_space: spaces.Dict,
-        network: str = "small",
+        network: str = "patch",
         classes: Classes = "cityscapes",
         stateful: bool = False,
     ) -> None:

@@ -11,7 +11,7 @@ from wcsim.errors import PolicyError, meant
 
 MOST_LETTERS = 56  # so that a number fits behind it
 
-NETWORK_NAMES = ("conv3d", "convlstm", "fig6", "gru", "impala", "patch", "small", "stack")
+NETWORK_NAMES = ("conv3d", "convlstm", "fig6", "patch")
 
 
 def client_name(network: str) -> str:

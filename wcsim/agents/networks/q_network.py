@@ -36,7 +36,7 @@ class FollowPrior:
 class NetSpec:
     """Everything that an action-value network depends on besides the spaces; plain values, kept in policy.json."""
 
-    network: str = "small"
+    network: str = "patch"
     head: Literal["residual", "plain"] = "residual"
     dueling: bool = True
     hidden: int = 128

@@ -28,10 +28,9 @@ from typing import Any
 
 from torch import nn
 
-from wcsim.agents.networks.convolutional import PatchNet, SmallNet
+from wcsim.agents.networks.convolutional import PatchNet
 from wcsim.agents.networks.names import NETWORK_NAMES, unknown_network
-from wcsim.agents.networks.recurrent import Figure6Net, GruNet, StackNet
-from wcsim.agents.networks.residual import ImpalaNet
+from wcsim.agents.networks.recurrent import Figure6Net
 from wcsim.agents.networks.spatiotemporal import Conv3dNet, ConvLstmNet
 from wcsim.core.plugins import find_class
 from wcsim.errors import PolicyError
@@ -39,12 +38,8 @@ from wcsim.errors import PolicyError
 NetworkClass = Callable[[Any, int], nn.Module]  # (image_shape, vector_size)
 
 NETWORKS: dict[str, NetworkClass] = {
-    "small": SmallNet,
     "patch": PatchNet,
-    "impala": ImpalaNet,
     "fig6": Figure6Net,
-    "gru": GruNet,
-    "stack": StackNet,
     "convlstm": ConvLstmNet,
     "conv3d": Conv3dNet,
 }

@@ -11,7 +11,7 @@ from typing import ClassVar
 import torch
 from torch import nn
 
-from wcsim.agents.networks.convolutional import FEATURES, PATCH_CHANNELS, PATCH_PX, strided
+from wcsim.agents.networks.convolutional import FEATURES, strided
 from wcsim.agents.networks.recurrent import Shape, carried, lstm
 
 _CELL = 24  # channels that are remembered
@@ -108,6 +108,5 @@ class _Small(nn.Module):
 
 
 def _eye(image_shape: Shape) -> tuple[nn.Sequential, int]:
-    channels = image_shape[1]
-    layers, width = strided(nn.Conv2d(channels, PATCH_CHANNELS, PATCH_PX, stride=PATCH_PX), image_shape[1:])
+    layers, width = strided(image_shape[1:])
     return nn.Sequential(*layers), width

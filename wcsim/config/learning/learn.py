@@ -29,7 +29,7 @@ class LearnConfig(Model):
     select_by: Annotated[Word, Field(exclude_if=lambda suite: not suite)] = (
         ""  # Selects the client for the second phase: kpi1, a client's name, a suite or list. Empty: all continue.
     )
-    network: Word = "small"  # Network by name (wcsim networks), or module:Class.
+    network: Word = "patch"  # Network by name (wcsim networks), or module:Class.
     head: Literal["residual", "plain", "danger"] = (
         "residual"  # Follow reward plus a residual, plain values, or dangers.
     )

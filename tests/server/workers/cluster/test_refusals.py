@@ -48,7 +48,7 @@ def test_the_nodes_say_how_many_work_at_once():
 @pytest.mark.parametrize(
     "words",
     [
-        ["train", "--clients", "patch,gru", "--cluster", "local"],
+        ["train", "--clients", "patch,fig6", "--cluster", "local"],
         ["train", "--preset", "dqn", "--cluster", "local"],
         ["train", "--cluster", "nowhere"],
         ["collect", "--cluster", "nowhere"],
