@@ -70,7 +70,7 @@ def test_a_row_is_red_outside_its_range_and_a_value_must_be_a_number():
         measured(Trial(**words, measure=lambda _: float("nan")), setup)
 
 
-FWD = str(Path(__file__).parents[3] / "examples" / "fwd.toml")
+FWD = str(Path(__file__).parents[2] / "examples" / "fwd.toml")
 SLOW = Setup(chair=ChairConfig(plant=FWD, v_max_mps=1.2), hz=120)
 
 
