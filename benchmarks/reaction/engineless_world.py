@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wcsim.bridge.reacting_traffic import ReactingTraffic
+from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import street_habits
 from wcsim.bridge.reaction.commands import ROADWAY, ActorCommand, Blocked, ChairInStreet, is_person
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession

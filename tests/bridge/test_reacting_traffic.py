@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import follow, open_world
-from wcsim.bridge.reacting_traffic import ReactingTraffic
+from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import street_habits
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoSession

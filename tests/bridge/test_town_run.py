@@ -94,7 +94,7 @@ def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(co
 
 def test_a_file_that_is_missing_is_said_before_the_net_is_opened(corner, tmp_path, monkeypatch):
     sumocfg = hostile.scenario(find_town(str(corner)), tmp_path / "theirs", more='<include href="gone.add.xml"/>')
-    for name in ("wcsim.bridge.town_run.validate_net", "wcsim.bridge.traffic.validate_net"):
+    for name in ("wcsim.bridge.town_run.validate_net", "wcsim.bridge.town_run.validate_net"):
         monkeypatch.setattr(name, lambda *words, **more: pytest.fail("the net was opened first"))
     monkeypatch.setattr("wcsim.bridge.world.validate_net", lambda *words, **more: pytest.fail("the net was opened"))
     for chairs in (0, 1):

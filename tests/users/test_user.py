@@ -22,8 +22,7 @@ from wcsim.users.avoidance import Body
 from wcsim.users.crossing import Kerbs, crossings
 from wcsim.users.profiles import profile, profile_names, sample
 from wcsim.users.route_line import Path
-from wcsim.users.steering import steer
-from wcsim.users.user import SimulatedUser
+from wcsim.users.user import SimulatedUser, steer
 
 STREET = strip_street()
 ORACLE = Oracle(STREET.grid, ChairConfig(), USUAL_OUTLINE, USUAL_WHEELS_M, action_set("square81").points)

@@ -1,19 +1,115 @@
-"""What a world makes anew for each epoch: an engine with the bodies in it, and those who react to the wheelchairs."""
+"""What a world makes anew for each epoch: an engine with the bodies in it, and those who react to the wheelchairs.
+
+The traffic near the wheelchairs, tick by tick: it brakes or stands for them, and is shown as it really moves.
+
+Without an engine: a world mirrors what is here into one, a bench leads chairs through it by hand.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from wcsim.bridge import mirror
 from wcsim.bridge.mirror_check import MirrorCheck
-from wcsim.bridge.reacting_traffic import ReactingTraffic
+from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.reaction.attention import AttentionModel, street_habits
+from wcsim.bridge.reaction.commands import Blocked, ChairInStreet, on_level
+from wcsim.bridge.reaction.drivers import StreetReaction
+from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
+from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
 from wcsim.bridge.sumo.session import SumoSession
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
 from wcsim.physics.street_bodies import StreetBodies
-from wcsim.types import Ground
+from wcsim.types import F64, ActorState, Ground, SignalState
+from wcsim.types.street import FLAT
+
+SIGNAL_REACH_M = 60.0  # what a user or a driver has to know of a traffic light is nearer
+SIGNAL_MORE_M = 20.0  # from a stop line, which says how far off a light is, to its farthest head
+
+
+class ReactingTraffic:
+    """Drivers and people of one epoch. In a tick: `react`, SUMO's step, `read`, `move`."""
+
+    def __init__(
+        self,
+        config: WorldConfig,
+        ground: Ground,
+        sumo: SumoSession,
+        attention: AttentionModel,
+        sight_m: float = 0.0,
+    ) -> None:
+        """Nobody is near a chair yet; `attention` says who of the traffic looks, cameras see `sight_m` far."""
+        self.chairs: tuple[ChairInStreet, ...] = ()  # as the traffic sees them in this tick
+        self.actors: tuple[ActorState, ...] = ()  # near the chairs now, as they are shown
+        self.before: dict[str, ActorState] = {}  # the same a tick ago, by id
+        self.signals: tuple[SignalState, ...] = ()
+        self._config, self._ground, self._sumo = config, ground, sumo
+        self._hilly = ground.around(np.zeros(2)).relief is not FLAT
+        self._wide_turns = SwingOut(ground, config.tick_s)
+        self._articulation = Articulation()
+        self._signals_m = max(SIGNAL_REACH_M, sight_m + SIGNAL_MORE_M)
+        self._drivers = StreetReaction(config, attention, self._wide_turns)
+        self._people = PedestrianAvoidance(ground, config.tick_s, attention.people)
+
+    def react(self, chairs: tuple[ChairInStreet, ...]) -> None:
+        """The traffic sees these chairs of tick n: drivers brake or pass, people stop."""
+        self.chairs = chairs
+        pilot = self._sumo.pilot
+        here = self._level(self.actors)
+        for order in (*self._drivers.react(here, chairs, pilot), *self._people.holds(here, chairs)):
+            pilot.apply(order)
+
+    def read(self, places_W_m: F64) -> tuple[ActorState, ...]:
+        """The actors near the chairs (n, 2) after SUMO's step; whom it has just put on top of a chair leaves again."""
+        return self._shown(self._admitted(self._near(places_W_m)))
+
+    def move(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
+        """Carry the people's steps aside on by a tick, and make those of `read` the actors of now."""
+        self.before = {actor.id: actor for actor in self.actors}
+        self._people.update(self._level(near), self.chairs)
+        self._take(near, places_W_m)
+
+    def look_again(self, places_W_m: F64) -> None:
+        """See the actors near the chairs anew, after a chair has moved to another place; nobody moves."""
+        self._take(self._shown(self._near(places_W_m)), places_W_m)
+
+    def blocked(self) -> tuple[Blocked, ...]:
+        """Who stands because of a chair now."""
+        return (*self._drivers.blocked(), *self._people.blocked())
+
+    def passing(self) -> tuple[str, ...]:
+        """The vehicles that have a way round a chair now."""
+        return self._drivers.passing()
+
+    def _near(self, places_W_m: F64) -> tuple[ActorState, ...]:
+        """The actors near any chair as SUMO has them."""
+        return self._sumo.actors(places_W_m, self._config.mirror_radius_m)
+
+    def _admitted(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
+        """All but those that SUMO has just put on top of a chair; these leave the street again."""
+        away = self._drivers.turned_away(self._level(near), self.chairs, self._sumo.come)
+        for actor_id in away:
+            self._sumo.turn_away(actor_id)
+        return tuple(actor for actor in near if actor.id not in away) if away else near
+
+    def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
+        """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        return self._articulation.bent(self._wide_turns.shown(near, self._sumo.pilot))
+
+    def _take(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
+        """Make these the actors of now, on the ground and where they stepped aside to, with the signals of now."""
+        there = mirror.on_ground(self._people.shifted(near), self._ground)
+        self.actors = mirror.walked(self.before, there, self._config.tick_s)
+        self.signals = self._sumo.signals(places_W_m, self._signals_m)
+
+    def _level(self, actors: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
+        """Those on the level of a chair."""
+        return on_level(actors, self.chairs) if self._hilly else actors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,27 +1,84 @@
-"""Let a town's traffic run, with wheelchairs that follow their users' wish, record it, and check it every tick."""
+"""Let a town's traffic run, with wheelchairs that follow their users' wish, record it, and check it every tick.
+
+A town's traffic with no wheelchair in it: SUMO alone, for which no street has to be built.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of
+from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of, state_hash
 from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.town_session import warmup_s
-from wcsim.bridge.traffic import TownTraffic
+from wcsim.bridge.sumo.session import refuse_second_world
+from wcsim.bridge.sumo.town_session import open_session, warm_up, warmup_s
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RewardConfig, RunConfig
+from wcsim.core.closing import Closing
 from wcsim.errors import SumoError
 from wcsim.supervisor.fault import fault
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.stage import Scenario, require_files
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
+from wcsim.towns.sumo.net import read_net
 from wcsim.types import F64, ActorState, ClientSnapshot, SeatSpec, Snapshot
+
+
+class _TownTraffic(Closing):
+    """SUMO with a town's scenario, one tick after the other; what a world without seats does, without its street."""
+
+    def __init__(self, town: Town, config: RunConfig, seed: int, place: RunPlace) -> None:
+        """Start SUMO and let the traffic warm up.
+
+        Raises TownError for a scenario that cannot be run, WorldInUseError while a world lives in this process.
+        """
+        refuse_second_world()
+        validate_net(town.net, border=town.border)
+        self.net_z_m = read_net(town.net, town.file.origin_m).z_origin_m
+        self._held = ExitStack()
+        self._tick = 0
+        try:
+            self.scenario, self._sumo = open_session(town, config, seed, place, self.net_z_m, self._held)
+            warm_up(self._sumo, warmup_s(town, config), config.world.tick_s)
+        except BaseException:
+            self.close()
+            raise
+        self.snapshot = self._published()
+
+    def tick(self) -> Snapshot:
+        """Carry the traffic on by one tick; the snapshot holds no actors, for there is no chair near which they are."""
+        self._sumo.step()
+        self._tick += 1
+        self.snapshot = self._published()
+        return self.snapshot
+
+    def everyone(self) -> tuple[ActorState, ...]:
+        """Every vehicle and person of the town, sorted by id."""
+        return self._sumo.everyone()
+
+    @property
+    def mishaps_so_far(self) -> tuple[int, int]:
+        """`mishaps` since the scenario began, while the traffic warmed up too."""
+        return self._sumo.so_far
+
+    def mishaps(self) -> tuple[int, int]:
+        """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
+        return self._sumo.mishaps()
+
+    def close(self) -> None:
+        """End SUMO; a second call does nothing."""
+        self._held.close()
+
+    def _published(self) -> Snapshot:
+        bare = Snapshot(epoch=0, tick=self._tick, time_s=self._sumo.time_s(), actors=(), signals=(), clients=())
+        return replace(bare, state_hash=state_hash(bare))
+
 
 TRACE = "trace"
 _BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
@@ -102,7 +159,7 @@ def record_town(
     require_files(town, config)
     if not order.chairs:
         stage("starting SUMO")
-        with TownTraffic(town, config, order.seed, place) as traffic:
+        with _TownTraffic(town, config, order.seed, place) as traffic:
             opened(traffic.scenario)
             with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
                 return _run_alone(traffic, ticks, writer, progress)
@@ -146,7 +203,7 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
     return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
 
 
-def _run_alone(traffic: TownTraffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
+def _run_alone(traffic: _TownTraffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
     meter = _Meter(traffic.snapshot.time_s, traffic.mishaps_so_far)
     for tick in range(ticks):
         after = traffic.tick()

@@ -21,13 +21,13 @@ _LONGEST_STEP_S: Final = 1.0 / 120.0
 _TIPPED: Final = 0.5  # upright part of the chair's z below which it lies on its side
 
 
-def front_m(spec: PlantSpec) -> float:
+def _front_m(spec: PlantSpec) -> float:
     """The foremost point of the foremost caster, trailing, ahead of the drive axle; the drive wheel's if it leads."""
     casters = [pair.swivel_x_m - pair.trail_m + pair.radius_m for pair in spec.casters]
     return max([spec.wheel.radius_m, *casters])
 
 
-def rear_m(spec: PlantSpec) -> float:
+def _rear_m(spec: PlantSpec) -> float:
     """The rearmost wheel's axle, trailing, ahead of the drive axle (negative behind it)."""
     return min([0.0, *(pair.swivel_x_m - pair.trail_m for pair in spec.casters)])
 
@@ -42,8 +42,8 @@ def climbs(setup: Setup, rise_m: float, run_up_m: float) -> float:
     """
     with Yard(setup, step_street(rise_m)) as yard:
         spec = yard.chair.spec
-        yard.place(FACE_X_M - front_m(spec) - max(run_up_m, _TOUCHING_M))
-        up_m = FACE_X_M + 0.3 - rear_m(spec)
+        yard.place(FACE_X_M - _front_m(spec) - max(run_up_m, _TOUCHING_M))
+        up_m = FACE_X_M + 0.3 - _rear_m(spec)
         yard.drive(FORWARD, 9.0, lambda state: float(state.p_WB_m[0]) > up_m)
         end = yard.drive(NEUTRAL, 2.5).states[-1].p_WB_m
     return float(end[0] > FACE_X_M and abs(end[2] - rise_m) < _LEVEL_M)
@@ -66,7 +66,7 @@ def _mean_peak_mps2(setup: Setup, street: StreetMesh) -> float:
     """
     with Yard(setup, street) as yard:
         spec, speed = yard.chair.spec, setup.chair.v_max_mps
-        start_m, beyond_m = FACE_X_M - front_m(spec) - _RUN_M, FACE_X_M + 0.8 - rear_m(spec)
+        start_m, beyond_m = FACE_X_M - _front_m(spec) - _RUN_M, FACE_X_M + 0.8 - _rear_m(spec)
         peaks = []
         for run in range(_RUNS):
             yard.place(start_m - run / _RUNS * speed * _LONGEST_STEP_S)

@@ -21,7 +21,7 @@ _SLIP_MPS: Final = 0.02
 _AXES: Final = np.eye(3)
 
 
-def weighed_loads_N(setup: Setup) -> dict[str, float]:
+def _weighed_loads_N(setup: Setup) -> dict[str, float]:
     """Mean normal load of each wheel over half a second, after two seconds of rest."""
     with Yard(setup) as yard:
         yard.drive(NEUTRAL, 2.0)
@@ -37,12 +37,12 @@ def weighed_loads_N(setup: Setup) -> dict[str, float]:
 
 def mass_kg(setup: Setup) -> float:
     """Mass of chair and user: what the scales under all wheels show."""
-    return sum(weighed_loads_N(setup).values()) / GRAVITY_MPS2
+    return sum(_weighed_loads_N(setup).values()) / GRAVITY_MPS2
 
 
 def drive_wheel_share(setup: Setup) -> float:
     """Share of the weight that rests on the drive wheels."""
-    loads = weighed_loads_N(setup)
+    loads = _weighed_loads_N(setup)
     return sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
 
 

@@ -72,7 +72,7 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     return cast("Callable[P, R]", compiled)
 
 
-class UserLocator(UserWideCacheLocator):
+class _UserLocator(UserWideCacheLocator):
     """The place for a package that cannot be written: in wcsim's cache, which is found without a home, too."""
 
     def __init__(self, py_func: Any, py_file: str) -> None:
@@ -86,7 +86,7 @@ class _Copies(CompileResultCacheImpl):
     """Where copies may lie, the best place first."""
 
     _locator_classes = [  # noqa: RUF012 - numba's own form
-        UserLocator if kind is UserWideCacheLocator else kind for kind in CompileResultCacheImpl._locator_classes
+        _UserLocator if kind is UserWideCacheLocator else kind for kind in CompileResultCacheImpl._locator_classes
     ]
 
 

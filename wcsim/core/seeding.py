@@ -14,7 +14,7 @@ import zlib
 import numpy as np
 
 
-def sequence(seed: int, *path: str | int) -> np.random.SeedSequence:
+def _sequence(seed: int, *path: str | int) -> np.random.SeedSequence:
     """The seed sequence at `path` (for example "user", seat, episode) under the root `seed` (>= 0)."""
     key = tuple(zlib.crc32(part.encode()) if isinstance(part, str) else int(part) for part in path)
     return np.random.SeedSequence(seed, spawn_key=key)
@@ -22,14 +22,14 @@ def sequence(seed: int, *path: str | int) -> np.random.SeedSequence:
 
 def generator(seed: int, *path: str | int) -> np.random.Generator:
     """A random generator of its own for the component at `path`."""
-    return np.random.Generator(np.random.Philox(sequence(seed, *path)))
+    return np.random.Generator(np.random.Philox(_sequence(seed, *path)))
 
 
 def derive(seed: int, *path: str | int) -> int:
     """A 31-bit integer seed for a library that takes only a number (SUMO, torch)."""
-    return int(sequence(seed, *path).generate_state(1, np.uint32)[0] >> 1)
+    return int(_sequence(seed, *path).generate_state(1, np.uint32)[0] >> 1)
 
 
 def key(seed: int, *path: str | int) -> int:
     """A 64-bit key for numbers that are a function of a key and a place, such as a pixel's noise."""
-    return int(sequence(seed, *path).generate_state(1, np.uint64)[0])
+    return int(_sequence(seed, *path).generate_state(1, np.uint64)[0])

@@ -3,6 +3,8 @@
 Everything else in this package works on an `Engine`. Bodies are hardly ever removed (PyBullet leaks 4.5 kB for each
 multibody, 0.9 kB for each rigid one): those out of use are parked far below the street. Collision shapes are never
 given back, whatever is removed: about 230 B a face, until the engine is closed.
+
+Triangle soups made fit for collision: welded, without slivers, cut to what PyBullet takes in one shape.
 """
 
 from __future__ import annotations
@@ -19,8 +21,64 @@ import numpy.typing as npt
 from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
-from wcsim.physics.collision_mesh import Soup, split, tidy
 from wcsim.types import F64, ClassId, StreetMesh
+
+_MAX_VERTICES: Final = 131_072  # B3_MAX_NUM_VERTICES of PyBullet
+MAX_FACES: Final = 524_288 // 3  # B3_MAX_NUM_INDICES
+WELD_M: Final = 1e-4
+_MIN_HEIGHT_M: Final = 1e-4  # a triangle thinner than this is a gap that no wheel can feel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Soup:
+    """Triangles that share vertices."""
+
+    vertices_m: F64  # (V, 3)
+    faces: npt.NDArray[np.int64]  # (F, 3)
+
+
+def _tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Soup:
+    """Vertices closer than 0.1 mm become one, triangles without height go, vertices without triangle go.
+
+    Args:
+        vertices_m: Vertices (V, 3).
+        faces: Vertex indices (F, 3).
+    """
+    used, local = np.unique(faces, return_inverse=True)
+    keys = np.rint(vertices_m[used] / WELD_M).astype(np.int64)
+    _, first, weld = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    welded = weld.reshape(-1)[local.reshape(faces.shape)]
+    points = vertices_m[used][first]
+    keep = _height_m(points, welded) >= _MIN_HEIGHT_M
+    return _compact(points, welded[keep])
+
+
+def split(soup: Soup) -> Iterator[Soup]:
+    """The soup in as few pieces as PyBullet's limits allow; one when it fits."""
+    if len(soup.vertices_m) <= _MAX_VERTICES and len(soup.faces) <= MAX_FACES:
+        if len(soup.faces):
+            yield soup
+        return
+    centre = soup.vertices_m[soup.faces].mean(axis=1)
+    axis = int(np.argmax(np.ptp(centre, axis=0)))
+    order = np.argsort(centre[:, axis], kind="stable")
+    half = len(order) // 2
+    for part in (order[:half], order[half:]):
+        yield from split(_compact(soup.vertices_m, soup.faces[np.sort(part)]))
+
+
+def _height_m(points_m: F64, faces: npt.NDArray[np.int64]) -> F64:
+    """Smallest height (F,) of each triangle; 0 for a degenerate one."""
+    a, b, c = (points_m[faces[:, k]] for k in range(3))
+    double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
+    return np.asarray(np.divide(double_area, longest, out=np.zeros_like(double_area), where=longest > 0))
+
+
+def _compact(points_m: F64, faces: npt.NDArray[np.int64]) -> Soup:
+    used, local = np.unique(faces, return_inverse=True)
+    return Soup(vertices_m=points_m[used], faces=local.reshape(faces.shape))
+
 
 PARK_Z_M: Final = -500.0
 _MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
@@ -300,4 +358,4 @@ def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:
 
 def _street_parts(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Iterator[Soup]:
     if len(faces):
-        yield from split(tidy(vertices_m, faces))
+        yield from split(_tidy(vertices_m, faces))

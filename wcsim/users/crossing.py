@@ -60,7 +60,7 @@ class Kerbs:
         self._ground, self._half_length_m = ground, half_length_m
         self._waits_m = half_length_m + KERB_GAP_M  # from the middle of who waits to the kerb
         self._items = tuple(zip(items, (start_m - self._waits_m for start_m in starts), strict=True))
-        self._kerb_m = {item: item.start_m if ground is None else edge_m(ground, path, item.start_m) for item in items}
+        self._kerb_m = {item: item.start_m if ground is None else _edge_m(ground, path, item.start_m) for item in items}
         # Drawn here for all: so a crossing's draw does not depend on when, or after which others, its user comes to it.
         self._lawful = dict(zip(items, (rng.random(len(items)) < law_share).tolist(), strict=True))
         self._obeys: dict[Crossing, bool] = {}
@@ -146,7 +146,7 @@ class Kerbs:
         watched = near and (item in self._red_last_s or not lit)
         if not watched:
             return False
-        traffic = [vehicle for vehicle in vehicles if is_traffic(item, vehicle, self._ground)]
+        traffic = [vehicle for vehicle in vehicles if _is_traffic(item, vehicle, self._ground)]
         return vehicle_comes(item, _near_kerb(item, traffic) if lit else traffic)
 
 
@@ -193,7 +193,7 @@ def kerb_m(ground: Ground, path: Path, start_m: float) -> float:
     return start_m
 
 
-def edge_m(ground: Ground, path: Path, start_m: float) -> float:
+def _edge_m(ground: Ground, path: Path, start_m: float) -> float:
     """Arc where a route to a crossing gets onto the road: at its start, or before it where the kerb runs aslant."""
     for step in range(round(EDGE_M / _EDGE_STEP_M), 0, -1):
         if ground.class_here(*path.at(start_m - step * _EDGE_STEP_M)) in CARRIAGEWAY:
@@ -217,7 +217,7 @@ def has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
     return False
 
 
-def is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) -> bool:
+def _is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) -> bool:
     """Whether a vehicle drives on the road that is crossed.
 
     A rider need not: one on the pavement passes the kerb without end where many ride, and one who uses the crossing

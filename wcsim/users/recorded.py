@@ -40,7 +40,7 @@ _SAME_TIME_S = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JoystickRecording:
-    """A joystick over time; see `read_recording` and `joystick_of_drive`."""
+    """A joystick over time; see `read_recording` and `_joystick_of_drive`."""
 
     name: str
     time_s: F64  # (n,) rising, from 0 to _LONGEST_GAP_S on, n >= 2
@@ -165,7 +165,7 @@ def read_recording(path: FilePath) -> JoystickRecording:
             of another version of wcsim.
     """
     if is_drive(path):
-        return joystick_of_drive(path)
+        return _joystick_of_drive(path)
     numbers = array("d")
     for line, row in _rows(path):
         where = f"{shown(path)}:{line}"
@@ -181,7 +181,7 @@ def read_recording(path: FilePath) -> JoystickRecording:
     return JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
 
 
-def joystick_of_drive(path: FilePath) -> JoystickRecording:
+def _joystick_of_drive(path: FilePath) -> JoystickRecording:
     """The joystick of a recorded drive, episode by episode.
 
     Raises:

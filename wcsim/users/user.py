@@ -3,6 +3,8 @@
 It knows its route, sees the street with limited attention, plans like a person who drives (slows down before corners,
 goes around what it noticed, waits at a red light, gives up when nothing moves for long), and moves a stick with a hand
 that answers late and not quite exactly. Only the stick is shown to the agent; the clean intent is for metrics.
+
+From where the user wants to go to a joystick position: how a practised driver uses this chair's stick.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.frames import wrap
+from wcsim.core.joystick import pushed, yaw_rate_limit
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 from wcsim.users import avoidance
@@ -25,8 +28,57 @@ from wcsim.users.pavement_edges import Edges
 from wcsim.users.perception import Perception, Seen
 from wcsim.users.profiles import UserProfile
 from wcsim.users.route_line import Path
-from wcsim.users.steering import DRIVE_DELAY_S, TURN_IN_PLACE_RAD, steer, stopping_speed
 from wcsim.users.turning import Axle, Turn, Turning, plan_turn
+
+# Turn rate asked for each radian of heading error, and its largest value: who answers late must steer gently, or the
+# chair swings (a delayed integrator is stable for gain * delay < pi / 2; drivers keep well below).
+_GAIN_DELAY = 0.6
+_GAIN_MAX_PER_S = 1.4
+_TURN_MAX_RADPS = 1.0
+DRIVE_DELAY_S = 0.1  # of the chair's own drive
+TURN_IN_PLACE_RAD = 1.0
+_BEHIND_RAD = 2.6  # a goal farther round than this may be taken on either side: keep the side of before
+
+
+def steer(
+    body: Body,
+    goal: tuple[float, float],
+    speed_mps: float,
+    chair: ChairConfig,
+    delay_s: float,
+    before_x: float,
+) -> Joystick:
+    """The stick that turns towards `goal` and drives at `speed_mps`, in place when the goal is far off ahead.
+
+    Args:
+        body: The chair's middle.
+        goal: Point (x, y) in W to drive to.
+        speed_mps: Wanted speed when the goal is straight ahead.
+        chair: Its limits, and how far a stick must be moved before anything happens: the user has learnt them.
+        delay_s: How late the driver's hand answers.
+        before_x: The stick's x of the plan before, for goals right behind.
+    """
+    error = wrap(math.atan2(goal[1] - body.y_m, goal[0] - body.x_m) - body.yaw_rad)
+    if abs(error) > _BEHIND_RAD and before_x * error > 0.0:
+        error = -error
+    turning = abs(error) > TURN_IN_PLACE_RAD
+    speed = 0.0 if turning else speed_mps * math.cos(error) ** 2
+    w_limit = yaw_rate_limit(max(abs(body.speed_mps), speed), chair.yaw_rate_max_radps)
+    gain = min(_GAIN_MAX_PER_S, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S))
+    most = min(1.0, min(_TURN_MAX_RADPS, _GAIN_DELAY / (delay_s + DRIVE_DELAY_S)) / w_limit)
+    x = min(most, max(-most, -gain * error / w_limit))
+    y = min(speed / chair.v_max_mps, math.sqrt(1.0 - x * x))
+    radius = math.hypot(x, y)
+    if radius < 0.02:
+        return Joystick(0.0, 0.0)
+    scale = pushed(radius, chair) / radius
+    return Joystick(x * scale, y * scale)
+
+
+def _stopping_speed(distance_m: float, brake_mps2: float) -> float:
+    """The speed from which braking at `brake_mps2` stops within `distance_m`; 0 when it is passed already."""
+    return math.sqrt(2.0 * brake_mps2 * max(0.0, distance_m))
+
 
 # The drive axle may be near the chair's rear end; who steers thinks of the middle.
 # Of the rear-wheel drive: for who is not told which plant it is, as in a recording.
@@ -226,13 +278,13 @@ class SimulatedUser:
         self._witness = (view, seen)
         speed = self.profile.speed_share * self._chair.v_max_mps
         speed = min(speed, path.speed_limit(body.arc_m, _CORNER_RADPS, BRAKE_MPS2, _CORNER_AHEAD_M))
-        speed = min(speed, stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
+        speed = min(speed, _stopping_speed(path.length_m - body.arc_m, BRAKE_MPS2))
         if self._edges is not None:
             slope_m = self._edges.slope_ahead(body.arc_m - 0.5 * self._outline.length_m, _SLOPE_AHEAD_M)
-            speed = min(speed, math.hypot(_SLOPE_MPS, stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
+            speed = min(speed, math.hypot(_SLOPE_MPS, _stopping_speed(slope_m - self._outline.length_m, BRAKE_MPS2)))
         kerb_m = self._stop_m = self._kerbs.stop_m(self._arc_m, view.time_s, view.signals, seen.vehicles)
         if kerb_m is not None:
-            speed = min(speed, stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
+            speed = min(speed, _stopping_speed(kerb_m - body.arc_m, BRAKE_MPS2))
         safe = avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s)
         self.asks_help = self._calls(body.speed_mps - safe, view.time_s)
         if safe < speed:
@@ -262,7 +314,7 @@ class SimulatedUser:
         x, y = self._intent.x, self._intent.y
         x = math.copysign(max(0.0, abs(x) - _CALM_STICK * dt_s / _STRAIGHT_S), x)
         if self._stop_m is not None and y > 0.0:
-            y = min(y, self._straight_on(body, stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
+            y = min(y, self._straight_on(body, _stopping_speed(self._stop_m - body.arc_m, BRAKE_MPS2)).y)
         return Joystick(x, y)
 
     def _goal(self, body: Body, path: Path, arc_m: float) -> tuple[float, float]:

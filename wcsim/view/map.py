@@ -83,10 +83,10 @@ class MapView:
                 cv2.polylines(image, [self._pixels(T_CW, points)], False, colour, thick, cv2.LINE_AA, 3)
         colours = dict(_KIND_RGB)
         for actor in actors:
-            corners = oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
+            corners = _oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
             self._box(image, T_CW, corners, colours[actor.kind])
         for place, yaw_rad, size_lw_m in _chair_places(chairs):
-            self._box(image, T_CW, oriented_box(place, yaw_rad, size_lw_m), _CHAIR_RGB)
+            self._box(image, T_CW, _oriented_box(place, yaw_rad, size_lw_m), _CHAIR_RGB)
         return image
 
     def _box(self, image: U8, T_CW: F64, corners_W_m: F64, colour: tuple[int, int, int]) -> None:
@@ -136,7 +136,7 @@ def draw_scale(image: U8, px_per_m: float) -> None:
     cv2.putText(image, word, above, cv2.FONT_HERSHEY_SIMPLEX, size, _BAR_RGB, 1, cv2.LINE_AA)
 
 
-def oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:
+def _oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:
     """Ground corners (4, 3) of a box about p: front left, front right, rear right, rear left.
 
     >>> oriented_box(np.zeros(3), 0.0, (4.0, 2.0))[:, :2].tolist()

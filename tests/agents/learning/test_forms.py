@@ -16,7 +16,7 @@ from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
-from wcsim.agents.replay.layout import layout_of
+from wcsim.agents.replay.buffer import layout_of
 from wcsim.agents.runs.run_folder import config_of
 from wcsim.config import RunConfig, with_overrides
 from wcsim.errors import InterruptedRunError, PolicyError

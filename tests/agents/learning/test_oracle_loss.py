@@ -12,8 +12,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.flip_augmentation import mirrored, mirrored_advice
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled, teacher_actions
+from wcsim.agents.learning.seqdqn import mirrored, mirrored_advice
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.agents.replay.state import replay_arrays, restore_replay

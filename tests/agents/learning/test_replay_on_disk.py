@@ -15,7 +15,7 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import step_folders
 from wcsim.agents.learning.train import train
-from wcsim.agents.replay.segment_files import blobs_path, index_path, segments_in
+from wcsim.agents.replay.disk_store import blobs_path, index_path, segments_in
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import InterruptedRunError, PolicyError

@@ -12,7 +12,7 @@ from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
-from wcsim.agents.learning.sequence_loss import burned_in, group_targets, group_values, sequence_loss
+from wcsim.agents.learning.seqdqn import burned_in, group_targets, group_values, sequence_loss
 from wcsim.agents.replay.groups import gather_groups
 from wcsim.config import LearnConfig, RunConfig, load_run_config
 from wcsim.errors import ConfigError, PolicyError

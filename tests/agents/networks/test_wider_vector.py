@@ -5,7 +5,7 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from wcsim.agents.learning.flip_augmentation import _mirrored
+from wcsim.agents.learning.seqdqn import _mirrored
 from wcsim.agents.networks.encoder import vector_keys
 from wcsim.agents.networks.q_network import NetSpec, QNet
 from wcsim.supervisor.observation import imu_size, observation_space

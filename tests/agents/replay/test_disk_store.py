@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill
 from wcsim.agents.replay import disk_store, segment_files
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
-from wcsim.agents.replay.disk_store import STORE_JSON, DiskFrames
-from wcsim.agents.replay.segment_files import RECORD, blobs_path, index_path, segments_in
+from wcsim.agents.replay.disk_store import RECORD, STORE_JSON, DiskFrames, blobs_path, index_path, segments_in
 from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
 from wcsim.errors import DiskFullError, PolicyError
 

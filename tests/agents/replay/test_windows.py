@@ -21,8 +21,8 @@ from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.matrix import open_policy, window_for
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
-from wcsim.agents.learning.flip_augmentation import mirrored
 from wcsim.agents.learning.saved_policy import load_policy
+from wcsim.agents.learning.seqdqn import mirrored
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings

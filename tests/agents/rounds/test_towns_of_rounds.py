@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.rounds import towns_of_rounds
-from wcsim.agents.rounds.towns_of_rounds import towns_of
+from wcsim.agents.rounds.run_of_rounds import towns_of
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import find_town
 

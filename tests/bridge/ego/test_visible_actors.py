@@ -12,7 +12,7 @@ from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from tests.support.worlds import open_world
 from tests.users.actors import USUAL_WHEELS_M, actor
-from wcsim.bridge.ego.visible_actors import ShownActors
+from wcsim.bridge.ego.ego import ShownActors
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.sensors.camera import CameraRig

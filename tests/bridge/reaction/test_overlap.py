@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.bridge.reaction.gap_search import Block, block_of, block_of_disc, ways_round
 from wcsim.bridge.reaction.overlap import ROOM_M, SweptOverlap, first_touches, room_beside
+from wcsim.bridge.reaction.pedestrians import Block, block_of, block_of_disc, ways_round
 from wcsim.bridge.reaction.swept_path import STEP_M, LaneShape, OnLane, lay_out
 from wcsim.core.boxes import boxes_touch, gap_to_box
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.samples import strip_street
-from wcsim.bridge.reaction.walkable import SHOULDER, SOLID_GAP_M, can_stand, way_is_open
+from wcsim.bridge.reaction.pedestrians import SHOULDER, SOLID_GAP_M, can_stand, way_is_open
 from wcsim.types import ClassId
 
 GRID = strip_street().grid

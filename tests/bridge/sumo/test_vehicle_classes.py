@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sumolib.net.lane import SUMO_VEHICLE_CLASSES
 
 from tests.support.menagerie import CLASSES, build_street, mirror_loop, one_of_each
-from wcsim.bridge.sumo.vehicle_classes import KIND_OF_CLASS, kind_and_look, sane_size
+from wcsim.bridge.sumo.actors import KIND_OF_CLASS, kind_and_look, sane_size
 from wcsim.physics.renderer.instances import actor_instances
 from wcsim.physics.renderer.models.catalog import LOOKS
 from wcsim.types import ActorKind, ActorLook

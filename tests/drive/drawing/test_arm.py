@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.drive.drawing.arm import Arm
 from wcsim.drive.drawing.orbit import Orbit
+from wcsim.drive.drawing.pictures import Arm
 from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.instances import Instances

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_messages import StepBy
-from wcsim.drive.serving.words import Words
+from wcsim.drive.serving.server import Words
 
 
 def test_words_come_in_order_and_of_a_kind_the_newest_alone() -> None:

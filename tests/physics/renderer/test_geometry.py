@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.physics.renderer.render_oracle import actor, crowd
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.geometry import GeometryStore
+from wcsim.physics.renderer.geometry import GeometryStore, connected_parts
 from wcsim.physics.renderer.instances import (
     ChairPose,
     chair_instances,
@@ -25,7 +25,6 @@ from wcsim.physics.renderer.models import riders
 from wcsim.physics.renderer.models.catalog import FIGURES, Template, actor_templates, template_of
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
-from wcsim.physics.renderer.street_paint import connected_parts
 from wcsim.physics.sensors.camera import FreeCamera
 from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import ActorKind, ClassId, GroundPaint, StreetMesh

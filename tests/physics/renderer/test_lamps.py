@@ -16,10 +16,10 @@ from wcsim.config import CameraConfig
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.cast import SignalLamps
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.raster import RasterRenderer
-from wcsim.physics.renderer.signal_lamps import SignalLamps
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.camera_geometry import look_at

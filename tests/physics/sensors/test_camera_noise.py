@@ -11,9 +11,8 @@ from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images
-from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.camera import CameraRig, camera_noise
 from wcsim.physics.sensors.camera_geometry import pinhole
-from wcsim.physics.sensors.camera_noise import camera_noise
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.types import ClassId
 

@@ -10,7 +10,7 @@ from wcsim.physics.engine import Engine
 from wcsim.physics.sensors import registry
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor, Surroundings
 from wcsim.physics.sensors.imu import Imu
-from wcsim.physics.sensors.seat_cameras import SeatCameras
+from wcsim.physics.sensors.registry import SeatCameras
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 
 

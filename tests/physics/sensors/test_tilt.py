@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from wcsim.config import ImuConfig
 from wcsim.core.rotations import LEVEL, euler, matrix, quaternion, turned
 from wcsim.physics.sensors.base import BodyMotion
-from wcsim.physics.sensors.imu import Imu
+from wcsim.physics.sensors.imu import Imu, TiltSensor, tilt_felt, tilt_turned
 from wcsim.physics.sensors.pixel_noise import child
-from wcsim.physics.sensors.tilt import TiltSensor, tilt_felt, tilt_turned
 
 STILL = (0.0, 0.0, 0.0)
 NONE = np.zeros(2)

@@ -18,8 +18,7 @@ from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig, ImuConfig, load_run_config, with_overrides
 from wcsim.config.plant import known_plants, read_plant
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, varied
-from wcsim.physics.wheelchair.plant_check import check_plant
+from wcsim.physics.wheelchair.plant import PlantSpec, check_plant, plant_spec, varied
 from wcsim.physics.wheelchair.plant_urdf import urdf
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 

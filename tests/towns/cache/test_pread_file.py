@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from wcsim.towns.cache.pread_file import PreadFile
+from wcsim.towns.cache.street_cache import PreadFile
 
 
 @pytest.fixture

@@ -17,9 +17,8 @@ from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import unroutable_trips
+from wcsim.towns.checks.check import STEEPEST, faults_of, unroutable_trips
 from wcsim.towns.checks.cures import FASTEST_MPS, larger_cure, pave_cure, routes_cure, walkers_cure
-from wcsim.towns.checks.faults import STEEPEST, faults_of
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net

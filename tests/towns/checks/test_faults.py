@@ -13,9 +13,8 @@ from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import check_town, demand_classes
-from wcsim.towns.checks.faults import Findings, faults_of, notes_of
-from wcsim.towns.importing.build_net import build_net
+from wcsim.towns.checks.check import Findings, check_town, demand_classes, faults_of, notes_of
+from wcsim.towns.importing.importer import build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract

@@ -12,8 +12,7 @@ from shapely import Polygon, box
 
 from tests.towns.furniture.standing_samples import item
 from wcsim.towns.furniture.buildings import PASSAGE_M, Building, buildings_of
-from wcsim.towns.osm.building_parts import mark_buildings
-from wcsim.towns.osm.clean import filter_osm
+from wcsim.towns.osm.clean import filter_osm, mark_buildings
 from wcsim.towns.sumo.additional import Item, read_items
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root

@@ -9,7 +9,7 @@ import shapely
 from shapely import box
 
 from tests.towns.furniture.standing_samples import PLACE, item
-from wcsim.towns.furniture.bus_stops import stop_things
+from wcsim.towns.furniture.everything import stop_things
 from wcsim.towns.furniture.placement import CLEAR_M
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.additional import Item, read_items

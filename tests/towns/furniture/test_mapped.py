@@ -8,7 +8,7 @@ import shapely
 from shapely import box
 
 from tests.towns.furniture.standing_samples import PLACE, item
-from wcsim.towns.furniture.mapped import LOOK_OF, look_of, things_of
+from wcsim.towns.furniture.everything import LOOK_OF, look_of, things_of
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, stood
 from wcsim.towns.ground import solid_shapes

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from wcsim.bridge.sumo.vehicle_classes import kind_and_look
+from wcsim.bridge.sumo.actors import kind_and_look
 from wcsim.towns.importing.demand import vtypes_text
 from wcsim.types import ActorKind
 

@@ -10,11 +10,8 @@ import shapely
 
 from wcsim.core.seeding import generator
 from wcsim.towns.ground.surfaces import lane_area
-from wcsim.towns.making.blocks import build_blocks
-from wcsim.towns.making.drawn_map import draw_map
-from wcsim.towns.making.dressing import dress
-from wcsim.towns.making.named_streets import streets_of
-from wcsim.towns.making.plain_net import Signals, write_net
+from wcsim.towns.making.drawn_map import build_blocks, draw_map, dress
+from wcsim.towns.making.maker import Signals, streets_of, write_net
 from wcsim.towns.making.plan import draw_plan
 from wcsim.towns.making.shaping import shape_plan
 from wcsim.towns.sumo.net import LaneKind, Net, read_net

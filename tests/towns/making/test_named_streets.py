@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wcsim.core.seeding import generator
-from wcsim.towns.making.named_streets import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
+from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
 from wcsim.towns.making.plan import StreetPlan, connected, draw_plan, merged
 from wcsim.towns.making.shaping import ShapedPlan, least_angle_rad, shape_plan
 from wcsim.towns.making.wishes import KINDS

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.towns.importing.build_net import BuiltNet, build_net
+from wcsim.towns.importing.importer import BuiltNet, build_net
 from wcsim.towns.importing.netconvert import NetOrder
 from wcsim.towns.osm.bridges import cut_bridges
 from wcsim.towns.osm.read import read_extract

@@ -12,8 +12,8 @@ from wcsim.core.seeding import generator
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
+from wcsim.towns.walking.graph import shortest_inside
 from wcsim.towns.walking.routes import Router
-from wcsim.towns.walking.visibility import shortest_inside
 from wcsim.types import Street, WalkEdge, WalkGraph, WayKind
 from wcsim.users.crossing import crossings
 

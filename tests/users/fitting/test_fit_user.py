@@ -13,9 +13,8 @@ from wcsim.config import load_run_config
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
-from wcsim.users.fitting.fit_user import fit_user, is_told
+from wcsim.users.fitting.fit_user import by_switches, fit_user, is_told
 from wcsim.users.fitting.hand_series import hand_series
-from wcsim.users.fitting.switch_fit import by_switches
 from wcsim.users.profile_file import profile_text, read_profile
 from wcsim.users.profiles import profile, profile_names, sample
 

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.users.fitting.block_newton import certainty, least
-from wcsim.users.fitting.hand_kernels import surprises, wish_on_its_way
+from wcsim.users.fitting.hand_likelihood import certainty, least, surprises, wish_on_its_way
 
 STEP_S = 0.03
 

@@ -75,7 +75,7 @@ def _seconds(row: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in row.items()}
 
 
-def shares_of(status: ClientStatus) -> PaidShares:
+def _shares_of(status: ClientStatus) -> PaidShares:
     """A client's own reading of one life."""
     return PaidShares(
         acting_s=status.inference_s,
@@ -128,7 +128,7 @@ class PaidTimesLog:
     def _client(self, client: ClientState) -> None:
         if client.status is None:
             return
-        pid, now = client.status.pid, shares_of(client.status)
+        pid, now = client.status.pid, _shares_of(client.status)
         last_pid, before = self._last.get(client.name, (pid, PaidShares()))
         if pid != last_pid:  # of another life
             before = PaidShares()

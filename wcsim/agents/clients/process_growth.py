@@ -19,7 +19,7 @@ from wcsim.errors import InterruptedRunError
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
 
 
-def rss_mb() -> float:
+def _rss_mb() -> float:
     """Memory of this process, in MB of 2**20 bytes."""
     return float(psutil.Process().memory_info().rss) / 2**20
 
@@ -42,7 +42,7 @@ class ProcessGrowth:
     def __init__(
         self,
         learn: LearnConfig,
-        memory_mb: Callable[[], float] = rss_mb,
+        memory_mb: Callable[[], float] = _rss_mb,
         end: Callable[[], object] = lambda: os.kill(os.getpid(), signal.SIGTERM),
     ) -> None:
         self._limit_mb, self._full_step = learn.process_growth_mb, learn.replay_frames

@@ -120,7 +120,7 @@ def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segme
     digest = data_digest(segments)
     data = {
         "schema_version": 1,
-        "settings_sha256": settings_digest(config),
+        "settings_sha256": _settings_digest(config),
         "config": config.model_dump(mode="json"),
         "plant_sha256": _plant_sha256(config),
         "towns": towns,
@@ -148,14 +148,14 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
     """
     had, wanted = _by_content(file.config, file.plant_sha256), told_settings(config)
     other = [name for name in _TOLD if _part(had, name) != _part(wanted, name)]
-    if other or file.settings_sha256 != settings_digest(config):
+    if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
             f"{shown(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
             "those of this run: train with the configuration in its data.json"
         )
 
 
-def settings_digest(config: RunConfig) -> str:
+def _settings_digest(config: RunConfig) -> str:
     """SHA-256 over what data must have in common with whoever learns from it: camera, chair, actions."""
     told = told_settings(config)
     return hashlib.sha256(repr([_part(told, name) for name in _SETTINGS]).encode()).hexdigest()

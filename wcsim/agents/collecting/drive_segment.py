@@ -58,7 +58,7 @@ def drive_segment(place: SegmentPlace, make_learned: MakeLearned | None, seed: i
             commands = [Command(seat=number, tick=tick, joystick=seat.choose()) for number, seat in enumerate(seats)]
             for seat, client in zip(seats, world.tick(commands).clients, strict=True):
                 seat.take(client)
-    return segment_of([seat.rows for seat in seats])
+    return _segment_of([seat.rows for seat in seats])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,7 +113,7 @@ class _Seat:
         self._driver = DataDriver(self._config.collect, self._actions, self._rng, learned)
 
 
-def segment_of(chairs: Sequence[Sequence[DrivenRow]]) -> Segment:
+def _segment_of(chairs: Sequence[Sequence[DrivenRow]]) -> Segment:
     """The rows of all chairs, one chair after the other; a chair's last step here ends its episode."""
     rows = [row for chair in chairs for row in chair]
     last = [number == len(chair) - 1 for chair in chairs for number in range(len(chair))]

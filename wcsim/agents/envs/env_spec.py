@@ -117,7 +117,7 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
     if render_mode not in (None, *RENDER_MODES):
         raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
     if render_mode == "rgb_array":
-        resolved = with_colours(resolved)
+        resolved = _with_colours(resolved)
     run, hook = options.get("run"), options.get("hook", "")
     return Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
 
@@ -186,7 +186,7 @@ def drawn_seed() -> int:
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
 
 
-def with_colours(config: RunConfig) -> RunConfig:
+def _with_colours(config: RunConfig) -> RunConfig:
     """The same configuration with colours drawn by the camera that networks see."""
     eye = config.eye
     drawn = [camera.model_copy(update={"rgb": True}) if camera is eye else camera for camera in config.cameras]

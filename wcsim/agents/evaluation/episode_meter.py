@@ -70,7 +70,7 @@ class EpisodeMeter:
         """The sums of all steps under their names in a record; the episode is over then."""
         self._meter.end_episode(self.steps, crash_reason)
         path = self._path if self.steps % self._every == 0 or not self.steps else [*self._path, self._at]
-        return {**sums_of(self._meter.log()), "path_m": tuple(path), "helps": self._helps}
+        return {**_sums_of(self._meter.log()), "path_m": tuple(path), "helps": self._helps}
 
     def log(self) -> StepLog:
         """Every step, for indicators over several episodes."""
@@ -87,7 +87,7 @@ class EpisodeMeter:
             self._path.append(self._at)
 
 
-def sums_of(log: StepLog) -> dict[str, Any]:
+def _sums_of(log: StepLog) -> dict[str, Any]:
     """The sums of one episode's steps, under their names in `EpisodeRecord`."""
     row = summarise(log)
     free = log.free == 1

@@ -21,7 +21,7 @@ LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FadingRate:
+class _FadingRate:
     """A learning rate that falls linearly to zero over the last share of a run, so that the last policy is settled.
 
     >>> [FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
@@ -59,7 +59,7 @@ def _is_stateful(config: RunConfig) -> bool:
     return config.learn.memory == "groups" and registry.carries_state(config.learn.network)
 
 
-def net_spec(config: RunConfig) -> NetSpec:
+def _net_spec(config: RunConfig) -> NetSpec:
     """The network that a run's configuration asks for."""
     reward, learn = config.reward, config.learn
     prior = FollowPrior(
@@ -82,7 +82,7 @@ def net_spec(config: RunConfig) -> NetSpec:
     )
 
 
-def phase_plan(learn: LearnConfig) -> PhasePlan:
+def _phase_plan(learn: LearnConfig) -> PhasePlan:
     """When the phases change."""
     return PhasePlan(
         total_steps=learn.total_steps,
@@ -155,9 +155,9 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             supervision="cross_entropy" if learn.phase1 == "supervised" else "margin",
             later=learn.updates == "while_waiting",
         ),
-        plan=phase_plan(learn),
+        plan=_phase_plan(learn),
         seed=seed,
-        learning_rate=FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
+        learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
         buffer_size=learn.replay_frames,
         learning_starts=_learning_starts(learn, getattr(env, "num_envs", 1)),
         batch_size=learn.batch_size,
@@ -167,7 +167,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
         gradient_steps=learn.gradient_steps,
         max_grad_norm=LARGEST_GRADIENT,
         replay_buffer_kwargs={"settings": _replay_settings(config, seed, replay_folder)},
-        policy_kwargs={"spec": net_spec(config)},
+        policy_kwargs={"spec": _net_spec(config)},
         device=learn.device,
     )
 

@@ -40,7 +40,7 @@ class TrainProgress:
 
 
 @dataclass(slots=True)
-class EpisodeSums:
+class _EpisodeSums:
     """What is summed up while an episode runs."""
 
     reward: float = 0.0
@@ -136,7 +136,7 @@ class EpisodeMetrics(SeqCallback):
         super().__init__()
         self.logs, self.begun_s = logs, begun_s
         self.episodes, self.crashes = episodes, crashes  # of what was done before
-        self.sums: list[EpisodeSums] = []
+        self.sums: list[_EpisodeSums] = []
         self._looks: list[float] = []  # distances since the last row of steps.csv
         self._rows: deque[float] = deque(maxlen=KPI1_STEPS // ROW_STEPS)
 
@@ -146,7 +146,7 @@ class EpisodeMetrics(SeqCallback):
         return sum(self._rows) / len(self._rows) if self._rows else None
 
     def _on_training_start(self) -> None:
-        self.sums = [EpisodeSums() for _ in range(self.training_env.num_envs)]
+        self.sums = [_EpisodeSums() for _ in range(self.training_env.num_envs)]
         self.episodes = self.learner._episode_num
 
     def _on_step(self) -> bool:
@@ -229,7 +229,7 @@ class EpisodeMetrics(SeqCallback):
                 "overestimate": check.overestimate,
             }
         )
-        self.sums[seat] = EpisodeSums()
+        self.sums[seat] = _EpisodeSums()
 
     def _write(self, row: dict[str, Value]) -> None:
         self.logs.episodes.add(row)

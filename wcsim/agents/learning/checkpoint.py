@@ -105,7 +105,7 @@ def save_checkpoint(
 
     files.write_folder(target, fill)
     files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
-    drop_old(folder, target)
+    _drop_old(folder, target)
     _hold_frames(folder, model)
     return target
 
@@ -122,7 +122,7 @@ def _link(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
-def drop_old(folder: Path, newest: Path) -> None:
+def _drop_old(folder: Path, newest: Path) -> None:
     """Remove all checkpoints but `newest`, the last ones and one with another replay, and what is half-written."""
     older = step_folders(folder)
     kept = {newest, *older[-KEEP:]}
@@ -161,7 +161,7 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
             continue
         _hold_frames(folder, model)
         return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
-    raise none_sound(folder, passed)
+    raise _none_sound(folder, passed)
 
 
 def passed_over(path: Path, error: Exception) -> PassedOver:
@@ -170,7 +170,7 @@ def passed_over(path: Path, error: Exception) -> PassedOver:
     return PassedOver(path=path, reason=shown(told, 300))
 
 
-def none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
+def _none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
     """What is raised where all checkpoints of a run were passed over, or none found."""
     faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
     return PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")

@@ -73,13 +73,13 @@ def step_of(path: Path) -> int:
     return int(path.name.removeprefix("step-"))
 
 
-def write_sealed(path: Path, values: Mapping[str, Any]) -> None:
+def _write_sealed(path: Path, values: Mapping[str, Any]) -> None:
     """Write what a checkpoint says, with its version and a hash over all of it."""
     files.write_sealed_json(path, {"schema_version": SCHEMA, **values})
 
 
-def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[str, Any], bool]:
-    """What `write_sealed` wrote, and whether it has a hash; one of a version before there was one has none.
+def _read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[str, Any], bool]:
+    """What `_write_sealed` wrote, and whether it has a hash; one of a version before there was one has none.
 
     Raises:
         PolicyError: It is not what was written, or has other entries than `keys`.
@@ -97,18 +97,18 @@ def read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict[
 def write_state(folder: Path, values: Mapping[str, Any], replay_sha256: str = "") -> None:
     """Write `state.json` with hashes of the files that are there, and one over itself; the replay's may be known."""
     hashes = {MODEL: files.sha256(folder / MODEL), REPLAY: replay_sha256 or files.sha256(folder / REPLAY)}
-    write_sealed(folder / STATE, {**values, "sha256": hashes})
+    _write_sealed(folder / STATE, {**values, "sha256": hashes})
 
 
 def read_state(folder: Path) -> State:
     """The state of a checkpoint whose files are as they were written. Raises PolicyError that says what is not."""
-    data, sealed = read_sealed(folder / STATE, _STATE_KIND, _KEYS)
+    data, sealed = _read_sealed(folder / STATE, _STATE_KIND, _KEYS)
     state = State(
-        num_timesteps=step_in(folder, data, "num_timesteps"),
-        n_updates=whole_number(data, "n_updates"),
-        episodes=whole_number(data, "episodes"),
-        explore_rng=checked_generator(data, "explore_rng"),
-        replay_rng=checked_generator(data, "replay_rng"),
+        num_timesteps=_step_in(folder, data, "num_timesteps"),
+        n_updates=_whole_number(data, "n_updates"),
+        episodes=_whole_number(data, "episodes"),
+        explore_rng=_checked_generator(data, "explore_rng"),
+        replay_rng=_checked_generator(data, "replay_rng"),
         extra=_extra(data["extra"]),
         sealed=sealed,
     )
@@ -119,15 +119,15 @@ def read_state(folder: Path) -> State:
 def replay_hash(folder: Path) -> str:
     """The hash that a checkpoint has of its replay, not compared with it; "" where it has none."""
     try:
-        data, _ = read_sealed(folder / STATE, _STATE_KIND, _KEYS)
+        data, _ = _read_sealed(folder / STATE, _STATE_KIND, _KEYS)
         return str(data["sha256"][REPLAY])
     except (PolicyError, TypeError, KeyError):
         return ""
 
 
-def step_in(folder: Path, data: Mapping[str, Any], key: str) -> int:
+def _step_in(folder: Path, data: Mapping[str, Any], key: str) -> int:
     """The step that a checkpoint is of. Raises PolicyError when its folder has the name of another one."""
-    step = whole_number(data, key)
+    step = _whole_number(data, key)
     if folder.name != step_name(step):
         raise PolicyError(f"{STATE} is of step {step}; expected that of its folder's name")
     return step
@@ -142,7 +142,7 @@ def _require_hashes(folder: Path, told: Any) -> None:
             raise PolicyError(f"{name} is damaged")
 
 
-def whole_number(data: Mapping[str, Any], key: str) -> int:
+def _whole_number(data: Mapping[str, Any], key: str) -> int:
     """A count of a checkpoint. Raises PolicyError when it is none."""
     value = data[key]
     if type(value) is not int or not 0 <= value <= MOST_STEPS:
@@ -160,7 +160,7 @@ def _extra(data: Any) -> dict[str, int | float | str | bool]:
     return data
 
 
-def checked_generator(values: Mapping[str, Any], key: str) -> dict[str, Any]:
+def _checked_generator(values: Mapping[str, Any], key: str) -> dict[str, Any]:
     """The state of a Philox generator, every number in its bounds. Raises PolicyError when it is none."""
     data = values[key]
     wrong = PolicyError(f"{STATE}: {key} is {shown(data)}; expected the state of a generator")

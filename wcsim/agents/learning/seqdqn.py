@@ -5,7 +5,14 @@ gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) tha
 advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
 from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. A network that
 carries a state (`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row
-(`learning/sequence_loss.py`); any other one learns from steps drawn one by one, each with its window.
+(`learning/seqdqn.py`); any other one learns from steps drawn one by one, each with its window.
+
+Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
+
+Losses over groups of steps in a row, for networks that carry a state: `agents/replay/groups.py` says what is drawn.
+
+Online and target network are each run over the steps before a group, from the stored state and without a gradient, and
+then over the group itself and what its last n-step returns reach.
 """
 
 from __future__ import annotations
@@ -26,16 +33,112 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEn
 from stable_baselines3.common.utils import polyak_update
 from torch.nn import functional
 
-from wcsim.agents.learning.flip_augmentation import Signs, mirrored, mirrored_advice
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
-from wcsim.agents.learning.sequence_loss import sequence_loss
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
-from wcsim.agents.policy_api import JOYSTICK_KEY
+from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
 from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.groups import SequenceBatch
+from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.observation import imu_size
+
+
+@torch.no_grad()
+def burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+    """The network's state (K, S) where the groups begin."""
+    states = batch.states.clone()
+    for rows, observations in batch.burn_in:
+        states[rows] = net.unroll(observations, states[rows])[1]
+    return states
+
+
+def group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+    """Values (K, P, A) of all observations of the groups."""
+    return net.unroll(batch.observations, burned_in(net, batch))[0]
+
+
+@torch.no_grad()
+def group_targets(
+    online: torch.Tensor, target: torch.Tensor, batch: SequenceBatch, reward_scale: float, double_q: bool
+) -> torch.Tensor:
+    """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
+    judge = online if double_q else target
+    best = target.gather(2, judge.argmax(dim=2, keepdim=True))[..., 0]  # (K, P)
+    value = best.gather(1, batch.after)
+    return reward_scale * batch.returns + (1.0 - batch.terminated) * batch.discounts * value
+
+
+def sequence_loss(
+    nets: tuple[QNet, QNet],
+    batch: SequenceBatch,
+    reward_scale: float,
+    double_q: bool,
+    supervised: Callable[[torch.Tensor, dict[str, torch.Tensor]], torch.Tensor] | None,
+) -> tuple[torch.Tensor, float]:
+    """Huber loss over the steps of the groups, and the largest value that was met.
+
+    Args:
+        nets: Online and target network.
+        batch: Groups.
+        reward_scale: Of the returns.
+        double_q: The online network chooses the action whose value the target network gives.
+        supervised: Added to it: of values (N, A) and the joysticks that they are for, by their key.
+    """
+    online = group_values(nets[0], batch)
+    with torch.no_grad():
+        target = group_values(nets[1], batch)
+    wanted = group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
+    length = batch.live.shape[1]
+    values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
+    chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
+    loss = functional.smooth_l1_loss(chosen, wanted)
+    if supervised is not None:
+        sticks = batch.observations[JOYSTICK_KEY][:, :length][batch.live[:, : online.shape[1]]]
+        loss = loss + supervised(values, {JOYSTICK_KEY: sticks})
+    return loss, float(values.detach().abs().max())
+
+
+Tensors = dict[str, torch.Tensor]
+Signs = tuple[tuple[str, tuple[float, ...]], ...]  # of each number of each further sensor, by name
+
+IMU_SIGNS = (1.0, -1.0, 1.0, -1.0, 1.0)  # of ax, ay, az, roll, pitch
+GYRO_SIGNS = (-1.0, 1.0, -1.0)
+YAW_SIGNS = (-1.0, 1.0)  # of its sine and cosine
+JOYSTICK_SIGNS = (-1.0, 1.0)
+_SIGNS = {
+    imu_size(gyro, yaw): IMU_SIGNS + gyro * GYRO_SIGNS + yaw * YAW_SIGNS
+    for gyro in (False, True)
+    for yaw in (False, True)
+}
+
+
+def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
+    """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
+    return batch._replace(
+        observations=_mirrored(batch.observations, actions, signs),
+        actions=actions[batch.actions.long()],
+        next_observations=_mirrored(batch.next_observations, actions, signs),
+    )
+
+
+def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
+    """The same for a batch of the training aid."""
+    return AdviceBatch(observations=_mirrored(batch.observations, actions, signs), safe=batch.safe[:, actions])
+
+
+def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
+    out = dict(observations)
+    for key, value in observations.items():
+        if value.ndim > 2:  # a picture; the others are rows of numbers
+            out[key] = value.flip(-1)
+    imu_signs = _SIGNS[observations[IMU_KEY].shape[-1]]
+    for key, signs in ((IMU_KEY, imu_signs), (JOYSTICK_KEY, JOYSTICK_SIGNS), *further):
+        out[key] = observations[key] * observations[key].new_tensor(signs)
+    return out
+
 
 States = tuple[npt.NDArray[Any], ...]
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units

@@ -84,7 +84,7 @@ def train(
     if run.config.learn.tensorboard:
         require_tensorboard()
     folder = folder_of(run, with_window)
-    with files.locked(folder.path), torch_settings(run.config), StopRequest(wait_no_more) as request:
+    with files.locked(folder.path), _torch_settings(run.config), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([make_env])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
@@ -116,7 +116,7 @@ def _replay(model: SeqDQN) -> FrameReplay:
     return model.replay_buffer
 
 
-def stopped_error(path: Path, step: int, total: int, unsaved: str) -> InterruptedRunError | DiskFullError:
+def _stopped_error(path: Path, step: int, total: int, unsaved: str) -> InterruptedRunError | DiskFullError:
     """What is raised when a run was stopped at a step: `unsaved` says why its last checkpoint is not there."""
     told = f"stopped after {step} of {total} steps"
     if unsaved:
@@ -203,7 +203,7 @@ class _Session:
         """Write the last files; what is to be raised then."""
         self.request.ending = True
         self._finish("interrupted")
-        return stopped_error(self.run.path, self.model.num_timesteps, self.learn_config.total_steps, self.unsaved)
+        return _stopped_error(self.run.path, self.model.num_timesteps, self.learn_config.total_steps, self.unsaved)
 
     def _switched(self) -> None:
         self._save("phase1")
@@ -282,11 +282,11 @@ def _loaded(
         run.event("begin_again")
         return None
     loaded = load_checkpoint(run.checkpoints, model, alive)
-    tell_loaded(run, loaded, say)
+    _tell_loaded(run, loaded, say)
     return loaded
 
 
-def tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) -> None:
+def _tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) -> None:
     """Say what a run goes on from where that is not the newest checkpoint, or an older version's.
 
     What was passed over is set aside: it belongs to work that is done again, with another outcome.
@@ -301,7 +301,7 @@ def tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) ->
 
 
 @contextmanager
-def torch_settings(config: RunConfig) -> Iterator[None]:
+def _torch_settings(config: RunConfig) -> Iterator[None]:
     """Threads and determinism for the run, and what was set before after it."""
     threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(config.learn.threads)

@@ -47,7 +47,7 @@ class Follow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Zero:
+class _Zero:
     """The stick at rest: the longest life and the worst obedience."""
 
     actions: ActionSet
@@ -91,7 +91,7 @@ class Random:
 
 
 @dataclass(slots=True, kw_only=True)
-class StopBeforeObstacles:
+class _StopBeforeObstacles:
     """Follows, but gives no throttle while the depth image shows something in the way within the stopping distance.
 
     It may still turn on the spot, so a user who steers past the obstacle gets going again. The camera looks forward:
@@ -126,7 +126,7 @@ class StopBeforeObstacles:
 
 
 @dataclass(slots=True, kw_only=True)
-class OracleDriver:
+class _OracleDriver:
     """The safe action nearest to the user's joystick, by the true geometry; the one that fails latest when none is.
 
     With the name `oracle-visible` it knows only those of the others whom the chair's cameras have shown lately.
@@ -171,12 +171,12 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "random":
         return Random(actions=actions, seed=seed)
     if name == "zero":
-        return Zero(actions=actions)
+        return _Zero(actions=actions)
     if name == "stop":
         outline = plant_spec(config.chair).outline
-        return StopBeforeObstacles(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair, outline))
+        return _StopBeforeObstacles(actions=actions, watch=CorridorWatch(config.cameras[0], config.chair, outline))
     if name.partition("@")[0] == LEVELLED:
         return DynamicWindow(name, config, actions, plant_spec(config.chair).outline, level_of(name))
     if name in UPPER_BOUNDS:
-        return OracleDriver(actions=actions, name=name)
+        return _OracleDriver(actions=actions, name=name)
     raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, *UPPER_BOUNDS))}")

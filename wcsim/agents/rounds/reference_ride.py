@@ -31,7 +31,7 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     """
     sensing = with_senses(config, senses_of(policy))
     spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)
-    pushes, longest = pushed_sticks(steps, seed), list[Observation]()
+    pushes, longest = _pushed_sticks(steps, seed), list[Observation]()
     with World(find_town(town), sensing, (spec,), seed) as world:
         policy.begin()
         for _ in range(TRIES):
@@ -62,7 +62,7 @@ def _episode(world: World, config: RunConfig, policy: Policy, pushes: F32) -> li
     return found
 
 
-def pushed_sticks(steps: int, seed: int) -> F32:
+def _pushed_sticks(steps: int, seed: int) -> F32:
     """The stick at each step, (steps, 2) in -1..1; NaN where it is the user's own."""
     angles_rad = seeding.generator(seed, "pushes").uniform(-_WIDEST_RAD, _WIDEST_RAD, steps // PUSH_TICKS + 1)
     rows = [

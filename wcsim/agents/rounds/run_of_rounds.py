@@ -1,21 +1,67 @@
-"""A training run of a danger network from configuration to saved policy."""
+"""A training run of a danger network from configuration to saved policy.
+
+The towns that data is driven in: the run's own, those of the configuration, and some that are drawn for the run.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import Final
 
 from wcsim.agents.collecting.segment_places import require_recordable
 from wcsim.agents.rounds.round_checkpoint import damaged_rounds, newest_round
-from wcsim.agents.rounds.towns_of_rounds import towns_of
 from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import ResolvedRun, RunFolder, with_whole_data
 from wcsim.config import RunConfig
-from wcsim.core import files
-from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
+from wcsim.core import files, seeding
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, Machines
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.maker import make_town
+from wcsim.towns.making.wishes import Wishes
+from wcsim.towns.scenario.town import Town, find_town, open_town
+
+TOWNS: Final = "towns"
+
+
+def towns_of(
+    own: Town,
+    more: Collection[str],
+    config: RunConfig,
+    folder: Path,
+    seed: int,
+    stage: Callable[[str], object] = lambda told: None,
+) -> tuple[str, ...]:
+    """Folders or names of all towns, the run's own first.
+
+    Args:
+        own: The run's.
+        more: Words for those that take turns with it.
+        config: Of the run.
+        folder: Of the run; towns that are drawn lie in it, and are made once, where anybody is going to drive in them.
+        seed: Of the run.
+        stage: Told what is made.
+
+    Raises:
+        TownError: A town is missing, is meant for tests, or cannot be made.
+        SumoError: One of SUMO's tools failed.
+    """
+    listed = [find_town(name) for name in config.collect.towns]
+    for town in listed:
+        if town.split == "test":
+            raise TownError(f"collect.towns: {town.name} is a test town; expected training towns")
+    others = [*map(asked_town, more), *listed]
+    made = config.collect.made_towns if config.collect.segments else 0
+    for number in range(made):
+        drawn = seeding.derive(seed, "collect", "town", number)
+        out = folder / TOWNS / f"made-{drawn}"
+        if not out.is_dir():
+            stage(f"generating town {number + 1} of {made}")
+            make_town(out, drawn, Wishes())
+        others.append(open_town(out))
+    return tuple(str(town.address) for town in (own, *others))
 
 
 def train_danger(

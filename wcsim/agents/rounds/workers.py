@@ -80,10 +80,10 @@ class SegmentCrew:
             TownError: A town is missing.
         """
         found: dict[str, str] = {}
-        left = {work_key(order.key): order.key for order in orders}
+        left = {_work_key(order.key): order.key for order in orders}
         asked = []
         for order in orders:
-            word = work_key(order.key)
+            word = _work_key(order.key)
             kept = self._kept(order.key) if word not in self._sha256 and self._path(order.key).is_file() else ""
             if kept:
                 found[self._path(left.pop(word)).name] = kept
@@ -118,7 +118,7 @@ class SegmentCrew:
         return ""
 
 
-def work_key(key: SegmentKey) -> str:
+def _work_key(key: SegmentKey) -> str:
     """What a segment is called wherever something is said of it.
 
     >>> work_key(SegmentKey(run=3, round=0, index=12))
@@ -133,25 +133,25 @@ def _key_of(word: str) -> SegmentKey:
 
 
 def _work(order: SegmentOrder) -> Work:
-    return Work(key=work_key(order.key), call=drive_order, piece=order, needs=needs_of)
+    return Work(key=_work_key(order.key), call=_drive_order, piece=order, needs=_needs_of)
 
 
-def needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
+def _needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
     """What travels with an order: its towns, the network that drives, the user's own wheelchair."""
     policy = (folder_parcel(Path(order.policy), order.policy),) if order.policy else ()
     return (*map(town_parcel, order.towns), *policy, *plant_parcels(order.config))
 
 
-def drive_order(order: SegmentOrder, at: At) -> bytes:
+def _drive_order(order: SegmentOrder, at: At) -> bytes:
     """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
     config = with_plant_at(order.config, at)
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
-    make = learned_of(Path(here.policy), config) if here.policy else None
+    make = _learned_of(Path(here.policy), config) if here.policy else None
     return packed_segment(collect(here, make))
 
 
-def learned_of(folder: Path, config: RunConfig) -> MakeLearned:
+def _learned_of(folder: Path, config: RunConfig) -> MakeLearned:
     """The network of a policy folder as a driver of data; one for each chair, by the delay of its commands."""
     net, rule = load_net(folder, config.learn.network)
 

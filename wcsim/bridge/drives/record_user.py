@@ -63,7 +63,7 @@ def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], obje
         with DriveRecorder(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
             world.go_blind()
             for number in range(1, order.ticks + 1):
-                tick = driven_tick(world, 0, points)
+                tick = _driven_tick(world, 0, points)
                 recorder.record(tick)
                 crashes += tick.crashed
                 progress(number)
@@ -77,7 +77,7 @@ def write_user(folder: Path, user: UserProfile) -> str:
     return str(path)
 
 
-def driven_tick(world: World, seat: int, points: ActionSet) -> RecordedTick:
+def _driven_tick(world: World, seat: int, points: ActionSet) -> RecordedTick:
     """One tick of a world with a single chair, which gets the action nearest to its user's stick."""
     (ego,), client = world.seats, world.snapshot.clients[0]
     before = client.first or client

@@ -1,10 +1,13 @@
-"""One seat of a world: a wheelchair, its user, its episode. A world holds any number of them."""
+"""One seat of a world: a wheelchair, its user, its episode. A world holds any number of them.
+
+Which of the others a wheelchair's cameras have shown lately: what may be known to who sees nothing else.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +19,9 @@ from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.start_place import TakenNear, heading_rad, is_clear, require_in_town
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
-from wcsim.bridge.ego.visible_actors import ShownActors
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import GreenRequest
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
 from wcsim.physics.buffers import SeatBuffers
 from wcsim.physics.engine import Engine
@@ -56,6 +58,31 @@ from wcsim.types import (
 from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser
+
+
+class ShownActors:
+    """The actors that the cameras of one seat have shown, each with the tick in which they last did so."""
+
+    def __init__(self, world: WorldConfig) -> None:
+        """`world` says how many pixels make an actor visible, and for how long it is remembered."""
+        self._least_px = world.visible_px
+        self._ticks = round(world.visible_s / world.tick_s)
+        self._last: dict[str, int] = {}
+
+    def forget(self) -> None:
+        """Forget everybody: another episode begins."""
+        self._last.clear()
+
+    def see(self, tick: int, shown_px: Mapping[str, float]) -> None:
+        """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
+        seen = {name: tick for name, pixels in shown_px.items() if pixels >= self._least_px}
+        kept = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
+        self._last = {**kept, **seen}
+
+    def known(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
+        """Those of the actors that were shown no longer ago than they are remembered, where they are now."""
+        return tuple(actor for actor in actors if actor.whole_id in self._last)
+
 
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400

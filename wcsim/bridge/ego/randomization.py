@@ -68,10 +68,10 @@ class Randomization:
         for attempt in range(TRIES):
             drawn = draw(self._vary, len(self._cameras), seed, self._seat, episode, attempt)
             try:
-                spec, cameras = with_drawn(self._spec, drawn), moved(self._cameras, drawn)
+                spec, cameras = _with_drawn(self._spec, drawn), moved(self._cameras, drawn)
                 check_springs(spec, self._step_s)
                 refuse_cameras_inside(cameras, spec.frame.boxes)
-                sensors = retuned(self._sensors, drawn.sensors).on()
+                sensors = _retuned(self._sensors, drawn.sensors).on()
             except ConfigError as error:
                 fault = error
                 continue
@@ -112,7 +112,7 @@ def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, att
     )
 
 
-def with_drawn(spec: PlantSpec, drawn: Drawn) -> PlantSpec:
+def _with_drawn(spec: PlantSpec, drawn: Drawn) -> PlantSpec:
     """The plant of an episode. Raises ConfigError when a value is out of bounds or the chair cannot stand."""
     values = dict(drawn.plant)
     if drawn.user_mass_kg is not None:
@@ -135,7 +135,7 @@ def moved(cameras: tuple[CameraConfig, ...], drawn: Drawn) -> tuple[CameraConfig
     )
 
 
-def retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> SensorsConfig:
+def _retuned(sensors: SensorsConfig, drawn: tuple[tuple[str, float], ...]) -> SensorsConfig:
     """The sensors as they measure in an episode; `drawn` are values by section.key, rounded for whole ones.
 
     Raises ConfigError when there is no such sensor or number, or a value is out of bounds.
@@ -172,9 +172,9 @@ def _check_plants(vary: VaryConfig, spec: PlantSpec, step_s: float) -> None:
         for value in span:
             _under(f"vary.plant.{name}", partial(_check_plant, spec, name, value, step_s))
     for kg in vary.user_mass_kg or ():
-        _under("vary.user_mass_kg", partial(with_drawn, spec, Drawn(user_mass_kg=kg)))
+        _under("vary.user_mass_kg", partial(_with_drawn, spec, Drawn(user_mass_kg=kg)))
     for factor in vary.friction or ():
-        _under("vary.friction", partial(with_drawn, spec, Drawn(friction=factor)))
+        _under("vary.friction", partial(_with_drawn, spec, Drawn(friction=factor)))
 
 
 def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> None:
@@ -184,7 +184,7 @@ def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> Non
 def _check_sensors(vary: VaryConfig, sensors: SensorsConfig) -> None:
     for name, span in vary.sensors.items():
         for value in span:
-            _under(f"vary.sensors.{name}", partial(retuned, sensors, ((name, value),)))
+            _under(f"vary.sensors.{name}", partial(_retuned, sensors, ((name, value),)))
 
 
 def _check_cameras(vary: VaryConfig, cameras: tuple[CameraConfig, ...], spec: PlantSpec) -> None:

@@ -4,12 +4,16 @@ The offset is a vector in W, so that it stays continuous when a person turns; it
 walkable ground that is clear of solid things and of others, and goes back to nothing after the person has passed. Who
 cannot pass stops short, and people near a chair keep clear of those who stepped aside, of whom SUMO knows nothing
 either: who is nearer to the chair goes first, the others make room.
+
+Where a person finds a way past what stands in front of it: plain geometry in the person's own frame.
+
+Where a person can stand and walk: small looks at the street's raster, many of them in every tick.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,10 +32,149 @@ from wcsim.bridge.reaction.crowd import (
     queue_behind,
     vehicles_near,
 )
-from wcsim.bridge.reaction.gap_search import FURTHEST_M, Block, block_of, block_of_disc, ways_round
-from wcsim.bridge.reaction.walkable import can_stand, way_is_open
 from wcsim.core.boxes import Box, gap_to_box
-from wcsim.types import ActorState, Ground
+from wcsim.core.jit import exact_kernel
+from wcsim.types import U8, ActorState, ClassId, Ground, StreetGrid
+
+SOLID_GAP_M = 0.3
+SHOULDER = 0.8  # of a body's radius stays over walkable ground
+EVERY_M = 0.5  # the way ahead is looked at in steps of so much
+ACROSS = 5  # places looked at on the way across
+_SIDEWALK, _CROSSWALK, _TERRAIN = int(ClassId.SIDEWALK), int(ClassId.CROSSWALK), int(ClassId.TERRAIN)
+_GROUND, _PARKING = int(ClassId.GROUND), int(ClassId.PARKING)
+
+
+@exact_kernel
+def _cell(at_m: float, first_m: float, cell_m: float, count: int) -> int:
+    return min(max(math.floor((at_m - first_m) / cell_m), 0), count - 1)
+
+
+@exact_kernel
+def _stands(
+    classes: U8,
+    clearance_dm: U8,
+    first_x: float,
+    first_y: float,
+    cell_m: float,
+    x: float,
+    y: float,
+    sx: float,
+    sy: float,
+) -> bool:
+    """Whether the middle is clear of solid things, and it and both shoulders, sx, sy beside it, on walkable ground."""
+    rows, cols = classes.shape
+    row, col = _cell(y, first_y, cell_m, rows), _cell(x, first_x, cell_m, cols)
+    if clearance_dm[row, col] * 0.1 < SOLID_GAP_M:
+        return False
+    for side in range(-1, 2):
+        row, col = _cell(y + side * sy, first_y, cell_m, rows), _cell(x + side * sx, first_x, cell_m, cols)
+        here = classes[row, col]
+        if here != _SIDEWALK and here != _CROSSWALK and here != _TERRAIN and here != _GROUND and here != _PARKING:
+            return False
+    return True
+
+
+@exact_kernel
+def _opens(
+    classes: U8, clearance_dm: U8, first_x: float, first_y: float, cell_m: float, at_x: float, at_y: float,
+    x: float, y: float, cos: float, sin: float, ahead_m: float, side_m: float,
+) -> bool:  # fmt: skip
+    sx, sy = -side_m * sin, side_m * cos
+    steps = math.ceil(ahead_m / EVERY_M)
+    for i in range(steps + 1):
+        far_m = ahead_m * i / max(steps, 1)
+        if not _stands(classes, clearance_dm, first_x, first_y, cell_m, x + far_m * cos, y + far_m * sin, sx, sy):
+            return False
+    for i in range(1, ACROSS + 1):  # but for the place one has already
+        t = i / ACROSS
+        px, py = (1.0 - t) * at_x + t * x, (1.0 - t) * at_y + t * y
+        if not _stands(classes, clearance_dm, first_x, first_y, cell_m, px, py, sx, sy):
+            return False
+    return True
+
+
+def can_stand(grid: StreetGrid, x: float, y: float, cos: float, sin: float, radius_m: float) -> bool:
+    """Whether a person of this radius that looks along (cos, sin) can stand at a place with both shoulders."""
+    side_m = SHOULDER * radius_m
+    here = grid.ground_class, grid.clearance_dm, *grid.origin_W_m, grid.cell_m
+    return _stands(*here, x, y, -side_m * sin, side_m * cos)
+
+
+def way_is_open(
+    grid: StreetGrid,
+    at_W_m: tuple[float, float],
+    there_W_m: tuple[float, float],
+    heading: tuple[float, float],
+    ahead_m: float,
+    radius_m: float,
+) -> bool:
+    """Whether a person can step from where it is over to a place beside, and walk so far ahead from there."""
+    here = grid.ground_class, grid.clearance_dm, *grid.origin_W_m, grid.cell_m
+    return _opens(*here, *at_W_m, *there_W_m, *heading, ahead_m, SHOULDER * radius_m)
+
+
+FURTHEST_M = 2.0
+FOREGO_RIGHT_M = 0.2  # how much shorter the way on the left must be
+BACK_PULL = 1.2  # a metre off one's own line counts as this much walking across: who can go back does
+
+
+class Block(NamedTuple):  # made for everybody near a chair in every tick: a frozen dataclass costs twice as much
+    """Something in the way: where it begins and ends ahead, and to the left of the person's own line, gaps included."""
+
+    near_m: float
+    far_m: float
+    right_m: float
+    left_m: float
+
+    def blocks(self, left_m: float) -> bool:
+        """Whether a person that walks so far left of its line would run into it."""
+        return self.right_m < left_m < self.left_m
+
+    @property
+    def beside(self) -> bool:
+        """Whether it is neither ahead nor behind: a step sideways may lead against it."""
+        return self.near_m < 0.0 < self.far_m
+
+    def parts(self, here_m: float, there_m: float) -> bool:
+        """Whether it lies beside the person and between two places: nobody steps through it."""
+        return self.beside and min(here_m, there_m) < 0.5 * (self.right_m + self.left_m) < max(here_m, there_m)
+
+
+def block_of(x: float, y: float, cos: float, sin: float, box: Box, gap_m: float, end_gap_m: float) -> Block:
+    """A box as somebody at (x, y) who looks along (cos, sin) sees it, with gaps at its sides and ends."""
+    dx, dy = box[0] - x, box[1] - y
+    turn_cos, turn_sin = abs(box[2] * cos + box[3] * sin), abs(box[3] * cos - box[2] * sin)
+    ahead_m, aside_m = dx * cos + dy * sin, dy * cos - dx * sin
+    long_m = box[4] * turn_cos + box[5] * turn_sin + end_gap_m
+    wide_m = box[4] * turn_sin + box[5] * turn_cos + gap_m
+    return Block(near_m=ahead_m - long_m, far_m=ahead_m + long_m, right_m=aside_m - wide_m, left_m=aside_m + wide_m)
+
+
+def block_of_disc(ahead_m: float, aside_m: float, radius_m: float) -> Block:
+    """Somebody round, so far ahead and to the left; of one that is behind, only what still is beside."""
+    wide_m = radius_m if ahead_m >= 0.0 else math.sqrt(max(0.0, radius_m**2 - ahead_m**2))
+    return Block(near_m=ahead_m - radius_m, far_m=ahead_m + radius_m, right_m=aside_m - wide_m, left_m=aside_m + wide_m)
+
+
+def ways_round(blocks: Sequence[Block], now_m: float) -> Iterable[float]:
+    """Places left of one's own line that no block covers and one can get to, the one with the shortest way first.
+
+    >>> list(ways_round([Block(near_m=1.0, far_m=2.0, right_m=-0.6, left_m=0.8)], 0.0))
+    [-0.6, 0.8]
+    """
+    ends = {end for block in blocks for end in (block.right_m, block.left_m)}
+    free = {
+        m
+        for m in (0.0, now_m, *ends)
+        if abs(m) <= FURTHEST_M and not any(block.blocks(m) or block.parts(now_m, m) for block in blocks)
+    }
+    return sorted(free, key=lambda m: (_cost(m, now_m), m))
+
+
+def _cost(left_m: float, now_m: float) -> float:
+    away_m = 0.0 if math.isclose(left_m, 0.0) else BACK_PULL * abs(left_m)
+    return abs(left_m - now_m) + away_m + (FOREGO_RIGHT_M if left_m > max(now_m, 0.0) + 1e-9 else 0.0)
+
 
 SIDESTEP_MPS = 0.8
 LOOK_AHEAD_M = 4.0

@@ -53,7 +53,7 @@ class DriveKeeper:
             return
         try:
             recorder = self._recorder or self._open(self._header)
-            recorder.record(recorded_tick(driven, self._before, self._session.tick_s))
+            recorder.record(_recorded_tick(driven, self._before, self._session.tick_s))
             self._kept += 1
         except WcsimError as error:
             self._stop(str(error))
@@ -152,7 +152,7 @@ class DriveKeeper:
             self._tell(KeptNews(on=False, file=self._file, log=log))
 
 
-def recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> RecordedTick:
+def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> RecordedTick:
     """A tick as a file holds it.
 
     Args:

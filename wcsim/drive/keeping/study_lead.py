@@ -1,4 +1,7 @@
-"""Leads a participant through a study: what comes next, when a drive is over, what is written."""
+"""Leads a participant through a study: what comes next, when a drive is over, what is written.
+
+A block's figures as a row of the study's table.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,68 @@ from pathlib import Path
 from wcsim.core.reading import shown
 from wcsim.drive.keeping.kept_files import file_names
 from wcsim.drive.keeping.open_study import OpenStudy, rows_of, start_of
-from wcsim.drive.keeping.study_plan import StepKind, StudyPart, StudyStep, questions_of, steps_of
-from wcsim.drive.keeping.study_row import block_row, end_row
+from wcsim.drive.keeping.study_plan import END, StepKind, StudyPart, StudyStep, questions_of, steps_of
 from wcsim.drive.keeping.study_table import Row, answer_column, answers_of, append_row, columns_of, read_rows
 from wcsim.drive.keeping.study_view import StudyView, view_of
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import WcsimError
+from wcsim.users.recording.drive_types import wcsim_version
+
+
+def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: str, ended: str) -> Row:
+    """What was driven in a block.
+
+    Args:
+        study: The study, and who takes part.
+        part: The block, and where it stands.
+        session: The drive, at its end.
+        file: Of its recording.
+        ended: Why: "minutes", "arrivals", or "stopped" by the participant.
+    """
+    tally, place = session.tally, session.place
+    moving_s = tally.moving_ticks * session.tick_s
+    return {
+        **_head(study, part.block.name),
+        "part": str(part.number),
+        "assistance": "on" if part.block.assistance else "off",
+        "level": "" if session.assistance.level is None else f"{session.assistance.level:g}",
+        "policy": session.assistance.name,
+        "town": place.town.name,
+        "seed": str(place.seed),
+        "episode": place.episode,
+        "recording": file,
+        "ended": ended,
+        "minutes": f"{session.counted_s / 60.0:.4f}",
+        "kpi1": "" if tally.kpi1 is None else f"{tally.kpi1:.5f}",
+        "kpi2": f"{tally.kpi2:.2f}",
+        "distance_m": f"{tally.way_m:.2f}",
+        "speed_mps": f"{tally.way_m / moving_s:.4f}" if moving_s else "",
+        "arrivals": str(tally.arrivals),
+        "given_up": str(tally.given_up),
+        "crashes": str(tally.crashes),
+        "warnings": str(tally.warnings),
+        "interventions": str(tally.interventions),
+        "helps": str(tally.helps),
+        "overrulings": str(tally.overrules),
+    }
+
+
+def _end_row(study: OpenStudy) -> Row:
+    """The row of the answers after all blocks."""
+    return _head(study, END)
+
+
+def _head(study: OpenStudy, block: str) -> dict[str, str]:
+    return {
+        "study": study.file.name,
+        "study_sha256": study.sha256[:12],
+        "wcsim": wcsim_version(),
+        "participant": str(study.participant),
+        "order": study.order,
+        "block": block,
+    }
+
 
 NO_ANSWER = -1
 
@@ -112,7 +170,7 @@ class StudyLead:
                 )
             told[answer_column(question)] = "" if number == NO_ANSWER else words[number]
         part = self.step.part
-        self._write(end_row(self._study) if part is None else self._rows[part.block.name], told)
+        self._write(_end_row(self._study) if part is None else self._rows[part.block.name], told)
         if part is not None:
             self._forget(part)
         self._next()
@@ -186,7 +244,7 @@ class StudyLead:
         if session is None or part is None:
             return
         failed = "yes" if self._failed else "no"
-        row = {**block_row(self._study, part, session, self._file, ended), "policy_failed": failed}
+        row = {**_block_row(self._study, part, session, self._file, ended), "policy_failed": failed}
         self._session, self._rows[part.block.name] = None, row
         self._hands.close()
         try:

@@ -1,14 +1,131 @@
-"""What moves in the street at one moment, as rows of instances that the cameras of all seats share."""
+"""What moves in the street at one moment, as rows of instances that the cameras of all seats share.
+
+The lamps of traffic lights, lit by the state that SUMO gives: models before the heads that the street holds.
+
+The heads themselves stand still and belong to the street's mesh; their lamps change, so they are drawn like actors.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_instances, joined
-from wcsim.physics.renderer.signal_lamps import SignalLamps
-from wcsim.types import F64, ActorState, Bool, SignalHead, SignalState, chair_actor_id
+from wcsim.physics.renderer.models.catalog import Template
+from wcsim.physics.renderer.models.special_vehicles import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
+from wcsim.types import F64, I32, ActorState, Bool, SignalHead, SignalState, chair_actor_id
+
+AHEAD_M = 0.16  # from the middle of a head to its lamps' backs: heads are 0.3 m deep
+_VEHICLE_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, 2 * (LAMP_APART_M + LAMP_RADIUS_M))
+_WALKER_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, LAMP_APART_M + 2 * LAMP_RADIUS_M)
+
+_VEHICLE_LETTERS = {
+    "r": Template.SIGNAL_RED,
+    "s": Template.SIGNAL_RED,  # SUMO: a green arrow to the right beside the red
+    "u": Template.SIGNAL_RED_AMBER,
+    "y": Template.SIGNAL_AMBER,
+    "Y": Template.SIGNAL_AMBER,
+    "o": Template.SIGNAL_AMBER,  # blinks
+    "g": Template.SIGNAL_GREEN,
+    "G": Template.SIGNAL_GREEN,
+}
+_WALKER_LETTERS = {
+    "r": Template.WALK_RED,
+    "s": Template.WALK_RED,
+    "u": Template.WALK_RED,
+    "y": Template.WALK_RED,
+    "Y": Template.WALK_RED,
+    "g": Template.WALK_GREEN,
+    "G": Template.WALK_GREEN,
+}
+
+
+class SignalLamps:
+    """The lamps of all heads of a street; only those near a camera become instances."""
+
+    def __init__(self, heads: Sequence[SignalHead]) -> None:
+        self._heads = tuple(heads)
+        self._p_W_m = np.array([head.p_W_m for head in heads], np.float64).reshape(-1, 3)
+        self._yaw_rad = np.array([head.yaw_rad for head in heads], np.float64)
+        walker = np.array([head.pedestrian for head in heads], np.bool_)
+        self._size_m = np.where(walker[:, None], _WALKER_SIZE_M, _VEHICLE_SIZE_M).reshape(-1, 3)
+        self._ahead_W = np.column_stack([np.cos(self._yaw_rad), np.sin(self._yaw_rad)])
+        self._foot_W_m = self._p_W_m.copy()
+        self._foot_W_m[:, :2] += (AHEAD_M + 0.5 * LAMP_DEPTH_M) * self._ahead_W
+        self._foot_W_m[:, 2] -= 0.5 * self._size_m[:, 2]
+        self._table = _letters(_VEHICLE_LETTERS, Template.SIGNAL_OFF), _letters(_WALKER_LETTERS, Template.WALK_OFF)
+        self._walker = walker
+        self._lights: tuple[tuple[str, int], ...] = ()  # id and number of letters of each
+        self._letter: I32 = np.zeros(0, np.int32)  # by head: where its letter stands in all states one after another
+        self._signals: Sequence[SignalState] = ()
+        self._template: I32 = np.full(len(heads), Template.SIGNAL_OFF, np.int32)
+
+    def near(self, eyes_W_m: F64, range_m: float, signals: Sequence[SignalState]) -> tuple[Instances, Bool]:
+        """The lamps that shine towards any camera, not further than range_m from it, and which are for which.
+
+        Args:
+            eyes_W_m: where the cameras are, (m, 3).
+            range_m: how far they see.
+            signals: the traffic lights of now.
+
+        Returns:
+            The lamps, n of them, and (m, n) which of them each camera sees.
+        """
+        if not self._heads:
+            return self._rows(np.zeros(0, np.int64)), np.zeros((len(eyes_W_m), 0), np.bool_)
+        if signals is not self._signals:
+            self._light(signals)
+        gap = eyes_W_m[:, None, :2] - self._p_W_m[:, :2]
+        towards = np.einsum("kij,ij->ki", gap, self._ahead_W) > 0.0
+        seen = towards & (np.einsum("kij,kij->ki", gap, gap) < range_m * range_m)
+        rows = np.flatnonzero(seen.any(axis=0))
+        return self._rows(rows), seen[:, rows]
+
+    def _light(self, signals: Sequence[SignalState]) -> None:
+        """Take the template of every head from the states of now."""
+        self._signals = signals
+        lights = tuple([(signal.tls_id, len(signal.colours)) for signal in signals])
+        letters = np.frombuffer("".join([signal.colours for signal in signals]).encode("latin-1") + b"O", np.uint8)
+        if lights != self._lights or len(self._letter) != len(self._heads):
+            self._lights, self._letter = lights, self._places(lights)
+        code = letters[self._letter]
+        self._template = np.where(self._walker, self._table[1][code], self._table[0][code])
+
+    def _places(self, lights: Sequence[tuple[str, int]]) -> I32:
+        """Where each head's letter stands; the last place, which is off, for a head whose light is not there."""
+        start, at = {}, 0
+        for name, letters in lights:
+            start[name] = (at, letters)
+            at += letters
+        places = []
+        for head in self._heads:
+            first, count = start.get(head.tls_id, (at, 0))
+            places.append(first + head.link if 0 <= head.link < count else at)
+        return np.array(places, np.int32)
+
+    def _rows(self, chosen: npt.NDArray[np.intp]) -> Instances:
+        """The lamps of the heads with these numbers."""
+        count = len(chosen)
+        return Instances(
+            template=np.ascontiguousarray(self._template[chosen], np.int32),
+            p_W_m=self._foot_W_m[chosen],
+            yaw_rad=self._yaw_rad[chosen],
+            pitch_rad=np.zeros(count),
+            roll_rad=np.zeros(count),
+            scale_m=self._size_m[chosen],
+            colour_seed=np.zeros(count, np.uint32),
+            lamps=np.zeros(count, np.int32),
+        )
+
+
+def _letters(of: dict[str, Template], otherwise: Template) -> I32:
+    """Template (256,) by SUMO's letter."""
+    table = np.full(256, otherwise, np.int32)
+    for letter, template in of.items():
+        table[ord(letter)] = template
+    return table
 
 
 class Cast:

@@ -1,16 +1,173 @@
-"""The one geometry that all renderers draw: the standing street in small chunks, and the models of the actors."""
+"""The one geometry that all renderers draw: the standing street in small chunks, and the models of the actors.
+
+How the standing street is painted: a shaded colour per face, and where stripes or windows are drawn (RGB only).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.physics.renderer.kernels import STRIPES, WINDOWS
 from wcsim.physics.renderer.models.catalog import ActorTemplates, actor_templates
-from wcsim.physics.renderer.models.paint import MARK_CLASS
-from wcsim.physics.renderer.street_paint import SurfacePaint, paint_street
-from wcsim.types import F32, I32, U8, GroundPaint, StreetMesh
+from wcsim.physics.renderer.models.paint import (
+    AMBIENT,
+    BUILDING_RGB,
+    DIFFUSE,
+    LEAF_RGB,
+    MARK_CLASS,
+    ROOF_RGB,
+    SUN_W,
+    TRUNK_RGB,
+    class_paint_table,
+)
+from wcsim.types import F32, F64, I32, U8, Bool, ClassId, GroundPaint, StreetMesh
+
+I64 = npt.NDArray[np.int64]
+U32 = npt.NDArray[np.uint32]
+
+WELD_M = 0.02
+BAY_M = 2.8
+_TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
+_WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfacePaint:
+    """The painting of every face of the street."""
+
+    rgb: U32  # (F,) colour with the sun's shading in it, red in the lowest byte
+    pattern: U8  # (F,) PLAIN, STRIPES or WINDOWS
+    frame: F32  # (F, 4) a point's bay is x f[0] + y f[1] - f[2] (one bay a window or a pair of bars); foot of the house
+
+
+def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> SurfacePaint:
+    """Paint (V, 3) vertices, (F, 3) faces with (F,) classes."""
+    corners = vertices_W_m[faces].astype(np.float64)  # (F, 3 corners, 3)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    thing = connected_parts(vertices_W_m, faces, face_class)
+    foot, top = _extent(corners[:, :, 2], thing)
+    steep = np.abs(normal[:, 2]) < 0.5
+    east, north = (np.subtract(*_extent(corners[:, :, axis], thing)[::-1]) for axis in (0, 1))
+    colour = _colours(face_class, _dice(corners, thing), steep, np.maximum(east, north) < _TRUNK_WIDE_M)
+    shade = AMBIENT + DIFFUSE * np.maximum(normal @ SUN_W, 0.0)
+    pattern = np.zeros(len(faces), np.uint8)
+    windows = (face_class == ClassId.BUILDING) & steep & (top - foot > _WINDOW_WALL_MIN_M)
+    pattern[windows] = WINDOWS
+    stripes = face_class == ClassId.CROSSWALK
+    pattern[stripes] = STRIPES
+    axis = np.c_[-normal[:, 1], normal[:, 0]]  # along the wall
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
+    axis[stripes] = _walking_axes(vertices_W_m, faces, face_class, thing)[stripes]
+    red, green, blue = np.clip(colour * shade[:, None], 0, 255).astype(np.uint32).T
+    bays, start = _bays(corners, axis, windows)
+    return SurfacePaint(
+        rgb=red | green << 8 | blue << 16,
+        pattern=pattern,
+        frame=np.concatenate([axis * bays, start, foot[:, None]], axis=1, dtype=np.float32),
+    )
+
+
+def _bays(corners: F64, axis: F64, windows: Bool) -> tuple[F64, F64]:
+    """Bays a metre (F, 1) and the number (F, 1) of the first bay: whole bays of about BAY_M to a wall, else 1 m.
+
+    The two triangles of a wall have the same extent along it and so the same windows.
+    """
+    along = np.einsum("fcx,fx->fc", corners[:, :, :2], axis)
+    length = np.maximum(np.ptp(along, axis=1), 1e-6)
+    bays = np.where(windows, np.maximum(np.rint(length / BAY_M), 1.0) / length, 1.0)
+    start = np.where(windows, along.min(axis=1) * bays, 0.0)
+    return bays[:, None], start[:, None]
+
+
+def connected_parts(vertices_W_m: F32, faces: I32, face_class: U8) -> I64:
+    """Number of the connected thing (building, crossing, tree) each face belongs to, (F,) int64, dense from 0.
+
+    Faces are connected where they share a corner (to WELD_M) and a class.
+    """
+    if len(faces) == 0:
+        return np.zeros(0, np.int64)
+    weld = _welded(vertices_W_m)
+    _, corner = np.unique(weld[faces] * 256 + face_class[:, None], return_inverse=True)
+    corner = corner.reshape(-1, 3)
+    label = np.arange(corner.max() + 1)
+    while True:
+        low = label[corner].min(axis=1)
+        new = label.copy()
+        for k in range(3):
+            np.minimum.at(new, corner[:, k], low)
+        new = new[new]  # jump, so that long things settle in few rounds
+        if np.array_equal(new, label):
+            break
+        label = new
+    _, thing = np.unique(label[corner[:, 0]], return_inverse=True)
+    return thing.astype(np.int64)
+
+
+def _welded(vertices_W_m: F32) -> I64:
+    """A number for the place of every vertex (V,); vertices of one WELD_M cell share it."""
+    cell = np.rint(vertices_W_m.astype(np.float64) / WELD_M).astype(np.int64)
+    cell -= cell.min(axis=0, initial=0)
+    spans = cell.max(axis=0, initial=0) + 1
+    _, place = np.unique((cell[:, 0] * spans[1] + cell[:, 1]) * spans[2] + cell[:, 2], return_inverse=True)
+    return place.astype(np.int64)
+
+
+def _extent(at_m: F64, thing: I64) -> tuple[F64, F64]:
+    """Least and largest coordinate of the thing of every face, (F,) each, from those of the faces' corners (F, 3)."""
+    count = int(thing.max()) + 1 if len(thing) else 0
+    foot, top = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(foot, thing, at_m.min(axis=1))
+    np.maximum.at(top, thing, at_m.max(axis=1))
+    return foot[thing], top[thing]
+
+
+def _dice(corners: F64, thing: I64) -> I64:
+    """A number for the thing of every face (F,), from where its corners (F, 3, 3) begin, whatever else is drawn."""
+    first = np.full((int(thing.max(initial=-1)) + 1, 2), np.inf)
+    np.minimum.at(first, thing, corners[:, :, :2].min(axis=1))
+    place = np.rint(first * 10.0).astype(np.int64).astype(np.uint64)
+    mixed = (place[:, 0] * np.uint64(73856093) ^ place[:, 1] * np.uint64(19349663)) * np.uint64(2654435761)
+    return (mixed[thing] >> np.uint64(40)).astype(np.int64)
+
+
+def _colours(face_class: U8, dice: I64, steep: Bool, thin: Bool) -> F64:
+    """Unshaded colour (F, 3) of every face: by class, and by chance for each building and tree."""
+    colour = class_paint_table()[face_class]
+    building, tree = face_class == ClassId.BUILDING, face_class == ClassId.VEGETATION
+    for where, choices in (
+        (building & steep, BUILDING_RGB),
+        (building & ~steep, ROOF_RGB),
+        (tree, LEAF_RGB),
+    ):
+        table = np.array(choices, np.float64)
+        colour[where] = table[dice[where] % len(table)]
+    colour[tree & thin] = TRUNK_RGB
+    return colour
+
+
+def _walking_axes(vertices_W_m: F32, faces: I32, face_class: U8, thing: I64) -> F64:
+    """The direction (x, y) people walk over the crossing that a face belongs to, (F, 2); zeros for other faces.
+
+    It is the mean direction of the edges where the crossing borders on the road; without such edges it is (1, 0).
+    """
+    place = _welded(vertices_W_m)
+    count = int(place.max(initial=0)) + 1
+    crossing, road = face_class == ClassId.CROSSWALK, face_class == ClassId.ROAD
+    start, end = place[faces], place[np.roll(faces, -1, axis=1)]  # (F, 3 edges)
+    borders = np.isin(end * count + start, (start * count + end)[road]) & crossing[:, None]
+    step = (vertices_W_m[np.roll(faces, -1, axis=1)] - vertices_W_m[faces])[:, :, :2].astype(np.float64)
+    pull = step[..., 0] + 1j * step[..., 1]
+    pull = np.where(borders, pull * pull / np.maximum(np.abs(pull), 1e-9), 0.0)  # twice the angle: an edge has no sign
+    total = np.zeros(int(thing.max(initial=0)) + 1, np.complex128)
+    np.add.at(total, thing, pull.sum(axis=1))
+    turn = 0.5 * np.angle(total[thing])
+    return np.where(crossing[:, None], np.stack([np.cos(turn), np.sin(turn)], axis=1), 0.0)
+
 
 CHUNK_M = 16.0  # a chunk much larger is mostly outside the view, one much smaller costs more to cull than to draw
 
@@ -22,7 +179,7 @@ class GeometryStore:
     """
 
     def __init__(self, mesh: StreetMesh, chunk_m: float = CHUNK_M) -> None:
-        paint = paint_street(mesh.vertices_W_m, mesh.faces, mesh.face_class)
+        paint = _paint_street(mesh.vertices_W_m, mesh.faces, mesh.face_class)
         order, self.chunk_faces = _by_cell(mesh, chunk_m)
         self.vertices_W_m, self.faces, self.chunk_vertices = _own_vertices(mesh, order, self.chunk_faces)
         self.face_class: U8 = np.ascontiguousarray(mesh.face_class[order])  # (F,)

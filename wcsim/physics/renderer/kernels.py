@@ -91,7 +91,7 @@ def fill(
 ) -> None:
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
-    if not on_screen(x0, y0, x1, y1, x2, y2, width, height):
+    if not _on_screen(x0, y0, x1, y1, x2, y2, width, height):
         return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     if abs(area) < 1e-12:
@@ -141,7 +141,7 @@ def fill(
 
 
 @kernel
-def clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, view: View, out: Target) -> None:
+def _clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, view: View, out: Target) -> None:
     """Cut the triangle of a, b, c of p, on both sides of the near plane, there; fill what is in front of it."""
     height, width = out.inverse_z.shape
     f, near, cx, cy = view.focal_px, view.near_m, 0.5 * width, 0.5 * height
@@ -168,7 +168,7 @@ def clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, vie
 
 
 @kernel
-def to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
+def _to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
     """Transform vertices first:end into the first rows of `out`."""
     for i in range(first, end):
         x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
@@ -177,7 +177,7 @@ def to_camera(vertices: F32, first: int, end: int, T: F64, out: F32) -> None:
 
 
 @kernel
-def to_screen(p: F32, count: int, view: View, width: int, height: int, screen: F64) -> None:
+def _to_screen(p: F32, count: int, view: View, width: int, height: int, screen: F64) -> None:
     """Project the first points of p (n, 3): column, row and 1/z into `screen` (3, n); naught for one behind."""
     cx, cy = 0.5 * width, 0.5 * height
     for i in range(count):
@@ -188,7 +188,7 @@ def to_screen(p: F32, count: int, view: View, width: int, height: int, screen: F
 
 
 @kernel
-def on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float, width: int, height: int) -> bool:
+def _on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float, width: int, height: int) -> bool:
     """Whether a screen triangle may cover the middle of a pixel."""
     top, bottom, left, right = min(y0, y1, y2), max(y0, y1, y2), min(x0, x1, x2), max(x0, x1, x2)
     if top > height - 0.5 or bottom < 0.5 or left > width - 0.5 or right < 0.5:
@@ -200,12 +200,12 @@ def on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float, 
 def draw_chunk(street: StreetArrays, chunk: int, plain: bool, view: View, p: F32, screen: F64, out: Target) -> None:
     """Draw one chunk of the street; its words are its faces, or with `plain` their colours.
 
-    Here and in `draw_model` only what is on the screen is handed on: a call with arrays costs more than most triangles.
+    Here and in `_draw_model` only what is on the screen is handed on: a call with arrays costs more than triangles.
     """
     height, width = out.inverse_z.shape
     first, end = street.chunk_vertices[chunk], street.chunk_vertices[chunk + 1]
-    to_camera(street.vertices, first, end, view.T_CW, p)
-    to_screen(p, end - first, view, width, height, screen)
+    _to_camera(street.vertices, first, end, view.T_CW, p)
+    _to_screen(p, end - first, view, width, height, screen)
     for face in range(street.chunk_faces[chunk], street.chunk_faces[chunk + 1]):
         a, b, c = street.faces[face, 0], street.faces[face, 1], street.faces[face, 2]
         az, bz, cz = p[a, 2], p[b, 2], p[c, 2]
@@ -213,15 +213,15 @@ def draw_chunk(street: StreetArrays, chunk: int, plain: bool, view: View, p: F32
             continue
         word = int(COLOURED | street.rgb[face]) if plain else face
         if min(az, bz, cz) < view.near_m:
-            clip_and_fill(p, a, b, c, street.face_class[face], word, view, out)
+            _clip_and_fill(p, a, b, c, street.face_class[face], word, view, out)
             continue
         x0, y0, x1, y1, x2, y2 = screen[0, a], screen[1, a], screen[0, b], screen[1, b], screen[0, c], screen[1, c]
-        if on_screen(x0, y0, x1, y1, x2, y2, width, height):
+        if _on_screen(x0, y0, x1, y1, x2, y2, width, height):
             fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], word, out)
 
 
 @kernel
-def lit_paint(paint: int, lamps: int) -> int:
+def _lit_paint(paint: int, lamps: int) -> int:
     """The paint of a face of an actor whose signals are `lamps`."""
     if paint == TAILLIGHT and lamps & BRAKE_BIT:
         return BRAKING
@@ -230,7 +230,7 @@ def lit_paint(paint: int, lamps: int) -> int:
 
 
 @kernel
-def draw_model(
+def _draw_model(
     models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, p: F32,
     screen: F64, out: Target,
 ) -> None:
@@ -241,8 +241,8 @@ def draw_model(
     painted = out.words.shape[0] > 0 and number < 0
     height, width = out.inverse_z.shape
     first, end = models.vertices_of[t], models.vertices_of[t + 1]
-    to_camera(models.vertices, first, end, T_CM, p)
-    to_screen(p, end - first, view, width, height, screen)
+    _to_camera(models.vertices, first, end, T_CM, p)
+    _to_screen(p, end - first, view, width, height, screen)
     for face in range(models.faces_of[t], models.faces_of[t + 1]):
         a, b, c = models.faces[face, 0], models.faces[face, 1], models.faces[face, 2]
         ax, ay, az = p[a, 0], p[a, 1], p[a, 2]
@@ -254,14 +254,14 @@ def draw_model(
         if max(az, p[b, 2], p[c, 2]) < view.near_m:
             continue
         x0, y0, x1, y1, x2, y2 = screen[0, a], screen[1, a], screen[0, b], screen[1, b], screen[0, c], screen[1, c]
-        if min(az, p[b, 2], p[c, 2]) >= view.near_m and not on_screen(x0, y0, x1, y1, x2, y2, width, height):
+        if min(az, p[b, 2], p[c, 2]) >= view.near_m and not _on_screen(x0, y0, x1, y1, x2, y2, width, height):
             continue
         word = COLOURED | np.uint32(max(number, 0))
         if painted:
             length = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
             lit = (nx * view.sun_C[0] + ny * view.sun_C[1] + nz * view.sun_C[2]) / length
             shade = view.light[0] + view.light[1] * max(lit, 0.0)
-            paint = lit_paint(int(models.face_paint[face]), lamps)
+            paint = _lit_paint(int(models.face_paint[face]), lamps)
             if paint >= SHINING:
                 shade = 1.0
             variant = ((seed ^ (seed >> 9)) >> (paint * 2)) & (models.paints.shape[1] - 1)
@@ -269,7 +269,7 @@ def draw_model(
             for k in range(3):
                 word |= np.uint32(min(models.paints[paint, variant, k] * shade, 255.0)) << np.uint32(8 * k)
         if min(az, p[b, 2], p[c, 2]) < view.near_m:
-            clip_and_fill(p, a, b, c, models.face_class[face], word, view, out)
+            _clip_and_fill(p, a, b, c, models.face_class[face], word, view, out)
         else:
             fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], models.face_class[face], word, out)
 
@@ -296,7 +296,7 @@ def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
 
 
 @kernel
-def near_first(depth: F32, range_m: float, order: I32) -> int:
+def _near_first(depth: F32, range_m: float, order: I32) -> int:
     """Write the numbers of what is not OUT into `order`, near ones first to 1/BUCKETS of the range; how many."""
     starts = np.zeros(BUCKETS + 1, np.int32)
     scale = BUCKETS / range_m
@@ -328,7 +328,7 @@ def visible(
     for i in range(n):
         if not shown[i]:
             depth[chunks + i] = OUT
-    return near_first(depth, view.range_m, order)
+    return _near_first(depth, view.range_m, order)
 
 
 @kernel
@@ -372,12 +372,12 @@ def draw(
         solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
         seed, lamps = actors.colour_seed[i], actors.lamps[i]
         number = i if numbered else -1
-        draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, p, screen, out)
-    finish(view, out)
+        _draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, p, screen, out)
+    _finish(view, out)
 
 
 @kernel
-def finish(view: View, out: Target) -> None:
+def _finish(view: View, out: Target) -> None:
     """Turn 1/z into depth; what lies beyond the range is sky."""
     height, width = out.inverse_z.shape
     limit, far = np.float32(1.0 / view.range_m), np.float32(view.range_m)

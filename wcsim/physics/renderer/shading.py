@@ -57,7 +57,7 @@ def draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
 
 
 @kernel
-def overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> np.uint32:
+def _overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> np.uint32:
     """The colour word that a face's pattern puts over its own colour at a point of W, or 0."""
     bay = x * street.frame[face, 0] + y * street.frame[face, 1] - street.frame[face, 2]
     if street.pattern[face] == STRIPES:
@@ -69,7 +69,7 @@ def overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> np
 
 
 @kernel
-def sky_ramp(view: View) -> U8:
+def _sky_ramp(view: View) -> U8:
     """Colours (SKY_STEPS + 1, 3) of the sky from the horizon up."""
     ramp = np.empty((SKY_STEPS + 1, 3), np.uint8)
     for i in range(SKY_STEPS + 1):
@@ -88,7 +88,7 @@ def colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32
     fog_even = np.uint32(int(view.light[2]) | int(view.light[4]) << 16)
     fog_green = np.uint32(view.light[3])
     T = T_WC.astype(np.float32)
-    ramp = sky_ramp(view)
+    ramp = _sky_ramp(view)
     for row in range(height):
         v = np.float32((row + 0.5 - 0.5 * height) / view.focal_px)
         ray_x, ray_y, ray_z = T[0, 1] * v + T[0, 2], T[1, 1] * v + T[1, 2], T[2, 1] * v + T[2, 2]
@@ -104,7 +104,7 @@ def colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32
                 face, word = word, street.rgb[word]
                 if street.pattern[face] != PLAIN:
                     x, y = T[0, 3] + z * (T[0, 0] * u + ray_x), T[1, 3] + z * (T[1, 0] * u + ray_y)
-                    word = overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
+                    word = _overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
             if z > clear_m:
                 share = z * limit - CLEAR
                 haze = np.uint32(HAZE_GROWTH * share * share)

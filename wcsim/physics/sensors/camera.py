@@ -1,7 +1,11 @@
-"""The cameras of the wheelchairs: where each one looks, when it takes an image, and the buffers it writes into."""
+"""The cameras of the wheelchairs: where each one looks, when it takes an image, and the buffers it writes into.
+
+The errors of one camera, made of its configuration and laid over the true pictures.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -9,8 +13,8 @@ from types import TracebackType
 
 import numpy as np
 
-from wcsim.config import CameraConfig
-from wcsim.core import seeding
+from wcsim.config import CameraConfig, CameraNoiseConfig, ClassNoiseConfig, DepthNoiseConfig
+from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
 from wcsim.physics.renderer import shading
@@ -22,10 +26,86 @@ from wcsim.physics.renderer.raster import RasterRenderer, warm_up
 from wcsim.physics.renderer.visible_pixels import shown_px
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
-from wcsim.physics.sensors.camera_noise import CameraNoise, camera_noise
 from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
-from wcsim.physics.sensors.pixel_noise import child
+from wcsim.physics.sensors.pixel_noise import (
+    ClassNoise,
+    DepthNoise,
+    child,
+    disturb_classes,
+    disturb_colours,
+    disturb_depth,
+    quantiles,
+)
 from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
+
+DEPTH, CLASSES, RGB = 0, 1, 2  # each picture has a key of its own
+FULL_SCALE = 255.0
+
+
+class CameraNoise:
+    """Disturbs the pictures of one camera; keeps nothing between pictures."""
+
+    def __init__(self, camera: CameraConfig, noise: CameraNoiseConfig, pinhole: Pinhole) -> None:
+        self._depth = None if noise.depth is None else _depth_noise(camera, noise.depth, pinhole)
+        self._classes = None if noise.classes is None else _class_noise(noise.classes)
+        self._sigma = None if noise.rgb is None else _sigma_of(noise.rgb.snr_db)
+
+    def lay_over(self, images: Images, key: int) -> None:
+        """Turn the true pictures into measured ones, in place; `key` (64 bits) says which."""
+        if self._depth is not None:
+            disturb_depth(images.depth_m, np.uint64(child(key, DEPTH)), self._depth, quantiles())
+        if self._classes is not None:
+            disturb_classes(images.class_id, np.uint64(child(key, CLASSES)), self._classes)
+        if self._sigma is not None and images.rgb is not None:
+            disturb_colours(images.rgb, np.uint64(child(key, RGB)), self._sigma, quantiles())
+
+
+def camera_noise(camera: CameraConfig, pinhole: Pinhole) -> CameraNoise | None:
+    """The errors of a camera, None when its pictures are exact."""
+    noise = camera.noise
+    if noise is None or (noise.depth is None and noise.classes is None and noise.rgb is None):
+        return None
+    return CameraNoise(camera, noise, pinhole)
+
+
+def _depth_noise(camera: CameraConfig, depth: DepthNoiseConfig, pinhole: Pinhole) -> DepthNoise:
+    """What the kernel needs of a stereo camera."""
+    matcher_focal_px = 0.5 * depth.matcher_width_px / math.tan(0.5 * frames.rad(camera.hfov_deg))
+    return DepthNoise(
+        focal_px=pinhole.focal_px,
+        shift_px_m=pinhole.focal_px * depth.baseline_m,
+        match_px_m=matcher_focal_px * depth.baseline_m,
+        sigma_px=depth.sigma_px,
+        step_px=depth.step_px,
+        range_m=camera.range_m,
+        z_min_m=depth.z_min_m,
+        shadow=depth.shadow,
+        dropout=depth.dropout,
+        grazing_sin=math.sin(frames.rad(depth.grazing_deg)),
+        grazing_dropout=depth.grazing_dropout,
+        patch_px=depth.patch_px,
+    )
+
+
+def _class_noise(classes: ClassNoiseConfig) -> ClassNoise:
+    """What the kernel needs of a network that names pixels."""
+    return ClassNoise(
+        border_px=classes.border_px,
+        border_share=classes.border_share,
+        grain_px=classes.grain_px,
+        dropout=classes.dropout,
+        patch_px=classes.patch_px,
+    )
+
+
+def _sigma_of(snr_db: float) -> float:
+    """Standard deviation of a colour, in steps of 255, at a signal-to-noise ratio of full scale.
+
+    >>> round(sigma_of(40.0), 3)
+    2.55
+    """
+    return float(FULL_SCALE * 10.0 ** (-snr_db / 20.0))
+
 
 BUFFERS = 3  # a camera's images in turn, see CameraRig
 _LOST = 1 << 40  # beside the keys of ticks: whether a tick's picture is lost
@@ -70,7 +150,7 @@ class _Shot:
             counts = shown_px(instance, self.names)
         self.shutter.shown_px = counts
         if self.out.rgb is not None and self.light != 1.0:
-            shading.brighten(self.out.rgb, brightened(self.light))
+            shading.brighten(self.out.rgb, _brightened(self.light))
         if self.noise is not None:
             self.noise.lay_over(self.out, self.noise_key)
 
@@ -293,7 +373,7 @@ class FreeCamera:
 
 
 @lru_cache(maxsize=64)
-def brightened(light: float) -> U8:
+def _brightened(light: float) -> U8:
     """What each of 256 colour values becomes in a street `light` times as bright."""
     table: U8 = np.minimum(np.arange(256) * light, 255.0).astype(np.uint8)
     return table

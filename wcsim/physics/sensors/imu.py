@@ -4,6 +4,14 @@ The accelerometer feels the specific force at its mount, R^T (dv/dt - g), sample
 mean (gravity included) and, per axis, the largest magnitude of the same signal without gravity behind two first-order
 low-passes in a row. The raw difference quotient is an artefact of the step (a wall gives 92, 181 and 358 m/s2 at 120,
 240 and 480 Hz), the low-passed peak is not. Noise is on what the agent sees (means, turn rates, tilt), not on the peak.
+
+The compiled part of the inertial sensor: all substeps of a tick in one call.
+
+How a chair knows its tilt: ideally, from where the accelerometer feels down, or from that and the gyroscope.
+
+Roll is right side down positive, pitch nose up positive. An accelerometer cannot tell gravity from braking: at 1.5 m/s2
+it sees the nose 8.7 degrees down. The complementary filter turns with the gyroscope and follows the accelerometer
+slowly, so a short braking moves it less.
 """
 
 from __future__ import annotations
@@ -16,14 +24,142 @@ import numpy as np
 from wcsim.config import ImuConfig
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.core.frames import rad
+from wcsim.core.jit import exact_kernel
 from wcsim.core.rotations import Rotation, Vec3, euler
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
 from wcsim.physics.sensors.camera_geometry import turn_of
-from wcsim.physics.sensors.imu_filter import ROW, STATE, filter_tick
 from wcsim.physics.sensors.pixel_noise import child, normals
-from wcsim.physics.sensors.tilt import TiltSensor
 from wcsim.types import F64, ImuFrame
+
+Tilt = tuple[float, float]  # roll, pitch
+_UPRIGHT = 1e-3  # cosine of the pitch below which roll and yaw cannot be told apart
+
+
+def tilt_felt(force_B_mps2: F64) -> Tilt:
+    """Roll and pitch of something at rest that feels this specific force (3,).
+
+    >>> import numpy as np
+    >>> roll, pitch = tilt_felt(np.array([-1.5, 0.0, 9.81]))
+    >>> roll, round(math.degrees(pitch), 1)
+    (0.0, -8.7)
+    """
+    x, y, z = (float(part) for part in force_B_mps2)
+    return math.atan2(y, z), math.atan2(x, math.hypot(y, z))
+
+
+def tilt_turned(tilt: Tilt, w_B_radps: F64, dt_s: float) -> Tilt:
+    """Roll and pitch after turning for a short time."""
+    roll, pitch = tilt
+    p, q, r = (float(part) for part in w_B_radps)
+    slope = math.sin(pitch) / max(math.cos(pitch), _UPRIGHT)
+    across = q * math.sin(roll) + r * math.cos(roll)
+    return roll + dt_s * (p - across * slope), pitch - dt_s * (q * math.cos(roll) - r * math.sin(roll))
+
+
+class TiltSensor:
+    """The tilt sensor of one chair in the configured mode.
+
+    Args:
+        config: Mode, time constant and errors.
+    """
+
+    def __init__(self, config: ImuConfig) -> None:
+        self._config = config
+        self._bias: Tilt = (0.0, 0.0)
+        self._now: Tilt | None = None
+
+    def start(self, drawn: F64) -> None:
+        """Begin an episode with a mounting error; `drawn` (2,) is standard normal, zero for none."""
+        scale = rad(self._config.tilt_bias_deg)
+        self._bias = (scale * float(drawn[0]), scale * float(drawn[1]))
+        self._now = None
+
+    def reset(self) -> None:
+        """Forget how the chair stood."""
+        self._now = None
+
+    def read(self, true: Tilt, force_B_mps2: F64, w_B_radps: F64, dt_s: float, drawn: F64) -> Tilt:
+        """What the sensor says at the end of a tick.
+
+        Args:
+            true: Roll and pitch.
+            force_B_mps2: (3,) tick mean of the accelerometer, gravity included.
+            w_B_radps: (3,) tick mean of the gyroscope.
+            dt_s: Length of the tick, 0 when there was none.
+            drawn: (2,) standard normal, zero for no noise.
+        """
+        roll, pitch = self._felt(true, force_B_mps2, w_B_radps, dt_s, drawn)
+        most = rad(self._config.tilt_range_deg)
+        return min(max(roll, -most), most), min(max(pitch, -most), most)
+
+    def _felt(self, true: Tilt, force_B_mps2: F64, w_B_radps: F64, dt_s: float, drawn: F64) -> Tilt:
+        """What it would say without a range."""
+        if self._config.tilt == "ideal":
+            return true
+        felt = tilt_felt(force_B_mps2)
+        if self._config.tilt == "complementary" and self._now is not None:
+            ahead = tilt_turned(self._now, w_B_radps, dt_s)
+            share = 1.0 - math.exp(-dt_s / self._config.tilt_tau_s)
+            turn = math.remainder(felt[0] - ahead[0], 2.0 * math.pi)  # the short way round
+            felt = (math.remainder(ahead[0] + share * turn, 2.0 * math.pi), ahead[1] + share * (felt[1] - ahead[1]))
+        self._now = felt
+        scale = rad(self._config.tilt_noise_deg)
+        return (
+            felt[0] + self._bias[0] + scale * float(drawn[0]),
+            felt[1] + self._bias[1] + scale * float(drawn[1]),
+        )
+
+
+ROW = 15  # numbers of a substep: rotation R_WB row by row, velocity and angular velocity in W
+STATE = 9  # velocity of the mount in W, the two stages of the low-pass
+RESULT = 12  # see `_filter_tick`
+
+
+@exact_kernel
+def _filter_tick(
+    rows: F64, state: F64, arm_B_m: F64, per_s: float, gravity_mps2: float, felt_mps2: float, alpha: float, low: F64
+) -> F64:
+    """Specific force, its low-passed peak and the turn rate at the mount.
+
+    Args:
+        rows: (n, ROW) the motion after each substep.
+        state: (STATE,) carried from tick to tick, updated in place.
+        arm_B_m: (3,) from the point whose velocity is given to the mount.
+        per_s: Substeps per second.
+        gravity_mps2: Gravity in the mean.
+        felt_mps2: Gravity in the low-passed signal, 0 to leave it out.
+        alpha: Share of a step that each stage of the low-pass goes.
+        low: (n, 3) takes the low-passed signal.
+
+    Returns:
+        (RESULT,) sums over the substeps: acceleration 0:3, gravity 3:6, turn rate 9:12; peak magnitude 6:9.
+    """
+    out = np.zeros(RESULT)
+    v_W = np.empty(3)
+    a_W = np.empty(3)
+    for n in range(len(rows)):
+        row = rows[n]
+        x = row[0] * arm_B_m[0] + row[1] * arm_B_m[1] + row[2] * arm_B_m[2]
+        y = row[3] * arm_B_m[0] + row[4] * arm_B_m[1] + row[5] * arm_B_m[2]
+        z = row[6] * arm_B_m[0] + row[7] * arm_B_m[1] + row[8] * arm_B_m[2]
+        v_W[0] = row[9] + row[13] * z - row[14] * y
+        v_W[1] = row[10] + row[14] * x - row[12] * z
+        v_W[2] = row[11] + row[12] * y - row[13] * x
+        for k in range(3):
+            a_W[k] = (v_W[k] - state[k]) * per_s
+            state[k] = v_W[k]
+        for k in range(3):
+            a_B = row[k] * a_W[0] + row[3 + k] * a_W[1] + row[6 + k] * a_W[2]
+            state[3 + k] += alpha * (a_B + row[6 + k] * felt_mps2 - state[3 + k])
+            state[6 + k] += alpha * (state[3 + k] - state[6 + k])
+            low[n, k] = state[6 + k]
+            out[k] += a_B
+            out[3 + k] += row[6 + k] * gravity_mps2
+            out[6 + k] = max(out[6 + k], abs(state[6 + k]))
+            out[9 + k] += row[k] * row[12] + row[3 + k] * row[13] + row[6 + k] * row[14]
+    return out
+
 
 STANDARD_GRAVITY_MPS2 = 9.80665  # the g of data sheets
 _DRAWS = 14  # of a tick: accelerometer 3, gyroscope 3, drift of each 3, tilt 2
@@ -101,7 +237,7 @@ class Imu(Sensor):
         count = len(rows)
         self._low = np.empty((count, 3))
         felt, g = self._felt_mps2, self._gravity_mps2
-        sums = filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
+        sums = _filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
         if not math.isfinite(sums.sum()):
             raise PhysicsError("the wheelchair's motion is not finite; expected finite numbers: rebuild the world")
         means = sums / max(count, 1)

@@ -56,7 +56,7 @@ class SeatGroup(ABC):
         """Begin the world again, nobody is in it, and make new links."""
 
 
-class LocalGroup(SeatGroup):
+class _LocalGroup(SeatGroup):
     """A group whose world is in this process; raises WorldInUseError while another one lives here."""
 
     def __init__(self, order: WorldOrder) -> None:
@@ -82,7 +82,7 @@ class LocalGroup(SeatGroup):
 def open_group(order: WorldOrder) -> SeatGroup:
     """All seats of a new world: in this process while no world lives here, otherwise in a process of its own."""
     if not world_in_this_process():
-        return LocalGroup(order)
+        return _LocalGroup(order)
     from wcsim.server.links.child_world import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
 
     return ProcessGroup(order)

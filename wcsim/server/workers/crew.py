@@ -145,7 +145,7 @@ class Crew:
 
     def _next_for(self, name: str, names: Sequence[str]) -> Work | None:
         """The next piece for a worker, but none that its machine has lost while there is another that has not."""
-        own, all_of_them = machine_of(name), {machine_of(other) for other in names}
+        own, all_of_them = _machine_of(name), {_machine_of(other) for other in names}
         for place, work in enumerate(self._left):
             lost_on = self._lost_on.get(work.key, set())
             if own not in lost_on or all_of_them <= lost_on:
@@ -170,7 +170,7 @@ class Crew:
             return
         if ended.counts and not task.late:
             self._deaths[key] = self._deaths.get(key, 0) + 1
-            self._lost_on.setdefault(key, set()).add(machine_of(ended.worker))
+            self._lost_on.setdefault(key, set()).add(_machine_of(ended.worker))
         if self._deaths.get(key, 0) >= MOST_DEATHS:
             raise WorkersError(
                 f"{key} was started {MOST_DEATHS} times and never finished; the last time on {ended.worker}, where "
@@ -205,12 +205,12 @@ class Crew:
                 f"{for_s:.0f} s; check what that machine is doing; {_KEPT}"
             )
         self._times_late[work.key] = times
-        self._lost_on.setdefault(work.key, set()).add(machine_of(name))
+        self._lost_on.setdefault(work.key, set()).add(_machine_of(name))
         with self._lock:
             self._left.appendleft(work)
 
 
-def machine_of(worker: str) -> str:
+def _machine_of(worker: str) -> str:
     """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; "" for a process of this one.
 
     >>> machine_of("10.0.0.2/3"), machine_of("process 1")

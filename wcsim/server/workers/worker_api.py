@@ -28,7 +28,7 @@ class Parcel:
 Needs = Callable[[Any], tuple[Parcel, ...]]
 
 
-def nothing_needed(_piece: Any) -> tuple[Parcel, ...]:
+def _nothing_needed(_piece: Any) -> tuple[Parcel, ...]:
     """What a piece needs that is made of words alone."""
     return ()
 
@@ -40,7 +40,7 @@ class Work:
     key: str
     call: Call
     piece: Any  # what is sent
-    needs: Needs = nothing_needed
+    needs: Needs = _nothing_needed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,15 +1,297 @@
-"""Everything that stands in a street beside its buildings, in the order in which it takes its place."""
+"""Everything that stands in a street beside its buildings, in the order in which it takes its place.
+
+Stops of buses and trams: a pole with a sign, and a shelter where the pavement has room for one.
+
+Street furniture from maps: where each thing stands, kept clear of road and walking lines.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from wcsim.towns.furniture.bus_stops import stop_things
-from wcsim.towns.furniture.mapped import things_of
-from wcsim.towns.furniture.placement import FreeGround, StandingObject
+import numpy as np
+import shapely
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from wcsim.core.frames import yaw_from_sumo
+from wcsim.towns.furniture.models import FOOT_M
+from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood_if_free
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
+from wcsim.towns.ground import solid_shapes
+from wcsim.towns.ground.tiled_geometry import Patches, valid
+from wcsim.towns.osm.lengths import metres
+from wcsim.towns.osm.levels import off_ground
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net
+from wcsim.types import F64, ClassId
+
+SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
+TREE_STEP_M = 8.0
+POST_STEP_M = 1.5
+LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
+_FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
+_COMPASS = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
+_KNOWN_TYPES = {
+    "tourism.information": {"board": "info", "map": "info", "tactile_map": "info", "terminal": "info",
+                            "guidepost": "sign"},
+    "amenity.vending_machine": {"parking_tickets": "meter", "public_transport_tickets": "meter"},
+    "historic.memorial": {"statue": "statue", "bust": "statue", "stele": "block", "stone": "block", "stolperstein": ""},
+    "tourism.artwork": {"mural": "", "graffiti": "", "mosaic": "", "relief": "", "painting": "", "azulejo": ""},
+}  # fmt: skip
+_TYPE_KEYS = {
+    "tourism.information": "information",
+    "amenity.vending_machine": "vending",
+    "historic.memorial": "memorial",
+    "tourism.artwork": "artwork_type",
+}
+
+
+def things_of(
+    items: list[Item], place: FreeGround, standing: list[StandingObject] | None = None
+) -> list[StandingObject]:
+    """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
+    site = _Site(place, standing or [])
+    found: list[StandingObject] = []
+    for item in items:
+        if item.author or item.group in _FLAT_GROUPS or off_ground(item.tags):
+            continue
+        for thing in _made(item, site):
+            site.taken.add(thing.footprint)
+            found.append(thing)
+    return found
+
+
+class _Site:
+    """A place with what stands there, and quick answers about what lies near a point of it."""
+
+    def __init__(self, place: FreeGround, standing: list[StandingObject]) -> None:
+        place.prepare()
+        self.place = place
+        self.taken = Taken(standing)
+        self.near = tuple(Patches(area) for area in (place.lines, place.low, place.solids))
+        parts = shapely.get_parts(place.lines)
+        self._ways = parts[shapely.length(parts) > 0.0]
+        self._tree = shapely.STRtree(self._ways)
+
+    def away(self, xy_m: F64) -> F64:
+        """Unit vector (2,) from the nearest walking line to a point."""
+        if len(self._ways):
+            point = shapely.Point(xy_m)
+            nearest = self._ways[int(self._tree.nearest(point))]
+            away = xy_m - shapely.get_coordinates(shapely.shortest_line(nearest, point))[0]
+            length_m = float(np.hypot(*away))
+            if length_m > 1e-6:
+                return np.asarray(away / length_m)
+        return np.array([0.0, 1.0])
+
+
+def _made(item: Item, site: _Site) -> list[StandingObject]:
+    if item.kind in _LINE_SPECS and (len(item.points_W_m) > 1):
+        return _barriers(item, site)
+    if item.kind in _ROW_STEPS_M and len(item.points_W_m) > 1:
+        kind, step_m = _ROW_STEPS_M[item.kind]
+        places = _along(shapely.LineString(item.points_W_m).intersection(site.place.hull), step_m)
+        return [thing for xy in places if (thing := _stood(item, kind, xy, site)) is not None]
+    kind = look_of(item)
+    if not kind or (len(item.points_W_m) > 1 and not item.filled):
+        return []
+    middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
+    thing = _stood(item, kind, middle, site)
+    return [thing] if thing is not None else []
+
+
+def look_of(item: Item) -> str:
+    """The look of a mapped point, "" for what nobody would see standing there."""
+    full = f"{item.group}.{item.detail}"
+    if full in _KNOWN_TYPES:
+        by_type = _KNOWN_TYPES[full]
+        known = by_type.get(item.tags.get(_TYPE_KEYS[full], ""))
+        if known is not None:
+            return known
+    if item.kind in LOOK_OF:
+        return LOOK_OF[item.kind]
+    return "bollard" if item.group == "barrier" and len(item.points_W_m) == 1 else ""
+
+
+def _stood(item: Item, kind: str, middle: F64, site: _Site) -> StandingObject | None:
+    """The thing where it is mapped, or as little aside as needed, or None."""
+    away = site.away(middle)
+    facing = _mapped_direction(item.tags)
+    if facing is None:
+        facing = float(np.arctan2(-away[1], -away[0]))  # things look at those who walk by
+    for shift_m in SHIFTS_M:
+        thing = stood_if_free(kind, middle + shift_m * away, facing - np.pi / 2, site.place, site.taken)
+        if thing is not None:
+            return thing
+    return None
+
+
+def _mapped_direction(tags: dict[str, str]) -> float | None:
+    """The yaw that a thing faces by its tag `direction`: degrees from north, or a point of the compass."""
+    text = tags.get("direction", "").strip().upper()
+    if text in _COMPASS:
+        return yaw_from_sumo(_COMPASS.index(text) * 360.0 / len(_COMPASS))
+    degrees = metres(text)
+    return None if degrees is None else yaw_from_sumo(degrees)
+
+
+def _along(lines: BaseGeometry, step_m: float) -> F64:
+    """Points (n, 2) on lines, about a step apart."""
+    places: list[F64] = [np.zeros((0, 2))]
+    for line in shapely.get_parts(lines):
+        if line.geom_type == "LineString" and line.length > 0.0:
+            count = max(1, round(line.length / step_m))
+            stations = shapely.line_interpolate_point(line, np.linspace(0.0, 1.0, count + 1), normalized=True)
+            places.append(shapely.get_coordinates(stations))
+    return np.concatenate(places)
+
+
+def _barriers(item: Item, site: _Site) -> list[StandingObject]:
+    """A fence, wall or hedge, with gaps where people walk and vehicles drive."""
+    height_m, thick_m, class_id = _LINE_SPECS[item.kind]
+    mapped_m = metres(item.tags.get("height", ""))
+    if mapped_m is not None:
+        height_m = float(np.clip(mapped_m, 0.3, 6.0))
+    if item.filled and item.tags.get("area") == "yes" and len(item.points_W_m) > 3:
+        shape = shapely.make_valid(Polygon(item.points_W_m)).intersection(site.place.hull)
+        band: BaseGeometry = valid(shape.simplify(0.1))
+    else:
+        line = shapely.LineString(item.points_W_m).simplify(0.1).intersection(site.place.hull)
+        band = line.buffer(thick_m / 2, cap_style="flat", join_style="mitre")
+    if band.is_empty:
+        return []
+    near = band.buffer(2.0).bounds
+    lines, low, solid = (patches.near(near) for patches in site.near)
+    blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solid])
+    return [
+        StandingObject(
+            piece=solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id),
+            footprint=part,
+            base_m=shapely.get_coordinates(part.representative_point())[0],
+            follows=True,
+        )
+        for part in _solid_parts(band.difference(blocked))
+    ]
+
+
+def _solid_parts(area: BaseGeometry) -> list[Polygon]:
+    """The polygons of an area on a centimetre grid, crumbs left out."""
+    parts = [shapely.set_precision(part, 0.01) for part in shapely.get_parts(area)]
+    flat = [p for part in parts for p in shapely.get_parts(part)]
+    return [p for p in flat if p.geom_type == "Polygon" and p.area > 0.05 and p.is_valid]
+
+
+LOOK_OF: dict[str, str] = {
+    "advertising": "poster", "archive": "", "artwork": "statue", "bbq": "tap", "bench": "bench",
+    "bicycle_parking": "rack", "bicycle_rental": "rack", "bicycle_repair_station": "tap", "billboard": "billboard",
+    "block": "block", "board": "info", "bollard": "bollard", "border_control": "", "boulder": "block",
+    "bump_gate": "", "bust": "statue", "catenary_mast": "pole", "cattle_grid": "", "chain": "bollard",
+    "charging_station": "meter", "column": "column", "cycle_barrier": "cycle_barrier", "debris": "block",
+    "drinking_water": "tap", "entrance": "", "fire_hydrant": "hydrant", "flagpole": "flagpole", "fountain": "fountain",
+    "full-height_turnstile": "gate", "gate": "gate", "give_box": "cabinet", "grit_bin": "bin", "hampshire_gate": "gate",
+    "height_restrictor": "", "jersey_barrier": "block", "kerb": "", "kissing_gate": "gate", "letter_box": "post_box",
+    "lift_gate": "lift_gate", "log": "block", "mast": "pole", "memorial": "block", "monitoring_station": "cabinet",
+    "monument": "statue", "motorcycle_barrier": "cycle_barrier", "no": "", "parcel_locker": "machine",
+    "parking_meter": "meter", "photo_booth": "machine", "picnic_table": "table", "planter": "planter", "pole": "pole",
+    "post_box": "post_box", "poster_box": "poster", "public_bookcase": "cabinet", "recycling": "recycling",
+    "rock": "block", "sally_port": "", "screen": "poster", "shelter": "shelter", "shrub": "shrub", "sign": "sign",
+    "sliding_gate": "gate", "spikes": "", "statue": "statue", "stile": "cycle_barrier", "stone": "block",
+    "street_cabinet": "cabinet", "street_lamp": "lamp", "sump_buster": "", "swing_gate": "lift_gate",
+    "telephone": "phone", "toll_booth": "kiosk", "totem": "poster", "traffic_sign": "sign", "tree": "tree",
+    "turnstile": "gate", "utility_pole": "pole", "vending_machine": "machine", "waste_basket": "bin",
+    "waste_disposal": "recycling", "watering_place": "tap", "water_tap": "tap", "water_well": "block",
+    "wayside_cross": "block", "wayside_shrine": "block", "wedge": "",
+}  # fmt: skip
+"""Looks of mapped points by the second word of their type; "" for what stands nowhere."""
+
+_ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
+_LINE_SPECS: dict[str, tuple[float, float, int]] = {  # height and thickness in metres, class
+    "fence": (1.2, 0.12, ClassId.FENCE),
+    "guard_rail": (0.8, 0.15, ClassId.FENCE),
+    "handrail": (1.0, 0.12, ClassId.FENCE),
+    "barrier_board": (1.0, 0.1, ClassId.FENCE),
+    "jersey_barrier": (0.9, 0.4, ClassId.WALL),
+    "wall": (1.5, 0.2, ClassId.WALL),
+    "retaining_wall": (1.0, 0.2, ClassId.WALL),
+    "city_wall": (3.0, 0.6, ClassId.WALL),
+    "hedge": (1.3, 0.6, ClassId.VEGETATION),
+    "planter": (0.9, 0.6, ClassId.VEGETATION),
+    "block": (0.5, 0.5, ClassId.WALL),
+}
+
+
+_SAME_STOP_M = 12.0  # a mapped stop so near to one of SUMO's is the same one
+FARTHEST_M = 14.0  # from the middle of the lane to the pole
+STEP_M = 0.35
+ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
+
+
+def stop_things(
+    items: list[Item], place: FreeGround, standing: Iterable[StandingObject], lefthand: bool
+) -> list[StandingObject]:
+    """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
+    place.prepare()
+    taken = Taken(standing)
+    found: list[StandingObject] = []
+    known = [item for item in items if item.group == "stop"]
+    middles = shapely.MultiPoint([item.points_W_m[1] for item in known])
+    for item in known:
+        found += _at_stop(item, place, taken, lefthand)
+    for item in items:
+        if item.group == "highway" and item.kind == "bus_stop" and not item.author:
+            here = shapely.Point(item.points_W_m.mean(axis=0))
+            if middles.is_empty or not shapely.dwithin(middles, here, _SAME_STOP_M):
+                found += _mapped(item, place, taken)
+    return found
+
+
+def _at_stop(item: Item, place: FreeGround, taken: Taken, lefthand: bool) -> list[StandingObject]:
+    """A pole near the front of the stop and a shelter near its middle, both on the side where people wait."""
+    start, middle, end = item.points_W_m
+    along = (end - start) / max(1e-6, float(np.hypot(*(end - start))))
+    aside = np.array([along[1], -along[0]]) * (-1.0 if lefthand else 1.0)
+    front_yaw = float(np.arctan2(-aside[1], -aside[0]))  # both look at the road
+    pole_at = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
+    pole = _first("stop_pole", _outward(pole_at, along, aside), float(np.arctan2(-along[1], -along[0])), place, taken)
+    shelter = _first("shelter", _outward(middle, along, aside, 1.2), front_yaw, place, taken)
+    return [*pole, *shelter]
+
+
+def _mapped(item: Item, place: FreeGround, taken: Taken) -> list[StandingObject]:
+    """A pole where the map has it, or near by; a shelter only where the map says so."""
+    middle = item.points_W_m.mean(axis=0)
+    nearest = shapely.get_coordinates(shapely.shortest_line(place.low, shapely.Point(middle)))
+    towards = nearest[0] - middle if len(nearest) else np.array([0.0, 1.0])
+    distance_m = float(np.hypot(*towards))
+    aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
+    along = np.array([-aside[1], aside[0]])
+    facing = float(np.arctan2(-aside[1], -aside[0]))
+    if item.tags.get("shelter") == "yes":
+        shelter = _first("shelter", _outward(middle, along, aside, 0.0, 3.0), facing, place, taken)
+        if shelter:
+            return shelter
+    return _first("stop_pole", _outward(middle, along, aside, 0.0, 3.0), facing, place, taken)
+
+
+def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M) -> Iterator[F64]:
+    """Places beside a point, the nearest to the road first."""
+    for aside_m in np.arange(least_m, most_m, STEP_M):
+        for along_m in ALONG_M:
+            yield start_m + aside_m * aside + along_m * along
+
+
+def _first(
+    kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround, taken: Taken
+) -> list[StandingObject]:
+    """A thing at the first place that is free, if there is one."""
+    for xy_m in places_m:
+        thing = stood_if_free(kind, xy_m, facing_rad - np.pi / 2, place, taken)
+        if thing is not None:
+            taken.add(thing.footprint)
+            return [thing]
+    return []
 
 
 def fittings_of(

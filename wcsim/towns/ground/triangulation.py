@@ -42,7 +42,7 @@ def build_ground(surfaces: Surfaces, kerbing: Kerbing, relief: Relief = FLAT) ->
     """Cut, classify and triangulate the ground; where the land is not level, no triangle crosses a fold of it."""
     faces = _faces(surfaces, kerbing, relief)
     inside = shapely.point_on_surface(faces)
-    classes = classify(surfaces, shapely.get_coordinates(inside))
+    classes = _classify(surfaces, shapely.get_coordinates(inside))
     kept = classes != ClassId.VOID
     faces, classes = faces[kept], classes[kept]
     triangles, owner = _triangles(faces)
@@ -60,7 +60,7 @@ def build_ground(surfaces: Surfaces, kerbing: Kerbing, relief: Relief = FLAT) ->
     )
 
 
-def classify(surfaces: Surfaces, xy_m: F64) -> U8:
+def _classify(surfaces: Surfaces, xy_m: F64) -> U8:
     """Ground class (n,) of points (n, 2); VOID outside the town."""
     classes = np.zeros(len(xy_m), dtype=np.uint8)
     for area, class_id in (

@@ -29,13 +29,13 @@ def write_tried(sumocfg: Path, ways: tuple[Way, ...], text_of: Callable[[tuple[W
     """
     for trials_left in reversed(range(ROUNDS + 1)):
         write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text_of(ways).encode())
-        stuck = stuck_ways(sumocfg, ways) if trials_left and ways else ()
+        stuck = _stuck_ways(sumocfg, ways) if trials_left and ways else ()
         if not stuck:
             return
         ways = tuple(way for way in ways if way not in stuck)
 
 
-def stuck_ways(sumocfg: Path, ways: tuple[Way, ...]) -> tuple[Way, ...]:
+def _stuck_ways(sumocfg: Path, ways: tuple[Way, ...]) -> tuple[Way, ...]:
     """The walking ways on which somebody got stuck within a trial of TRIAL_S; none when the trial fails.
 
     A trial that fails says nothing about ways; the town is then opened as it is, and `check_town` says what is wrong.

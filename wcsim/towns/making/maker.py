@@ -1,16 +1,23 @@
-"""Make a town without a map: the same seed gives the same bytes, another seed another town."""
+"""Make a town without a map: the same seed gives the same bytes, another seed another town.
+
+Writes streets as SUMO's plain nodes and edges, and lets netconvert make a net with pavements and crossings of it.
+
+Which street is what: links that continue each other are one street, and each street has a class and its widths.
+"""
 
 from __future__ import annotations
 
 import logging
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import networkx
 import numpy as np
 from shapely.errors import GEOSException
 
+from wcsim.core.frames import rad
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text
@@ -22,16 +29,291 @@ from wcsim.towns.importing.map_marks import map_marks
 from wcsim.towns.importing.parking import Parking, find_parking
 from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
 from wcsim.towns.making.drawn_map import draw_map
-from wcsim.towns.making.named_streets import streets_of
-from wcsim.towns.making.plain_net import draw_signals, write_net
 from wcsim.towns.making.plan import draw_plan
-from wcsim.towns.making.shaping import shape_plan
+from wcsim.towns.making.shaping import ShapedPlan, shape_plan
 from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
 from wcsim.towns.scenario.manifest import chair_ways, hashes_of
 from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 from wcsim.towns.walking.islands import share_of, walkable_parts
+from wcsim.types import F64
+
+_STRAIGHT_RAD = rad(38.0)  # a street goes on where it bends by less
+_MAIN_SHARE = (0.12, 0.3)  # of all streets' length
+_COLLECTOR_SHARE = 0.3
+_TRAM_SHARE = 0.35  # of the towns have trams on their longest street
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreetClass:
+    """What a class of streets is like; ranges are drawn from, once for each street."""
+
+    name: str
+    priority: int
+    speeds_mps: tuple[float, ...]
+    lanes: tuple[int, ...]  # in each direction
+    lane_m: tuple[float, float]
+    pavement_m: tuple[float, float]
+    cycle_share: float  # of the streets have cycle lanes
+    oneway_share: float
+    closed: str  # SUMO classes that may not drive there
+
+
+_RAIL = (
+    "tram rail_urban rail rail_electric rail_fast ship container cable_car subway aircraft wheelchair drone pedestrian"
+)
+MAIN = StreetClass(
+    name="main", priority=12, speeds_mps=(13.89,), lanes=(1, 2, 2), lane_m=(3.0, 3.6), pavement_m=(2.4, 5.0),
+    cycle_share=0.6, oneway_share=0.0, closed=f"{_RAIL} scooter",
+)  # fmt: skip
+COLLECTOR = StreetClass(
+    name="collector", priority=9, speeds_mps=(8.33, 13.89), lanes=(1,), lane_m=(2.9, 3.5), pavement_m=(1.8, 3.8),
+    cycle_share=0.3, oneway_share=0.1, closed=_RAIL,
+)  # fmt: skip
+RESIDENTIAL = StreetClass(
+    name="residential", priority=3, speeds_mps=(5.56, 8.33, 8.33), lanes=(1,), lane_m=(2.75, 3.3),
+    pavement_m=(1.5, 2.8), cycle_share=0.0, oneway_share=0.25, closed=_RAIL,
+)  # fmt: skip
+WALK = StreetClass(
+    name="walk", priority=1, speeds_mps=(5.56,), lanes=(1,), lane_m=(3.0, 6.0), pavement_m=(0.0, 0.0),
+    cycle_share=0.0, oneway_share=1.0, closed="",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamedStreet:
+    """One street with the links that it runs along."""
+
+    number: int
+    links: tuple[int, ...]
+    kind: StreetClass
+    lanes: int
+    lane_m: float
+    pavements_m: tuple[float, float]  # right of the links' own direction, and left of it
+    cycle_m: float  # width of the cycle lanes, 0 for none
+    speed_mps: float
+    oneway: bool
+    tram: bool = False  # trams run on its lanes
+
+    @property
+    def closed(self) -> str:
+        """SUMO classes that may not drive there."""
+        return self.kind.closed.removeprefix("tram ") if self.tram else self.kind.closed
+
+
+def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[NamedStreet, ...]:
+    """All streets of a plan with their classes: the longest ones are main streets.
+
+    A street is one-way, or for walkers alone, only where everybody still gets everywhere.
+    """
+    chains = _chains(shaped)
+    lengths_m = np.array([sum(_length_m(shaped.lines_m[link]) for link in chain) for chain in chains])
+    order = np.argsort(-lengths_m * rng.uniform(0.8, 1.25, len(chains)))
+    rank = np.cumsum(lengths_m[order]) / lengths_m.sum()
+    main, walks = float(rng.uniform(*_MAIN_SHARE)), float(rng.choice([0.0, 0.1, 0.2]))
+    widths = rng.uniform(-1.0, 1.0)  # a town of wide pavements, or of narrow ones
+    found: list[NamedStreet] = []
+    for number, (row, so_far) in enumerate(zip(order.tolist(), rank.tolist(), strict=True)):
+        kind = MAIN if not number or so_far <= main else COLLECTOR if so_far <= main + _COLLECTOR_SHARE else RESIDENTIAL
+        found.append(_drawn(number, chains[row], kind, float(widths), rng))
+    found[0] = replace(found[0], tram=bool(rng.random() < _TRAM_SHARE))
+    for number, drawn in enumerate(rng.random((len(found), 2)).tolist()):
+        street = found[number]
+        if drawn[0] < street.kind.oneway_share:
+            found[number] = _if_reachable(shaped, found, replace(street, oneway=True))
+        elif street.kind is RESIDENTIAL and drawn[1] < walks and len(street.links) <= 3:
+            walk = _drawn(number, street.links, WALK, float(widths), rng)
+            found[number] = _if_reachable(shaped, found, walk)
+    return tuple(found)
+
+
+def _drawn(
+    number: int, links: tuple[int, ...], kind: StreetClass, widths: float, rng: np.random.Generator
+) -> NamedStreet:
+    low_m, high_m = kind.pavement_m
+    drawn = np.clip(0.35 * widths + rng.uniform(0.0, 1.0, 2), 0.0, 1.0)
+    pavements_m = low_m + (high_m - low_m) * drawn
+    cycles, lane_m = rng.random() < kind.cycle_share, float(rng.uniform(*kind.lane_m))
+    return NamedStreet(
+        number=number,
+        links=links,
+        kind=kind,
+        lanes=int(rng.choice(kind.lanes)),
+        lane_m=round(lane_m, 2),
+        pavements_m=(round(float(pavements_m[0]), 2), round(float(pavements_m[1]), 2)),
+        cycle_m=round(float(rng.uniform(1.25, 2.0)), 2) if cycles else 0.0,
+        speed_mps=float(rng.choice(kind.speeds_mps)),
+        oneway=kind is WALK,
+    )
+
+
+def _if_reachable(shaped: ShapedPlan, streets: list[NamedStreet], changed: NamedStreet) -> NamedStreet:
+    """The changed street, or the one that it was when somebody could not get somewhere then."""
+    graph = networkx.DiGraph()
+    for street in (*streets[: changed.number], changed, *streets[changed.number + 1 :]):
+        if street.kind is not WALK:
+            ends = [shaped.plan.links[link] for link in street.links]
+            graph.add_edges_from(ends)
+            graph.add_edges_from((b, a) for a, b in ends if not street.oneway)
+    touched = {node for link in changed.links for node in shaped.plan.links[link]}
+    whole = networkx.is_strongly_connected(graph) and touched <= set(graph)
+    return changed if whole else streets[changed.number]
+
+
+def _chains(shaped: ShapedPlan) -> list[tuple[int, ...]]:
+    """Links grouped to streets: at each junction the straightest pairs go on, best first."""
+    same = networkx.Graph()
+    same.add_nodes_from(range(len(shaped.lines_m)))
+    arms: dict[int, list[tuple[int, float]]] = {}
+    for number, ((a, b), line) in enumerate(zip(shaped.plan.links, shaped.lines_m, strict=True)):
+        for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
+            arms.setdefault(node, []).append((number, float(np.arctan2(way[1], way[0]))))
+    for node in sorted(arms):
+        pairs = sorted(
+            (_bend_rad(one[1], other[1]), one[0], other[0])
+            for place, one in enumerate(arms[node])
+            for other in arms[node][place + 1 :]
+        )
+        used: set[int] = set()
+        for bend_rad, first, second in pairs:
+            if bend_rad < _STRAIGHT_RAD and not {first, second} & used:
+                used |= {first, second}
+                same.add_edge(first, second)
+    return sorted(tuple(sorted(part)) for part in networkx.connected_components(same))
+
+
+def _bend_rad(one_rad: float, other_rad: float) -> float:
+    """How far from straight on a way between two arms is."""
+    return abs(abs((one_rad - other_rad + np.pi) % (2.0 * np.pi) - np.pi) - np.pi)
+
+
+def _length_m(line: F64) -> float:
+    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+
+
+_LIMITS = Limits(wall_s=120.0, cpu_s=120)
+_NETCONVERT = (
+    "--crossings.guess",
+    "--crossings.guess.speed-threshold",
+    "18",
+    "--walkingareas",
+    "--junctions.corner-detail",
+    "5",
+    "--tls.default-type",
+    "actuated",
+    "--no-turnarounds.except-deadend",
+    "--output.street-names",
+)
+_LEFTHAND_SHARE = 0.15
+_NAMES = ("Oak", "Mill", "Station", "Church", "Harbour", "Market", "King", "Garden", "River", "Bridge", "Hill", "Park")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signals:
+    """How a town's junctions are made."""
+
+    share: float  # of the crossings of larger streets have signals
+    crossing_m: float  # width of the crossings
+    corner_m: float  # radius of the corners
+    lefthand: bool  # traffic keeps to the left
+
+
+def _draw_signals(rng: np.random.Generator) -> Signals:
+    """How the junctions of a town are made."""
+    share, crossing_m, corner_m = rng.uniform((0.2, 2.8, 2.5), (0.9, 5.0, 6.0)).tolist()
+    return Signals(share=share, crossing_m=crossing_m, corner_m=corner_m, lefthand=bool(rng.random() < _LEFTHAND_SHARE))
+
+
+def write_net(
+    name: str,
+    shaped: ShapedPlan,
+    streets: tuple[NamedStreet, ...],
+    signals: Signals,
+    folder: Path,
+    rng: np.random.Generator,
+) -> Path:
+    """Make <name>.net.xml in `folder`. Raises SumoError when netconvert fails."""
+    nodes, edges = folder / "made.nod.xml", folder / "made.edg.xml"
+    nodes.write_text(_nodes(shaped, streets, signals, rng), encoding="utf-8")
+    edges.write_text(_edges(shaped, streets), encoding="utf-8")
+    options = ["-n", nodes.name, "-e", edges.name, *_NETCONVERT, "-o", f"{name}.net.xml"]
+    options += ["--default.crossing-width", f"{signals.crossing_m:.2f}"]
+    options += ["--default.junctions.radius", f"{signals.corner_m:.2f}"]
+    options += ["--lefthand"] * signals.lefthand
+    run = run_tool("netconvert", options, folder, _LIMITS)
+    for path in (nodes, edges):
+        path.unlink()
+    if run.returncode:
+        raise SumoError(f"no net could be built: {run.reason()}; use another seed or size")
+    return folder / f"{name}.net.xml"
+
+
+def _nodes(shaped: ShapedPlan, streets: tuple[NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
+    meeting: dict[int, list[NamedStreet]] = {}
+    for street in streets:
+        for link in street.links:
+            for node in shaped.plan.links[link]:
+                meeting.setdefault(node, []).append(street)
+    lines = ["<nodes>"]
+    for number, (x_m, y_m) in enumerate(shaped.plan.nodes_m.tolist()):
+        kind = _node_kind(meeting[number], signals.share, float(rng.random()))
+        lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
+    return "\n".join([*lines, "</nodes>", ""])
+
+
+def _node_kind(arms: list[NamedStreet], share: float, drawn: float) -> str:
+    """Signals where larger streets meet, else priority; where only small streets meet, right before left."""
+    driven = [street for street in arms if street.kind is not WALK]
+    larger = {street.number for street in driven if street.kind is not RESIDENTIAL}
+    main = any(street.kind is MAIN for street in driven)
+    if len(driven) > 2 and ((len(larger) > 1 and drawn < share) or (main and drawn < 0.4 * share)):
+        return "traffic_light"
+    if len(driven) > 2 and not larger and drawn < 0.7:
+        return "right_before_left"
+    return "priority"
+
+
+def _edges(shaped: ShapedPlan, streets: tuple[NamedStreet, ...]) -> str:
+    lines = ["<edges>"]
+    for street in streets:
+        name = f"{_NAMES[street.number % len(_NAMES)]} Street {street.number // len(_NAMES) + 1}"
+        for link in street.links:
+            a, b = shaped.plan.links[link]
+            line_m = shaped.lines_m[link]
+            backward = street.kind.name != WALK.name and (not street.oneway or street.pavements_m[1] > 0.0)
+            lines.append(_edge(str(link), (a, b), line_m, street, name, street.pavements_m[0]))
+            if backward and not street.oneway:
+                lines.append(_edge(f"-{link}", (b, a), line_m[::-1], street, name, street.pavements_m[1]))
+            elif backward:
+                lines.append(_footway(f"-{link}", (b, a), line_m[::-1], street, name))
+    return "\n".join([*lines, "</edges>", ""])
+
+
+def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, name: str, pavement_m: float) -> str:
+    kind = street.kind
+    head = f'    <edge id="{edge}" from="j{ends[0]}" to="j{ends[1]}" name="{name}" type="{kind.name}"'
+    rules = f'priority="{kind.priority}" numLanes="{street.lanes}" speed="{street.speed_mps}" width="{street.lane_m}"'
+    if kind is WALK:
+        return f'{head} {rules} spreadType="center" allow="pedestrian bicycle"{_shape(line_m)}/>'
+    more = f' bikeLaneWidth="{street.cycle_m}"' if street.cycle_m else ""
+    spread = ' spreadType="right"'
+    return f'{head} {rules}{spread} disallow="{street.closed}" sidewalkWidth="{pavement_m}"{more}{_shape(line_m)}/>'
+
+
+def _footway(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, name: str) -> str:
+    """The pavement on the left side of a one-way street."""
+    head = f'    <edge id="{edge}" from="j{ends[0]}" to="j{ends[1]}" name="{name}" type="footway" priority="1"'
+    rules = f'numLanes="1" speed="2.78" width="{street.pavements_m[1]}" allow="pedestrian" spreadType="right"'
+    return f"{head} {rules}{_shape(line_m)}/>"
+
+
+def _shape(line_m: F64) -> str:
+    if len(line_m) < 3:
+        return ""
+    return ' shape="' + " ".join(f"{x:.2f},{y:.2f}" for x, y in line_m.tolist()) + '"'
+
 
 log = logging.getLogger("wcsim.towns")
 
@@ -110,7 +392,7 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
         try:
             shaped = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
             streets = streets_of(shaped, rng)
-            path = write_net(name, shaped, streets, draw_signals(rng), work, rng)
+            path = write_net(name, shaped, streets, _draw_signals(rng), work, rng)
             net = read_net(path)
             share = share_of(walkable_parts(net, chair_ways(cycle_paths=False)))
         except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines
@@ -157,7 +439,7 @@ def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, sta
         split=wishes.split,
         origin_m=net_middle(work / f"{name}.net.xml.gz"),
         source=SOURCE,
-        rebuild=rebuild_command(name, seed, wishes),
+        rebuild=_rebuild_command(name, seed, wishes),
         hashes=hashes_of(work, name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
@@ -167,7 +449,7 @@ def _flows(net: Net, ways: tuple[Way, ...], seed: int, wishes: Wishes, parking: 
     return flows_text(net, ways, seed, wishes.traffic, first=parking.vehicles)
 
 
-def rebuild_command(name: str, seed: int, wishes: Wishes) -> str:
+def _rebuild_command(name: str, seed: int, wishes: Wishes) -> str:
     """The command that makes the same town again, run in its folder."""
     words = [name, "--seed", str(seed), "--out", ".", "--split", wishes.split, "--size", f"{wishes.size_m:g}"]
     words += ["--kind", wishes.kind] if wishes.kind else []

@@ -67,10 +67,10 @@ class LaneMap:
             found_m = min(max(found_m, min(low_m, high_m)), high_m)
         found_m = math.floor(found_m * 100.0 + 0.5) / 100.0
         found_m = max(0.0, min(found_m, math.floor(new.length_m * 100.0 + 1e-6) / 100.0))
-        return found_m, along_m(new.line, place, new.point(found_m))
+        return found_m, _along_m(new.line, place, new.point(found_m))
 
 
-def along_m(line: shapely.LineString, old: shapely.Point, new: shapely.Point) -> float:
+def _along_m(line: shapely.LineString, old: shapely.Point, new: shapely.Point) -> float:
     """How far two places are from each other in the direction of a line; what lies sideways is left out."""
     at_m, step_m = line.project(new), min(0.5, 0.5 * line.length)
     start, end = line.interpolate(max(0.0, at_m - step_m)), line.interpolate(min(line.length, at_m + step_m))

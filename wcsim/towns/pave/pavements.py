@@ -1,13 +1,23 @@
-"""Pavements for a scenario that has none: a copy of it that SUMO runs, with every stop and detector where it lay."""
+"""Pavements for a scenario that has none: a copy of it that SUMO runs, with every stop and detector where it lay.
+
+Change attributes of an XML file and leave every other byte as it is.
+
+The author's signal programs that lie in the net itself: netconvert puts phases of its own into them.
+"""
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
+import re
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
+from xml.parsers import expat
+from xml.sax.saxutils import escape
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import (
@@ -20,16 +30,84 @@ from wcsim.towns.checks.cures import (
     speeds_mps,
 )
 from wcsim.towns.importing.adopt import copy_scenario
-from wcsim.towns.pave.edit import edited
 from wcsim.towns.pave.elements import Paving, edits_of, note_routes
 from wcsim.towns.pave.lanes import lane_map
-from wcsim.towns.pave.net_programs import keep_programs
 from wcsim.towns.pave.signals import links_of
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, by_file, run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip, xml_bytes
+
+
+def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
+    """Put the programs of a net in the place of those that netconvert made of them, with the new crossings' letters.
+
+    Args:
+        before: The author's net; its programs are changed as those of an additional file are.
+        after: The net with crossings; is changed.
+        paving: What is known of both; counts the programs.
+
+    Returns:
+        Whether there is any.
+    """
+    programs = Element("additional")
+    programs.extend(logic for logic in before.iterfind("tlLogic") if logic.get("id") in paving.signals)
+    elements = list(programs.iter())
+    for number, changes in edits_of(programs, paving, in_net=True).items():
+        elements[number].attrib.update(changes)
+    theirs = {logic.get("id") for logic in programs}
+    made = [logic for logic in after.iterfind("tlLogic") if logic.get("id") in theirs]
+    if not made:
+        return False
+    place = list(after).index(made[0])
+    for logic in made:
+        after.remove(logic)
+    after[place:place] = list(programs)
+    return True
+
+
+_Edits = Mapping[int, Mapping[str, str]]  # number of the element in the order of the file -> attribute -> value
+_TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
+_DECLARED = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)""")
+
+
+def edited(data: bytes, edits: _Edits, where: str) -> bytes:
+    """XML text in which elements have other values of attributes that they have already.
+
+    Args:
+        data: The text, as `xmlio.parse_root` accepts it.
+        edits: What to change; elements are counted as `Element.iter` gives them.
+        where: What messages call the text.
+
+    Raises:
+        TownError: an attribute is not there.
+    """
+    starts: list[int] = []
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda *_: starts.append(parser.CurrentByteIndex)
+    parser.Parse(data, True)
+    found = _DECLARED.match(data.removeprefix(codecs.BOM_UTF8).lstrip())
+    encoding = found[1].decode("ascii") if found else "utf-8"
+    parts, done = list[bytes](), 0
+    for number in sorted(edits):
+        tag = _TAG.match(data, starts[number])
+        if tag is None:
+            raise TownError(f"{where}: element {number + 1} cannot be changed; write its attributes in quotes")
+        parts += [data[done : tag.start()], _changed(tag[0], edits[number], encoding, where)]
+        done = tag.end()
+    return b"".join((*parts, data[done:]))
+
+
+def _changed(tag: bytes, values: Mapping[str, str], encoding: str, where: str) -> bytes:
+    for name, value in values.items():
+        text = escape(value, {'"': "&quot;"}).encode(encoding, "xmlcharrefreplace")
+        found = re.search(rb"""\s""" + re.escape(name.encode(encoding)) + rb"""\s*=\s*("[^"]*"|'[^']*')""", tag)
+        if found is None:
+            raise TownError(f"{where}: attribute {name} cannot be changed; write it as {name}='...'")
+        tag = tag[: found.start(1)] + b'"' + text + b'"' + tag[found.end(1) :]
+    return tag
+
 
 _SLOWEST_MPS = 1.0  # of streets that get a pavement
 TOLD = 5  # of each kind of thing in a note
@@ -89,7 +167,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         lanes = lane_map(before, after)
         shifts = {edge: lanes.shift(edge) for edge in lanes.before}
         paving = Paving(lanes=lanes, signals=links_of(before, after, shifts))
-        if keep_programs(before, after, paving):
+        if _keep_programs(before, after, paving):
             _write(place, xml_bytes(after))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
         crossings = _count(after, "crossing")

@@ -1,6 +1,8 @@
 """Files of a scenario that name other files: what they write is led into one folder, what they read stays theirs.
 
 A file that writes nothing is left where it is; only one that does is copied, with nothing but those names changed.
+
+What the elements of SUMO's files say of other files: which attribute names one, to be read or to be written.
 """
 
 from __future__ import annotations
@@ -13,19 +15,86 @@ from xml.etree.ElementTree import Element
 from wcsim.core.reading import FileKind, regular_size, shown
 from wcsim.errors import TownError
 from wcsim.towns.scenario.border import require_file, require_inside
-from wcsim.towns.scenario.elements import (
-    NamesFiles,
-    reads,
-    reads_parameter,
-    reads_text,
-    shows,
-    writes,
-    writes_parameter,
-)
 from wcsim.towns.scenario.includes import MAX_DEPTH
 from wcsim.towns.scenario.options import Content, SumoOption
 from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
+
+_READ = {("rerouter", "file"), ("variableSpeedSign", "file"), ("calibrator", "file"), ("include", "href")}
+_TEXTS = ("edgesFile",)  # not XML: a line for each edge
+_PICTURES = ("imgFile", "osgFile", "href")
+_READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
+_WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
+_WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
+_GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
+
+
+class _NamesFiles:
+    """Goes through the elements of a file and says afterwards whether any of them names another file."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._plain: set[str] = set()  # keys that were looked at and name no file
+        self.found = False
+
+    def __call__(self, tag: str, attributes: list[str]) -> None:
+        """Note an element. Raises TownError for names of files that belong in no scenario."""
+        if self._plain.issuperset(attributes[::2]):
+            return
+        odd = [key for key in attributes[::2] if _may_name(key.rpartition(":")[2])]
+        self._plain.update(key for key in attributes[::2] if key not in odd)
+        if odd:
+            self._note(tag.rpartition(":")[2], dict(zip(attributes[::2], attributes[1::2], strict=True)))
+
+    def _note(self, tag: str, attributes: dict[str, str]) -> None:
+        """An element with an attribute that names a file, or may do so."""
+        emission, projection = attributes.get("emissionClass", ""), attributes.get("projParameter", "")
+        if ".." in emission or emission.startswith("/"):
+            raise TownError(f"{self._where}: has emissionClass={shown(emission, 60)!r}; expected a name: correct it")
+        if _GRIDS.search(projection):
+            told = shown(projection, 60)
+            raise TownError(f"{self._where}: has projParameter={told!r}, which names a file; expected one without")
+        for key, value in attributes.items():
+            name = key.rpartition(":")[2]
+            if name == "key":
+                self.found |= tag == "param" and (_writes_parameter(value) or _reads_parameter(value))
+            elif name not in ("emissionClass", "projParameter") and _may_name(name):
+                self.found = True
+
+
+def _may_name(key: str) -> bool:
+    return key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
+
+
+def reads(tag: str, key: str) -> bool:
+    """Whether SUMO reads the file that this attribute names, as XML."""
+    return (tag, key) in _READ
+
+
+def _reads_text(key: str) -> bool:
+    """Whether SUMO reads the file that this attribute names, and it is no XML."""
+    return key in _TEXTS
+
+
+def shows(key: str) -> bool:
+    """Whether sumo-gui shows the picture that this attribute names, which SUMO itself never opens."""
+    return key in _PICTURES
+
+
+def writes(key: str) -> bool:
+    """Whether SUMO writes the file that this attribute names, when it does not read it."""
+    return _WRITTEN.match(key) is not None
+
+
+def _reads_parameter(key: str) -> bool:
+    """Whether the value of a <param> with this key names a file that SUMO reads."""
+    return key.strip() in _READ_PARAMETERS
+
+
+def _writes_parameter(key: str) -> bool:
+    """Whether the value of a <param> with this key names a file that SUMO writes."""
+    return not _reads_parameter(key) and _WRITTEN_PARAMETER.match(key) is not None
+
 
 _TEXT = FileKind(what="a file that SUMO reads", limit_bytes=MAX_XML_BYTES, error=TownError)
 _PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # spelt alike in every language
@@ -95,7 +164,7 @@ class FilteredFiles:
         return whole
 
     def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
-        data, names = read_bytes(path, MAX_XML_BYTES), NamesFiles(shown(path))
+        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(shown(path))
         scan(data, shown(path), names)
         plain = _PLAIN.fullmatch(str(path)) is not None
         if plain and not names.found:
@@ -116,7 +185,7 @@ class FilteredFiles:
             if reads(element.tag, key):
                 if value and (filtered := self._place(there, path, above)) != there.absolute():
                     element.set(key, str(filtered))
-            elif reads_text(key):
+            elif _reads_text(key):
                 element.set(key, str(self.place_text(there, path)))
             elif shows(key):
                 self.pictures[there.absolute()] = None
@@ -128,9 +197,9 @@ class FilteredFiles:
 
     def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
         key, value = element.get("key", ""), element.attrib["value"]
-        if writes_parameter(key) and value not in NOWHERE:
+        if _writes_parameter(key) and value not in NOWHERE:
             element.set("value", str(self._names.place(value, path.parent, f"{key.strip()}.xml")))
-        elif reads_parameter(key):
+        elif _reads_parameter(key):
             found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]
             element.set("value", ",".join(map(str, found)))
 

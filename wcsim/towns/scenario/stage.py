@@ -91,7 +91,7 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     return Scenario(
         sumocfg=sumocfg,
         overrides=overrides_of(config, settings, [(name, _shown(value, names.folder)) for name, value in led]),
-        notes=notes_of(config),
+        notes=_notes_of(config),
         outputs=names.paths,
         author_scale=author_scale(config),
         begin_s=seconds_of(config.value("begin") or "0", town.sumocfg),
@@ -128,7 +128,7 @@ def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:
     return overrides_of(config, settings, [(item.option.name, f"sumo/{Path(item.value).name}") for item in writes])
 
 
-def notes_of(config: Configuration) -> tuple[str, ...]:
+def _notes_of(config: Configuration) -> tuple[str, ...]:
     """What the users of a scenario should know of its own choices."""
     notes = []
     if not _positive(config.value("lateral-resolution")):

@@ -184,7 +184,7 @@ def _lane(element: Element, edge: Element, function: str, origin_m: tuple[int, i
         id=element.attrib["id"],
         edge_id=edge.attrib["id"],
         index=int(element.attrib["index"]),
-        kind=lane_kind(function, allow),
+        kind=_lane_kind(function, allow),
         internal=function == "internal",
         points_m=points_m,
         z_m=z_m,
@@ -212,7 +212,7 @@ def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str
     return frozenset(allow.split()), frozenset()
 
 
-def lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:
+def _lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:
     """What a lane is, from its edge's function and the classes it allows (None: all but a few).
 
     >>> lane_kind("normal", frozenset({"pedestrian", "bicycle"})).value

@@ -84,7 +84,7 @@ class Curve:
     crossing: int | None = None  # step at which its means came below the limit
 
 
-def colour_of(place: int) -> str:
+def _colour_of(place: int) -> str:
     """The colour of the policy at a place of the result, the same in all figures."""
     return _COLOURS[place % len(_COLOURS)]
 
@@ -128,7 +128,7 @@ def obedience_chart(
                 xerr=crashes.arms,
                 yerr=obeyed.arms,
                 fmt=_MARKS[place % len(_MARKS)],
-                color=colour_of(place),
+                color=_colour_of(place),
                 markersize=5,
                 elinewidth=0.8,
                 capsize=2,
@@ -149,7 +149,7 @@ def score_chart(rows: Sequence[tuple[str, Sequence[tuple[str, Estimate]]]], plac
         panels = figure.subplots(tall, 2, sharex=True, sharey=True, squeeze=False).flatten()
         for panel, (part, group) in zip(panels, rows, strict=False):
             for name, score in group:
-                look = {"fmt": _MARKS[places[name] % len(_MARKS)], "color": colour_of(places[name]), "markersize": 4}
+                look = {"fmt": _MARKS[places[name] % len(_MARKS)], "color": _colour_of(places[name]), "markersize": 4}
                 panel.errorbar([score.value], [places[name]], xerr=score.arms, **look)
             panel.set_title(part, fontsize=8, loc="left")
             panel.tick_params(labelsize=7)
@@ -175,7 +175,7 @@ def town_chart(town: str, ground: TownPicture | None, ways: Sequence[DrivenWay],
         for way in ways:
             if len(way.points_m) > 1:
                 x, y = zip(*way.points_m, strict=True)
-                axes.plot(x, y, color=colour_of(places[way.policy]), linewidth=0.7, alpha=0.75)
+                axes.plot(x, y, color=_colour_of(places[way.policy]), linewidth=0.7, alpha=0.75)
         for name in dict.fromkeys(way.policy for way in ways):
             crashes = [way.crash_m for way in ways if way.policy == name and way.crash_m is not None]
             axes.scatter(
@@ -184,7 +184,7 @@ def town_chart(town: str, ground: TownPicture | None, ways: Sequence[DrivenWay],
                 marker="x",
                 s=22,
                 linewidths=1.3,
-                color=colour_of(places[name]),
+                color=_colour_of(places[name]),
                 label=f"{_short(name)}: {counted(len(crashes), 'own crash')}",
             )
         axes.set_aspect("equal")
@@ -199,7 +199,7 @@ def bar_chart(name: str, label: str, values: Mapping[str, float], places: Mappin
     out = io.BytesIO()
     with _drawn(name, out, 0.7 + 0.24 * len(values)) as axes:
         names = list(values)
-        axes.barh(range(len(names)), list(values.values()), color=[colour_of(places[each]) for each in names])
+        axes.barh(range(len(names)), list(values.values()), color=[_colour_of(places[each]) for each in names])
         axes.set_yticks(range(len(names)), [_short(each) for each in names])
         axes.invert_yaxis()
         axes.grid(visible=False, axis="y")
@@ -237,7 +237,7 @@ def curve_chart(name: str, label: str, curves: Sequence[Curve], limit: float | N
         if limit is not None:
             axes.axhline(limit, color="#222222", linewidth=0.9, linestyle=":", label=f"{limit:g}")
         for place, curve in enumerate(curves):
-            colour = colour_of(place)
+            colour = _colour_of(place)
             axes.plot(curve.steps, curve.values, ".", color=colour, markersize=4, markeredgewidth=0, alpha=0.45)
             axes.plot(curve.steps, curve.means, color=colour, linewidth=1.3, label=_short(curve.name))
             if curve.switch is not None:  # several at one step: their dashes stand beside each other

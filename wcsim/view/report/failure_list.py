@@ -19,7 +19,7 @@ _HEADINGS = (
 )
 
 
-def anchor_of(failure: FailedEpisode, names: Sequence[str]) -> str:
+def _anchor_of(failure: FailedEpisode, names: Sequence[str]) -> str:
     """Where a failure stands on the page."""
     block, seat = failure.key
     return f"f-{names.index(failure.policy)}-{block}-{seat}"
@@ -31,7 +31,7 @@ def worst_link(failures: Sequence[FailedEpisode], names: Sequence[str], policy: 
     if worst is None:
         return "–"
     partner = _partner(worst.episode.record)
-    return el("a", f"{worst.reason}{f' with {partner}' if partner else ''}", href=f"#{anchor_of(worst, names)}")
+    return el("a", f"{worst.reason}{f' with {partner}' if partner else ''}", href=f"#{_anchor_of(worst, names)}")
 
 
 def failure_exhibit(
@@ -48,7 +48,7 @@ def failure_exhibit(
     ]  # fmt: skip
     head = el("div", *(el("button", text, type="button", data_sort=key) for key, text in _HEADINGS), class_="row head")
     rows = [
-        _entry(number, failure, anchor_of(failure, names), pictures.get((failure.policy, *failure.key)))
+        _entry(number, failure, _anchor_of(failure, names), pictures.get((failure.policy, *failure.key)))
         for number, failure in enumerate(failures)
     ]
     note = el("p", why_none, class_="note") if why_none else ""

@@ -73,7 +73,7 @@ def failures_of(result: KeptResult, folder: Path) -> tuple[FailedEpisode, ...]:
                     severity=severity,
                     speed_mps=last_speed_mps(episode),
                     unaided="not driven" if twin is None else fate(twin),
-                    command=command_of(result, folder, policy, record),
+                    command=_command_of(result, folder, policy, record),
                 )
             )
     return tuple(sorted(found, key=lambda one: (one.severity, -(one.speed_mps or 0.0), one.policy, one.key)))
@@ -120,7 +120,7 @@ def last_speed_mps(episode: KeptEpisode) -> float | None:
     return way_m / spent_s if spent_s > 0.0 else None
 
 
-def command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
+def _command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
     """The command that drives an episode again, typed where the test was; see `where_typed`."""
     words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
     words += ["--out", result.out or folder.resolve().name]  # policies and lists have names from where they were typed

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.agents.policies.dynamic_window.backing import backs_blindly
-from wcsim.agents.policies.dynamic_window.edges import carry_on
+from wcsim.agents.policies.dynamic_window.braking import backs_blindly
 from wcsim.agents.policies.dynamic_window.street_memory import (
     FORGET_M,
     KEEP_BRIEFLY_S,
@@ -15,6 +14,7 @@ from wcsim.agents.policies.dynamic_window.street_memory import (
     is_ground,
     is_known,
 )
+from wcsim.agents.policies.dynamic_window.surroundings import carry_on
 from wcsim.agents.policies.elevation_map import CELL_M, COLUMNS, REACH_M, ROWS
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import limits_of

@@ -50,10 +50,10 @@ def open_suite(name_or_path: str) -> Suite:
 
 def suite_of(file: SuiteFile) -> Suite:
     """A list with its hash."""
-    return Suite(file=file, sha256=hashlib.sha256(canonical(file.model_dump(mode="json"))).hexdigest())
+    return Suite(file=file, sha256=hashlib.sha256(_canonical(file.model_dump(mode="json"))).hexdigest())
 
 
-def canonical(data: object) -> bytes:
+def _canonical(data: object) -> bytes:
     """The one spelling of plain data that is hashed."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
@@ -111,7 +111,7 @@ def require_towns(file: SuiteFile) -> None:
 
 def block_key(suite: Suite, index: int, policy: str) -> str:
     """What the result of a block depends on: its list, its place in it, and the policy's digest."""
-    return hashlib.sha256(canonical([suite.file.suite, suite.sha256, index, policy])).hexdigest()
+    return hashlib.sha256(_canonical([suite.file.suite, suite.sha256, index, policy])).hexdigest()
 
 
 def profiles_of(blocks: Iterable[BlockFile]) -> tuple[str, ...]:

@@ -53,7 +53,7 @@ Look = Callable[[tuple[WorkerNow, ...]], object]  # told every second who drives
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NamedPolicy:
+class _NamedPolicy:
     """A policy as somebody names it, and what its result depends on."""
 
     name: str
@@ -108,7 +108,7 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     judged = judged_blocks(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
-    asked = [NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
+    asked = [_NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
     for policy in asked:
         for index in range(len(file.blocks)):
             path = _kept_path(order, index, policy.digest)
@@ -173,7 +173,7 @@ def _drive_all(
     done: Done,
     blocks: int,
 ) -> None:
-    asked = {work_key(piece): (piece, path) for piece, path in left}
+    asked = {_work_key(piece): (piece, path) for piece, path in left}
     if not asked:
         return
 
@@ -183,7 +183,7 @@ def _drive_all(
     pieces = [piece for piece, _ in asked.values()]
     waiting = set(asked)
     with Crew(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as crew:
-        crew.ask([Work(key=work_key(piece), call=drive_alone, piece=piece, needs=needs_of) for piece in pieces])
+        crew.ask([Work(key=_work_key(piece), call=drive_alone, piece=piece, needs=needs_of) for piece in pieces])
         while waiting:
             for key in sorted(crew.come(waiting, _LOOK_S)):
                 waiting.remove(key)
@@ -206,7 +206,7 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
     return machines.open(order.out)
 
 
-def work_key(piece: Piece) -> str:
+def _work_key(piece: Piece) -> str:
     """What a piece is called wherever something is said of it."""
     return f"{piece.policy}/{piece.index}"
 

@@ -68,7 +68,7 @@ def _prepare(spec: LinkSpec) -> None:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     for name, seconds in _PATIENCE.items():
         os.environ.setdefault(name, seconds)
-    if spec.address == LOCAL or is_loopback(spec.address):
+    if spec.address == LOCAL or _is_loopback(spec.address):
         os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # Ray's word for: on 127.0.0.1, not on all addresses
     if spec.address == LOCAL:
         os.environ["RAY_AUTH_MODE"] = "token"
@@ -84,7 +84,7 @@ def _has_token() -> bool:
     return named or (own is not None and (own / ".ray" / "auth_token").is_file())
 
 
-def is_loopback(address: str) -> bool:
+def _is_loopback(address: str) -> bool:
     """Whether a HOST:PORT is of this machine alone.
 
     >>> is_loopback("127.0.0.1:6379"), is_loopback("10.0.0.1:6379")

@@ -1,4 +1,13 @@
-"""All families by name, and a scene of one written as a folder."""
+"""All families by name, and a scene of one written as a folder.
+
+People on foot on a pavement so narrow that nobody can step aside.
+
+What cars and buses do at the side of the street: a door that opens, a corner that is too narrow.
+
+Bicycles and e-scooters that come up from behind, where the chair's camera does not look.
+
+Kerbs and walls: what the chair itself drives over or into, where nobody else takes part.
+"""
 
 from __future__ import annotations
 
@@ -11,29 +20,426 @@ import numpy as np
 
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, meant
-from wcsim.towns.scene_folders.families.cars_and_buses import bus_at_corner, car_door
-from wcsim.towns.scene_folders.families.draft import Draft, files_of, mirrored
-from wcsim.towns.scene_folders.families.edges_and_walls import (
-    footplate_swing,
-    reversing_off_kerb,
-    turning_beside_drop,
-    twisted_ramp,
+from wcsim.towns.scene_folders.families.draft import (
+    AFT_M,
+    CASTER_M,
+    FORE_M,
+    HALF_M,
+    XY,
+    Draft,
+    Node,
+    Place,
+    Push,
+    files_of,
+    mirrored,
+    way_of,
 )
-from wcsim.towns.scene_folders.families.overtaking import overtaking_rider, scooter_cuts_in
-from wcsim.towns.scene_folders.families.walkers import oncoming_pair, person_turns_round
+from wcsim.towns.scene_folders.families.scene_streets import (
+    END_M,
+    KERB_Y_M,
+    LANE_M,
+    WALKER,
+    Pavement,
+    house,
+    path_types,
+    row,
+    street,
+)
+
+_AHEAD_M = 30.0  # the destination, beyond what is reached
+_ROAD = f'<type id="road" priority="3" numLanes="1" speed="8.33" width="{LANE_M}" disallow="pedestrian wheelchair"/>'
+_WALK = '<type id="walk" priority="1" numLanes="1" speed="2.78" width="{:.2f}" allow="pedestrian"/>'
+_ROAD_AND_WALK = """\
+<edge id="road" from="W" to="E" type="road" spreadType="center"/>
+<edge id="walk" from="w" to="e" type="walk" spreadType="center"/>"""
+
+
+def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
+    """The chair stands across the pavement with the road behind it, and the user backs up too far."""
+    pavement = Pavement(width_m=float(rng.uniform(2.4, 3.2)))
+    heading_deg = float(rng.uniform(145.0, 215.0))
+    start_m = (float(rng.uniform(-20.0, 0.0)), pavement.at(float(rng.uniform(0.6, 1.1))))
+    begin_s, back_s = float(rng.uniform(0.4, 1.2)), float(rng.uniform(3.5, 5.0))
+    back = float(rng.choice((-0.75, -1.0)))
+    stick = (
+        Push(begin_s, float(rng.choice((-0.25, 0.0, 0.25))), back),
+        Push(begin_s + back_s, 0.0, 0.0),
+        Push(begin_s + back_s + 0.6, -0.5, 0.25),
+        Push(begin_s + back_s + 3.0, 0.0, 0.5),
+    )
+    return Draft(
+        shows="A wheelchair stands across the pavement, its back to the road, and its user backs up too far.",
+        place=street(pavement, row(pavement), kerb_height_m=float(rng.uniform(0.1, 0.15))),
+        start_m=start_m,
+        heading_deg=heading_deg,
+        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
+        stick=stick,
+        duration_s=begin_s + back_s + 6.0,
+    )
+
+
+def _turning_beside_drop(rng: np.random.Generator) -> Draft:
+    """The chair stands or drives along the kerb, and the user turns it there: forwards over it, or back over it."""
+    pavement = Pavement(width_m=float(rng.uniform(2.0, 3.0)))
+    backs_up = bool(rng.integers(2))
+    start_m = (float(rng.uniform(-20.0, 0.0)), pavement.at(float(rng.uniform(0.5, 0.75))))
+    turns_s = float(rng.uniform(0.4, 1.0))
+    done_s = turns_s + (float(rng.uniform(3.0, 4.0)) if backs_up else float(rng.uniform(1.2, 1.8)))
+    right, forward = (0.5, -0.75) if backs_up else (-0.5, float(rng.choice((0.25, 0.5))))
+    stick = (
+        Push(turns_s, right, forward),
+        Push(done_s, 0.0, 0.0),
+        Push(done_s + 0.6, -right if backs_up else 0.5, 0.0),
+        Push(done_s + 2.0, 0.0, 0.5),
+    )
+    return Draft(
+        shows="A wheelchair stands along a kerb, and its user turns it there, forwards or backing up, over the edge.",
+        place=street(pavement, row(pavement, float(rng.uniform(0.0, 3.0)))),
+        start_m=start_m,
+        heading_deg=90.0 + float(rng.uniform(-6.0, 6.0)),
+        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
+        stick=stick,
+        duration_s=done_s + 5.0,
+    )
+
+
+def _twisted_ramp(rng: np.random.Generator) -> Draft:
+    """A pavement climbs and leans towards the road, and the user's hand pulls to that side."""
+    pavement = Pavement(width_m=float(rng.uniform(1.8, 2.4)))
+    rise, lean = float(rng.uniform(-0.06, 0.06)), float(rng.uniform(0.04, 0.09))
+    start_m = (float(rng.uniform(-15.0, 0.0)), pavement.at(float(rng.uniform(0.9, 1.2))))
+    begin_s, forward = 0.6, float(rng.choice((0.5, 0.75)))
+    pull_s = begin_s + float(rng.uniform(1.0, 2.5))
+    pulls_s = float(rng.uniform(0.8, 1.2))
+    stick = (
+        Push(begin_s, 0.0, forward),
+        Push(pull_s, -0.5, forward),
+        Push(pull_s + pulls_s, 0.0, forward),
+        Push(pull_s + pulls_s + 1.2, 0.5, 0.25),
+        Push(pull_s + pulls_s + 4.0, 0.0, 0.5),
+    )
+    climb_m, walk_y_m, road_y_m = 2.0 * END_M * rise, pavement.at(0.5 * pavement.width_m), KERB_Y_M + 0.5 * LANE_M
+    higher_m = lean * (road_y_m - walk_y_m)
+    return Draft(
+        shows="A pavement climbs and leans towards the road; the wheelchair pulls to that side, where the kerb drops.",
+        place=Place(
+            nodes=(
+                Node("W", -END_M, road_y_m),
+                Node("E", END_M, road_y_m, climb_m),
+                Node("w", -END_M, walk_y_m, higher_m),
+                Node("e", END_M, walk_y_m, climb_m + higher_m),
+            ),
+            types=f"{_ROAD}\n{_WALK.format(pavement.width_m)}",
+            edges=_ROAD_AND_WALK,
+            things=(row(pavement, float(rng.uniform(0.0, 2.0))),),
+        ),
+        start_m=start_m,
+        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
+        stick=stick,
+        duration_s=pull_s + pulls_s + 7.0,
+    )
+
+
+def _footplate_swing(rng: np.random.Generator) -> Draft:
+    """The chair stands along a wall, and the user turns it on the spot: the footplate swings out into the wall."""
+    pavement = Pavement(width_m=float(rng.uniform(2.6, 3.4)))
+    wall_y_m = pavement.at(pavement.width_m - float(rng.uniform(0.2, 0.5)))
+    start_m = (float(rng.uniform(-20.0, 0.0)), wall_y_m + float(rng.uniform(0.45, 0.62)))
+    begin_s, turn_s = float(rng.uniform(0.4, 1.0)), float(rng.uniform(2.0, 3.0))
+    turn = float(rng.choice((0.5, 0.75, 1.0)))
+    stick = (
+        Push(begin_s, turn, 0.0),
+        Push(begin_s + turn_s, 0.0, 0.0),
+        Push(begin_s + turn_s + 0.8, -0.5, 0.0),
+        Push(begin_s + turn_s + 2.2, -0.25, 0.5),
+    )
+    kind = str(rng.choice(["wcsim.wall", "wcsim.hedge", "building", "wcsim.fence"]))
+    near_y_m = wall_y_m if kind != "building" else pavement.outer_y_m
+    if kind == "building":
+        start_m = (start_m[0], start_m[1] + pavement.outer_y_m - 0.1 - wall_y_m)
+    west_m = start_m[0] - float(rng.uniform(2.0, 8.0))
+    return Draft(
+        shows="A wheelchair stands close beside a wall, and its user turns towards it on the spot.",
+        place=street(pavement, house("wall", (west_m, west_m + float(rng.uniform(10.0, 20.0))), near_y_m, kind)),
+        start_m=start_m,
+        heading_deg=90.0 + float(rng.uniform(-4.0, 4.0)),
+        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
+        stick=stick,
+        duration_s=begin_s + turn_s + 6.0,
+    )
+
+
+_DECEL_MPS2 = 3.0
+_BEND_M, _BEND_MPS = 3.4, 3.0  # of the way through the junction, and how fast SUMO takes it
+_KINDS = (("bicycle", 1.8, 0.65, 1.7), ("scooter", 1.2, 0.6, 1.75))
+
+
+def _rider(rng: np.random.Generator, speed_mps: float, align: str, more: str = "") -> tuple[str, float, float]:
+    """A vType "rider", its length and its width."""
+    vclass, length_m, width_m, height_m = _KINDS[int(rng.integers(len(_KINDS)))]
+    text = (
+        f'<vType id="rider" vClass="{vclass}" length="{length_m}" width="{width_m}" height="{height_m}" '
+        f'maxSpeed="{speed_mps:.2f}" speedDev="0" sigma="0" latAlignment="{align}"{more}/>'
+    )
+    return text, length_m, width_m
+
+
+def _overtaking_rider(rng: np.random.Generator) -> Draft:
+    """A rider passes on the left with little room while the chair drifts there."""
+    speed_mps = float(rng.uniform(3.2, 5.0))
+    kind, length_m, width_m = _rider(rng, speed_mps, "left")
+    width = float(rng.uniform(3.0, 3.8))
+    drift_s = float(rng.uniform(3.0, 4.5))
+    steer, push_s = -0.25, float(rng.uniform(0.6, 1.0))
+    forward = float(rng.choice((0.5, 0.75)))
+    stick = (
+        Push(0.3, 0.0, forward),
+        Push(drift_s, steer, forward),
+        Push(drift_s + push_s, 0.0, forward),
+        Push(drift_s + 4.0, -steer, forward),
+        Push(drift_s + 4.0 + 2.0 * push_s, 0.0, forward),
+        Push(drift_s + 8.0, steer, forward),
+        Push(drift_s + 8.0 + push_s, 0.0, forward),
+    )
+    rider_right_m = 0.5 * width - width_m
+    room_m = float(rng.uniform(0.15, 0.35))  # between the two, if the chair kept straight on
+    start_m = (0.0, rider_right_m - room_m - HALF_M)
+    way = way_of(start_m, 90.0, stick, drift_s + 4.0)
+    left_m = way[:, 2] + HALF_M * np.cos(way[:, 3]) + CASTER_M * np.sin(way[:, 3])
+    meets = int(np.argmax(left_m > rider_right_m + 0.04))
+    touch_s, touch_m = float(way[meets, 0]), float(way[meets, 1])
+    # by then the rider's front has come so far along the chair's side
+    begin_m = touch_m - AFT_M + float(rng.uniform(0.25, 0.6)) * (length_m + AFT_M + FORE_M) - speed_mps * touch_s
+    west_m = begin_m - length_m - 5.0
+    routes = (
+        f'{kind}\n<vehicle id="rider" type="rider" depart="0" departPos="{begin_m - west_m:.2f}" departSpeed="max" '
+        'departPosLat="left"><route edges="path"/></vehicle>'
+    )
+    return Draft(
+        shows="A rider passes from behind with little room, and the wheelchair drifts to that side just then.",
+        place=Place(
+            nodes=(Node("W", west_m, 0.0), Node("E", END_M, 0.0)),
+            types=path_types(width),
+            edges='<edge id="path" from="W" to="E" type="shared" spreadType="center"/>',
+        ),
+        routes=routes,
+        start_m=start_m,
+        goal_m=(END_M - 5.0, start_m[1]),
+        stick=stick,
+        duration_s=drift_s + 9.0,
+    )
+
+
+def scooter_cuts_in(rng: np.random.Generator) -> Draft:
+    """A rider passes on a track beside the path, which ends there: it cuts in in front of the chair and slows down."""
+    speed_mps, slow_mps = float(rng.uniform(3.2, 4.5)), float(rng.uniform(0.25, 0.5))
+    kind, length_m, _ = _rider(rng, speed_mps, "center", f' decel="{_DECEL_MPS2}"')
+    width = float(rng.uniform(1.7, 2.2))
+    forward, merge_s = float(rng.choice((0.5, 0.75))), float(rng.uniform(4.5, 7.5))
+    start_m = (0.0, float(rng.uniform(-0.15, 0.15)))
+    stick = (Push(0.3, 0.0, forward),)
+    front_m = float(way_of(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
+    merge_m = front_m + float(rng.uniform(0.8, 1.5)) + length_m  # where the rider's front is when it has cut in
+    begin_m = merge_m - _cut_in_m(speed_mps, slow_mps, merge_s)
+    west_m, track_m = min(begin_m, 0.0) - length_m - 5.0, 0.5 * width + 0.6
+    bend = f"{west_m:.2f},{track_m:.2f} {merge_m - 3.3:.2f},{track_m:.2f}"
+    edges = f"""\
+<edge id="path" from="W" to="M" type="shared" spreadType="center"/>
+<edge id="track" from="V" to="M" type="track" spreadType="center" shape="{bend}"/>
+<edge id="slow" from="M" to="E" type="shared" speed="{slow_mps:.2f}" spreadType="center"/>"""
+    routes = (
+        f'{kind}\n<vehicle id="rider" type="rider" depart="0" departPos="{begin_m - west_m:.2f}" departSpeed="max">'
+        '<route edges="track slow"/></vehicle>'
+    )
+    return Draft(
+        shows="A rider passes, cuts in closely in front of the wheelchair and slows down.",
+        place=Place(
+            nodes=(
+                Node("W", west_m, 0.0),
+                Node("V", west_m, track_m),
+                Node("M", merge_m + 0.25, 0.0),
+                Node("E", merge_m + END_M, 0.0),
+            ),
+            types=f"{path_types(width)}\n{path_types(1.2, 'track', 3)}",
+            edges=edges,
+        ),
+        routes=routes,
+        start_m=start_m,
+        goal_m=(merge_m + END_M - 5.0, start_m[1]),
+        stick=stick,
+        duration_s=merge_s + 8.0,
+    )
+
+
+def _cut_in_m(speed_mps: float, slow_mps: float, until_s: float) -> float:
+    """How far a rider gets who brakes for the bend of the junction in between, and again to `slow_mps` at its end."""
+    bend_mps = min(speed_mps, _BEND_MPS)
+    before_s = (speed_mps - bend_mps) / _DECEL_MPS2
+    before_m = 0.5 * (speed_mps + bend_mps) * before_s
+    last_s = (bend_mps - slow_mps) / _DECEL_MPS2
+    last_m = 0.5 * (bend_mps + slow_mps) * last_s
+    cruise_m = max(0.0, _BEND_M - last_m)
+    straight_s = until_s - before_s - last_s - cruise_m / bend_mps
+    return straight_s * speed_mps + before_m + cruise_m + last_m
+
+
+_DOOR_M = 0.9
+_STOPS_S, _BRAKE_MPS2 = 0.45, 1.5  # from seeing to braking, with the drive's ramp; and how hard
+_ARM_M = 40.0
+_CORNER_M = 2.0  # before the middle of the junction, along its way, a bus that turns comes to the line of the pavement
+
+
+def _car_door(rng: np.random.Generator) -> Draft:
+    """The door of a parked car opens over the pavement, right in front of the chair."""
+    pavement = Pavement(width_m=float(rng.uniform(2.0, 2.8)))
+    start_m = (-20.0, pavement.at(float(rng.uniform(0.65, 0.9))))
+    stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
+    open_s = float(rng.uniform(4.0, 7.0))
+    way = way_of(start_m, 90.0, stick, open_s)
+    speed_mps = (way[-1, 1] - way[-3, 1]) / (way[-1, 0] - way[-3, 0])
+    room_m = _STOPS_S * speed_mps + 0.5 * speed_mps**2 / _BRAKE_MPS2 + rng.uniform(0.05, 0.45)
+    door_m = float(way[-1, 1] + FORE_M + room_m) + END_M
+    routes = f"""\
+<vType id="car" vClass="passenger" length="4.5" width="1.8" height="1.5" latAlignment="right" minGap="0.5"/>
+<vType id="door" vClass="ignoring" length="0.1" width="{_DOOR_M}" height="1.3" latAlignment="left"/>
+{_standing("parked", "car", 0.0, 1, "right", (door_m - 3.0, door_m + 2.0))}
+{_standing("door", "door", open_s, 0, "left", (door_m - 0.1, door_m))}"""
+    return Draft(
+        shows="The door of a parked car opens over the pavement in front of a wheelchair.",
+        routes=routes,
+        place=street(pavement, row(pavement)),
+        start_m=start_m,
+        goal_m=(45.0, start_m[1]),
+        stick=stick,
+        duration_s=open_s + 8.0,
+    )
+
+
+def _standing(name: str, kind: str, from_s: float, lane: int, side: str, span_m: XY) -> str:
+    """A vehicle that stands at one side of a lane of the street from a second on."""
+    return (
+        f'<vehicle id="{name}" type="{kind}" depart="{from_s:.1f}" departPos="{span_m[1]:.2f}" departLane="{lane}" '
+        f'departSpeed="0" departPosLat="{side}"><route edges="WE"/><stop lane="WE_{lane}" '
+        f'startPos="{span_m[0]:.2f}" endPos="{span_m[1]:.2f}" duration="100"/></vehicle>'
+    )
+
+
+def _bus_at_corner(rng: np.random.Generator) -> Draft:
+    """The chair waits at a corner, and rolls on just when a bus turns round it."""
+    pavement = Pavement(width_m=float(rng.uniform(2.2, 3.0)))
+    length_m, speed_mps = float(rng.uniform(10.0, 12.0)), float(rng.uniform(4.0, 5.2))
+    swept_x_m = _swept_x_m(length_m, pavement.width_m)
+    start_m = (swept_x_m - FORE_M - float(rng.uniform(0.4, 1.2)), pavement.at(0.5 * pavement.width_m))
+    push_s = float(rng.uniform(1.0, 5.0))
+    stick = (Push(push_s, 0.0, float(rng.choice((0.5, 0.75)))),)
+    way = way_of(start_m, 90.0, stick, push_s + 10.0)
+    enters_s = float(way[int(np.argmax(way[:, 1] + FORE_M > swept_x_m)), 0])
+    begin_m = _ARM_M - _CORNER_M - speed_mps * (enters_s - float(rng.uniform(0.6, 1.3)))
+    west_m = min(0.0, begin_m - length_m - 5.0) - _ARM_M
+    begin_m -= west_m + _ARM_M
+    routes = (
+        f'<vType id="bus" vClass="bus" length="{length_m:.1f}" width="2.55" height="3.2" speedDev="0" sigma="0" '
+        f'maxSpeed="{speed_mps:.2f}"/>\n<vehicle id="bus" type="bus" depart="0" departPos="{begin_m:.2f}" '
+        'departSpeed="max"><route edges="WC CS"/></vehicle>'
+    )
+    return Draft(
+        shows="A bus comes from behind and turns round the corner from which a wheelchair rolls onto the crossing.",
+        place=_junction(pavement, west_m),
+        routes=routes,
+        start_m=start_m,
+        goal_m=(35.0, start_m[1]),
+        stick=stick,
+        duration_s=enters_s + 9.0,
+    )
+
+
+def _junction(pavement: Pavement, west_m: float) -> Place:
+    """Two streets that cross, with a crossing for walkers over each arm."""
+    arms = (("W", west_m, 0.0), ("E", 45.0, 0.0), ("N", 0.0, 45.0), ("S", 0.0, -45.0))
+    edges = [
+        f'<edge id="{arm}C" from="{arm}" to="C" type="{kind}"/>\n<edge id="C{arm}" from="C" to="{arm}" type="{kind}"/>'
+        for (arm, _, _), kind in zip(arms, ("street", "street", "side", "side"), strict=True)
+    ]
+    crossings = [f'<crossing node="C" edges="{arm}C C{arm}" priority="true" width="4"/>' for arm, _, _ in arms]
+    side = pavement.types().replace('"street"', '"side"').replace('priority="3"', 'priority="1"')
+    return Place(
+        nodes=(*(Node(*arm) for arm in arms), Node("C", 0.0, 0.0)),
+        types=f"{pavement.types()}\n{side}",
+        edges="\n".join(edges),
+        crossings="\n".join(crossings),
+        things=(house("row", (-45.0, -9.0), pavement.outer_y_m),),
+    )
+
+
+def _swept_x_m(length_m: float, width_m: float) -> float:
+    """How far west the flank of a bus comes that turns right here, over a corner of pavements so wide: as measured."""
+    return -4.67 - 0.38 * (length_m - 10.0) + 0.35 * (width_m - 2.2)
+
+
+def _oncoming_pair(rng: np.random.Generator) -> Draft:
+    """Two people abreast come towards the chair, and fill the pavement with it."""
+    pavement = Pavement(width_m=float(rng.uniform(1.7, 2.1)))
+    start_m = (-20.0, pavement.at(0.5 * pavement.width_m + float(rng.uniform(-0.1, 0.1))))
+    stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
+    pace_mps, meet_s = float(rng.uniform(0.9, 1.4)), float(rng.uniform(4.0, 7.0))
+    meet_m = float(way_of(start_m, 90.0, stick, meet_s)[-1, 1]) + FORE_M
+    begin_m = meet_m + pace_mps * meet_s + END_M
+    people = "\n".join(
+        f'<person id="{name}" type="walker" depart="0" departPos="{begin_m + back_m:.2f}">'
+        f'<walk edges="WE" arrivalPos="2" departPosLat="{left_m}"/></person>'
+        for name, back_m, left_m in (("left", 0.0, 0.4), ("right", float(rng.uniform(0.0, 0.5)), -0.4))
+    )
+    return Draft(
+        shows="Two people walk abreast towards a wheelchair on a pavement that is too narrow for the three.",
+        routes=f"{WALKER.format(pace_mps)}\n{people}",
+        place=street(pavement, row(pavement)),
+        start_m=start_m,
+        goal_m=(45.0, start_m[1]),
+        stick=stick,
+        duration_s=meet_s + 8.0,
+        attention_share=1.0,
+    )
+
+
+def _person_turns_round(rng: np.random.Generator) -> Draft:
+    """Somebody walks in front of the chair and turns round, or stops dead."""
+    pavement = Pavement(width_m=float(rng.uniform(1.35, 1.6)))
+    start_m = (-20.0, pavement.at(0.5 * pavement.width_m + float(rng.uniform(-0.1, 0.1))))
+    stick = (Push(0.4, 0.0, 0.75),)
+    pace_mps, turn_s = float(rng.uniform(0.6, 0.9)), float(rng.uniform(4.0, 7.0))
+    chair_m = float(way_of(start_m, 90.0, stick, turn_s)[-1, 1]) + FORE_M
+    turn_m = chair_m + float(rng.uniform(0.5, 0.9)) + END_M
+    begin_m = turn_m - 0.95 * pace_mps * turn_s
+    stop = f'<stop lane="WE_0" startPos="{turn_m - 0.2:.2f}" endPos="{turn_m + 0.2:.2f}" duration="6"/>'
+    after = '<walk edges="WE" arrivalPos="2"/>' if rng.random() < 0.6 else f'{stop}<walk edges="WE"/>'
+    person = (
+        f'<person id="walker" type="walker" depart="0" departPos="{begin_m:.2f}">'
+        f'<walk edges="WE" arrivalPos="{turn_m:.2f}"/>{after}</person>'
+    )
+    return Draft(
+        shows="Somebody walks in front of a wheelchair on a narrow pavement and turns round, or stops dead.",
+        routes=f"{WALKER.format(pace_mps)}\n{person}",
+        place=street(pavement, row(pavement)),
+        start_m=start_m,
+        goal_m=(45.0, start_m[1]),
+        stick=stick,
+        duration_s=turn_s + 8.0,
+        attention_share=1.0,
+    )
+
 
 _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
     {
-        "bus-at-corner": bus_at_corner,
-        "car-door": car_door,
-        "footplate-swing": footplate_swing,
-        "oncoming-pair": oncoming_pair,
-        "overtaking-rider": overtaking_rider,
-        "person-turns-round": person_turns_round,
-        "reversing-off-kerb": reversing_off_kerb,
+        "bus-at-corner": _bus_at_corner,
+        "car-door": _car_door,
+        "footplate-swing": _footplate_swing,
+        "oncoming-pair": _oncoming_pair,
+        "overtaking-rider": _overtaking_rider,
+        "person-turns-round": _person_turns_round,
+        "reversing-off-kerb": _reversing_off_kerb,
         "scooter-cuts-in": scooter_cuts_in,
-        "turning-beside-drop": turning_beside_drop,
-        "twisted-ramp": twisted_ramp,
+        "turning-beside-drop": _turning_beside_drop,
+        "twisted-ramp": _twisted_ramp,
     }
 )
 FAMILIES: tuple[str, ...] = tuple(_DRAWN)

@@ -32,14 +32,14 @@ def round_sections(runs: Runs) -> list[tuple[Section, Sequence[Exhibit]]]:
         return []
     drawn = [
         _figure(runs, "round-loss", "loss", _LOSS_SAYS, lambda rounds: [each.loss for each in rounds]),
-        _figure(runs, "round-crashes", "crashes per 1,000 steps", _CRASH_SAYS, crash_rates),
+        _figure(runs, "round-crashes", "crashes per 1,000 steps", _CRASH_SAYS, _crash_rates),
     ]
     rows = _table(runs)
     body = el("div", el("div", *map(shown, drawn), class_="charts"), shown(rows))
     return [(Section(name="rounds", title="Rounds of driving and learning", body=body), (*drawn, rows))]
 
 
-def crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
+def _crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
     """Crashes per 1,000 steps that each round added; NaN where it added none."""
     return [_THOUSAND * each.crashes / each.new_steps if each.new_steps else math.nan for each in rounds]
 
@@ -51,7 +51,7 @@ def told_of(rounds: Sequence[TrainedRound]) -> str:
     >>> told_of((TrainedRound(tight_share=0.2, crashes=4, **at),))
     '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
     """
-    last, rate = rounds[-1], crash_rates(rounds)[-1]
+    last, rate = rounds[-1], _crash_rates(rounds)[-1]
     told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
     return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
 
@@ -80,7 +80,7 @@ def _table(runs: Runs) -> Exhibit:
             _number(rate, 1), each.updates, _number(each.loss, 3), round(each.wait_s), round(each.learn_s),
         ]
         for run, rounds in runs.items()
-        for each, rate in zip(rounds, crash_rates(rounds), strict=True)
+        for each, rate in zip(rounds, _crash_rates(rounds), strict=True)
     ]  # fmt: skip
     return Exhibit(
         name="rounds",
