@@ -1,4 +1,4 @@
-"""Measures a scene while it runs: how the chairs moved; `scene_others` and `scene_way` see what was around them.
+"""Measures a scene while it runs: how the chairs moved, over what, and among whom.
 
 What a scene's chairs drive over: how narrow the pavement was, and what the light showed as they began to cross.
 

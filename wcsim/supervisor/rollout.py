@@ -1,7 +1,7 @@
 """The oracle's kernel: where a chair goes when a command is held for half a second and then the stick let go.
 
 Plain arrays in and out, compiled by numba. The chair is kinematic, with the drive's limits of speed, acceleration, jerk
-and turn rate; the street is the raster of `StreetGrid`; others drive straight on, but for people (`people.py`).
+and turn rate; the street is the raster of `StreetGrid`; others drive straight on, but for people.
 
 People on foot as the oracle reckons with them: plain arrays in and out, compiled by numba.
 

@@ -4,8 +4,8 @@ On top of SB3's DQN: double-Q targets, n-step returns from `FrameReplay`, scaled
 gradient step, the supervised large-margin loss of DQfD (Hester et al. 2018) that makes the first phase supervised,
 advice from the truth in the second (`aid`, beyond the paper), exploration near the user's joystick, and random draws
 from a generator of its own. `learn`, callbacks, logger, `save`, `load` and `EvalCallback` are SB3's. A network that
-carries a state (`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row
-(`learning/seqdqn.py`); any other one learns from steps drawn one by one, each with its window.
+carries a state (`NetSpec.stateful`) does so from tick to tick of an episode, and learns from groups of steps in a row;
+any other one learns from steps drawn one by one, each with its window.
 
 Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
 
