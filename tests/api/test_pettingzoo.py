@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -198,3 +200,20 @@ def test_each_agent_has_reward_terms_of_its_own(made):
 def test_a_number_of_chairs_that_cannot_be_is_refused(chairs):
     with pytest.raises(ConfigError, match="1 to 64"):
         wcsim.parallel_env(chairs=chairs)
+
+
+WITHOUT_PETTINGZOO = """
+import sys
+sys.modules["pettingzoo"] = None
+import wcsim
+from wcsim.errors import ConfigError
+try:
+    wcsim.parallel_env
+except ConfigError as error:
+    print(error)
+"""
+
+
+def test_where_pettingzoo_is_missing_it_is_told_what_to_type():
+    found = subprocess.run([sys.executable, "-c", WITHOUT_PETTINGZOO], capture_output=True, text=True, timeout=120)
+    assert "pip install 'wcsim[pettingzoo]'" in found.stdout, found.stderr

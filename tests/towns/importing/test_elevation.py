@@ -20,6 +20,7 @@ from wcsim.towns.importing.elevation import (
     smoothed,
     write_dem,
 )
+from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.importing.lift import lift_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
@@ -169,3 +170,11 @@ def test_a_net_without_a_place_cannot_be_lifted(corner_town: Town, tmp_path: Pat
     assert dem is not None
     with pytest.raises(TownError, match="no geographic projection"):
         lift_net(path, dem, Heights(hill_m=5.0))
+
+
+def test_where_rasterio_is_missing_it_is_told_before_a_town_is_built(monkeypatch, tmp_path):
+    monkeypatch.setattr("wcsim.towns.importing.elevation.find_spec", lambda name: None)
+    hill = Heights(hill_m=20.0)
+    order = ImportOrder(osm=tmp_path / "none.osm", name="x", split="test", out=tmp_path / "x", relief=hill)
+    with pytest.raises(TownError, match=r"pip install 'wcsim\[dem\]'"):
+        import_town(order)

@@ -9,9 +9,8 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from pathlib import Path
 from typing import Final
-
-import psutil  # type: ignore[import-untyped]
 
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
@@ -21,7 +20,8 @@ SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begin
 
 def _rss_mb() -> float:
     """Memory of this process, in MB of 2**20 bytes."""
-    return float(psutil.Process().memory_info().rss) / 2**20
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 class ProcessGrownError(InterruptedRunError):

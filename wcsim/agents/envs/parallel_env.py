@@ -12,14 +12,20 @@ from typing import Any, Unpack
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from pettingzoo import ParallelEnv
 
 from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep, Info
 from wcsim.agents.envs.episode_views import Chairs
 from wcsim.core import seeding
-from wcsim.errors import ProtocolError
+from wcsim.errors import ConfigError, ProtocolError
 from wcsim.supervisor.observation import Observation
+
+try:
+    from pettingzoo import ParallelEnv
+except ModuleNotFoundError:
+    raise ConfigError(
+        "wcsim.parallel_env needs PettingZoo, which is not installed: pip install 'wcsim[pettingzoo]'"
+    ) from None
 
 
 class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]  # PettingZoo has no types

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -127,6 +128,12 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
         field += high * np.exp(-((row - y) ** 2 + (col - x) ** 2) / (2.0 * wide**2))
     field -= field.min()
     return np.asarray(height_m * field / field.max())
+
+
+def require_rasterio() -> None:
+    """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
+    if find_spec("rasterio") is None:
+        raise TownError("--dem and --hill need rasterio, which is not installed: pip install 'wcsim[dem]'")
 
 
 @contextmanager

@@ -19,7 +19,7 @@ import numpy as np
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
-from wcsim.towns.importing.elevation import Heights, make_dem, write_dem
+from wcsim.towns.importing.elevation import Heights, make_dem, require_rasterio, write_dem
 from wcsim.towns.importing.folder_texts import license_text, sumocfg_text, town_toml_text
 from wcsim.towns.importing.jam_trial import write_tried
 from wcsim.towns.importing.lift import lift_net
@@ -225,6 +225,8 @@ def _check(order: ImportOrder) -> None:
     check_rates(order.per_hour)
     if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
         raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
+    if order.relief.dem is not None or order.relief.hill_m:
+        require_rasterio()
     check_place(order.out, overwrite=order.overwrite)
 
 
