@@ -11,7 +11,6 @@ import pytest
 
 from tests.bridge.sumo.grid_town import make_grid_town
 from tests.support.worlds import follow, open_world
-from wcsim.bridge import tile_loader
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
@@ -58,8 +57,8 @@ def test_a_chair_is_placed_once_and_on_a_street_that_is_there(tmp_path, monkeypa
 
 
 def test_a_tile_that_nobody_is_near_leaves_the_engine_and_comes_back(tmp_path, monkeypatch):
-    monkeypatch.setattr(tile_loader, "MOST_TILES", 1)
-    monkeypatch.setattr(tile_loader, "ENGINE_KEEP_M", 40.0)
+    monkeypatch.setattr("wcsim.bridge.world.MOST_TILES", 1)
+    monkeypatch.setattr("wcsim.bridge.world.ENGINE_KEEP_M", 40.0)
     town = make_grid_town(tmp_path / "big", blocks=4, vehicles=20, people=20)
     seen = []
     for _ in range(2):

@@ -8,8 +8,7 @@ from tests.physics.rig import flat_street, mesh, rig, step_street
 from tests.support.samples import KERB_M, strip_street
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics import collision_mesh
-from wcsim.physics.engine import Engine, Role
+from wcsim.physics.engine import Engine, Role, _tidy, split
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ClassId
 
@@ -32,13 +31,13 @@ def test_a_closed_engine_leaves_nothing_behind():
 
 
 def test_a_mesh_over_the_limits_is_cut_into_few_pieces(monkeypatch):
-    monkeypatch.setattr(collision_mesh, "MAX_FACES", 100)
+    monkeypatch.setattr("wcsim.physics.engine.MAX_FACES", 100)
     count = 260
     xs = np.arange(count + 1, dtype=float)
     vertices = np.concatenate([np.c_[xs, 0 * xs, 0 * xs], np.c_[xs, 0 * xs + 1, 0 * xs]])
     k = np.arange(count)
     faces = np.concatenate([np.c_[k, k + 1, k + count + 1], np.c_[k + 1, k + count + 2, k + count + 1]])
-    parts = list(collision_mesh.split(collision_mesh.tidy(vertices, faces)))
+    parts = list(split(_tidy(vertices, faces)))
     assert len(parts) == 8 and max(len(part.faces) for part in parts) <= 100
     assert sum(len(part.faces) for part in parts) == 2 * count
     sides = [np.diff(part.vertices_m[part.faces], axis=1) for part in parts]
@@ -47,7 +46,7 @@ def test_a_mesh_over_the_limits_is_cut_into_few_pieces(monkeypatch):
 
 def test_seams_are_welded_and_slivers_go():
     corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1.00001, 0, 0], [1, 1, 0], [0, 1.00002, 0], [2, 0, 0]]
-    tidy = collision_mesh.tidy(np.array(corners, float), np.array([[0, 1, 2], [3, 4, 5], [0, 3, 6]]))
+    tidy = _tidy(np.array(corners, float), np.array([[0, 1, 2], [3, 4, 5], [0, 3, 6]]))
     assert len(tidy.faces) == 2  # the third has no height
     assert len(tidy.vertices_m) == 4
 

@@ -110,7 +110,7 @@ def _chair_box(client: ClientSnapshot, outline: Outline) -> Box:
 def _box_gap_m(a: Box, b: Box) -> float:
     """Smallest distance between two boxes, 0 when they overlap.
 
-    >>> box_gap_m((0.0, 0.0, 1.0, 0.0, 1.0, 0.5), (3.0, 0.0, 0.0, 1.0, 1.0, 0.5))
+    >>> _box_gap_m((0.0, 0.0, 1.0, 0.0, 1.0, 0.5), (3.0, 0.0, 0.0, 1.0, 1.0, 0.5))
     1.5
     """
     if boxes_touch(*a, *b):

@@ -2,7 +2,7 @@
 
 A command is dangerous when holding it for 0.5 s and then letting the stick go (the chair brakes at its comfortable
 rate) would touch something, drop off or bump into a kerb, or tip; others are taken to go on as they do. So is one that
-lets the chair run into somebody on foot who does otherwise, although the stick is let go after a tick (`people.py`).
+lets the chair run into somebody on foot who does otherwise, although the stick is let go after a tick (`rollout.py`).
 Everything else is free. Where commands reach the chair late, those that still wait are driven first.
 """
 

@@ -16,13 +16,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.core.constants import GRAVITY_MPS2, KERB_STEP_CM
 from wcsim.core.frames import rad
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import ACCEL, DECEL, JERK, V_MAX, YAW_ACCEL, YAW_MAX, driven
-from wcsim.types import F64, U8
+from wcsim.types import F64, I64, U8
 
 MARGIN_M = 0.05
 STEP_ASIDE_MPS = 0.8  # as the street's people do (`bridge/reaction/pedestrians.py`)
@@ -143,8 +142,6 @@ def _meets(
     away = (vx * cos + vy * sin) * out_x + (vy * cos - vx * sin) * out_y
     return bool(own > max(HARDLY_MPS * math.sqrt(gap2), away))
 
-
-I64 = npt.NDArray[np.int64]
 
 HOLD_S = 0.5
 STEP_S = 0.05

@@ -15,6 +15,7 @@ from wcsim.types.actors import chair_actor_id as chair_actor_id
 from wcsim.types.arrays import F32 as F32
 from wcsim.types.arrays import F64 as F64
 from wcsim.types.arrays import I32 as I32
+from wcsim.types.arrays import I64 as I64
 from wcsim.types.arrays import U8 as U8
 from wcsim.types.arrays import Bool as Bool
 from wcsim.types.arrays import ComparesArrays as ComparesArrays

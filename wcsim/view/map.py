@@ -139,7 +139,7 @@ def draw_scale(image: U8, px_per_m: float) -> None:
 def _oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) -> F64:
     """Ground corners (4, 3) of a box about p: front left, front right, rear right, rear left.
 
-    >>> oriented_box(np.zeros(3), 0.0, (4.0, 2.0))[:, :2].tolist()
+    >>> _oriented_box(np.zeros(3), 0.0, (4.0, 2.0))[:, :2].tolist()
     [[2.0, 1.0], [2.0, -1.0], [-2.0, -1.0], [-2.0, 1.0]]
     """
     half_length, half_width = 0.5 * size_lw_m[0], 0.5 * size_lw_m[1]

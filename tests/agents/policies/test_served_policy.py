@@ -89,7 +89,7 @@ def answering(*answers: bytes, late_s: float = 0.0, byte_s: float = 0.0, asked: 
 HELLO = json.dumps({"name": "x", "version": "1"}).encode()
 
 
-def test_a_suite_that_asks_for_the_version_names_the_actions_too() -> None:
+def test_a_suite_that_asks_for_the_version_names_the_actions_too():
     """A process may look up the one for the stick at rest when it hears hello."""
     asked: list[bytes] = []
     assert identity_of(answering(HELLO, asked=asked), "quick") == ["served", "x 1", "quick"]
@@ -120,7 +120,7 @@ def test_a_wrong_answer_or_none_is_told(answer: bytes | None, said: str) -> None
     policy.close()
 
 
-def test_nobody_there_and_no_address() -> None:
+def test_nobody_there_and_no_address():
     with pytest.raises(PolicyError, match="no policy is served"):
         ServedPolicy(f"tcp:{free_port()}", POINTS)
     for wrong in ("tcp:", "tcp:x", "tcp:70000", "tcp:host:0"):
@@ -128,7 +128,7 @@ def test_nobody_there_and_no_address() -> None:
             ServedPolicy(wrong, POINTS)
 
 
-def test_an_answer_may_take_longer_than_a_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_may_take_longer_than_a_connection(monkeypatch):
     monkeypatch.setattr("wcsim.agents.policies.served_policy._PATIENCE_S", 0.3)
     policy = ServedPolicy(answering(HELLO, b"{}", late_s=0.6), POINTS)
     policy.reset()
@@ -151,7 +151,7 @@ def test_who_says_hello_so_is_refused_in_a_line(hello: bytes) -> None:
     assert str(told.value).isprintable() and len(str(told.value)) < 500
 
 
-def test_an_answer_that_drips_is_ended_and_no_later_one_is_taken_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_that_drips_is_ended_and_no_later_one_is_taken_for_it(monkeypatch):
     act = b'{"action": 1}' + 100 * b" "
     policy = ServedPolicy(answering(HELLO, act, act, byte_s=0.01), POINTS)
     monkeypatch.setattr(served_policy, "ANSWER_S", 0.3)

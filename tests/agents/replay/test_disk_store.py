@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill
-from wcsim.agents.replay import disk_store, segment_files
+from wcsim.agents.replay import disk_store
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.disk_store import RECORD, STORE_JSON, DiskFrames, blobs_path, index_path, segments_in
 from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
@@ -45,8 +45,7 @@ def same(frames, numbers):
 @pytest.fixture
 def short(monkeypatch):
     """Segments of eight frames."""
-    for module in (segment_files, disk_store):
-        monkeypatch.setattr(module, "SEGMENT_BLOBS", 8)
+    monkeypatch.setattr(disk_store, "SEGMENT_BLOBS", 8)
 
 
 def test_what_is_read_is_what_was_written_also_when_it_is_opened_again(short, tmp_path):
@@ -78,7 +77,7 @@ def test_the_oldest_segments_files_go_and_a_checkpoint_can_hold_them(short, tmp_
 
 
 def test_more_frames_than_any_limit_of_open_files_and_no_more_memory(short, monkeypatch, tmp_path):
-    monkeypatch.setattr(segment_files, "_MOST_OPEN", 4)
+    monkeypatch.setattr(disk_store, "_MOST_OPEN", 4)
     with store(tmp_path, steps=200) as frames:
         held = frames.index_bytes
         write(frames, 400)
@@ -258,17 +257,17 @@ def test_two_at_a_time_are_refused(tmp_path):
 def test_a_full_disk_leaves_what_was_written(tmp_path, monkeypatch):
     with store(tmp_path) as frames:
         write(frames, 3)
-        real, calls = segment_files._write, []
+        real, calls = disk_store._write, []
 
         def torn(descriptor, data):
             calls.append(len(data))
             real(descriptor, data[: len(data) // 2])
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(segment_files, "_write", torn)
+        monkeypatch.setattr(disk_store, "_write", torn)
         with pytest.raises(DiskFullError, match="No space left"):
             write(frames, 1, 3)
-        monkeypatch.setattr(segment_files, "_write", real)
+        monkeypatch.setattr(disk_store, "_write", real)
         assert calls
         write(frames, 3, 3)
         assert all(same(frames, range(6)))

@@ -81,11 +81,11 @@ def guarded(rule: GuardRule, state: GuardState, tick: GuardTick) -> GuardState:
     good = 0 if fault else state.good + 1
     tripped = bool(fault) or (state.tripped and good < rule.good_ticks)
     if tripped or tick.wanted is None:
-        return GuardState(stick=ramped(rule, state.stick), good=good, tripped=True, fault=fault)
+        return GuardState(stick=_ramped(rule, state.stick), good=good, tripped=True, fault=fault)
     return GuardState(stick=tick.wanted, good=good)
 
 
-def ramped(rule: GuardRule, stick: Stick) -> Stick:
+def _ramped(rule: GuardRule, stick: Stick) -> Stick:
     """A command one tick nearer to zero."""
     length = math.hypot(*stick)
     share = max(0.0, 1.0 - LONGEST * rule.tick_s / rule.stop_s / max(length, 1e-9))

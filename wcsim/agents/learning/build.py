@@ -24,7 +24,7 @@ LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut
 class _FadingRate:
     """A learning rate that falls linearly to zero over the last share of a run, so that the last policy is settled.
 
-    >>> [FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
+    >>> [_FadingRate(rate=1.0, fade=0.5)(left) for left in (1.0, 0.5, 0.25, 0.0)]
     [1.0, 1.0, 0.5, 0.0]
     """
 

@@ -43,7 +43,7 @@ from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
 from wcsim.agents.replay.window_store import OpenStore, WindowStore
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
-from wcsim.types import F32, U8, Bool
+from wcsim.types import F32, I64, U8, Bool
 
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
 
@@ -135,9 +135,6 @@ def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt
         out[key] = by_frame[:, :, start:stop].reshape(len(rows), *shape)
         start = stop
     return out
-
-
-I64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

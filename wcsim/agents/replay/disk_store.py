@@ -34,7 +34,7 @@ from wcsim.agents.replay.blob import BlobCodec
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_json, shown
 from wcsim.errors import DiskFullError, PolicyError
-from wcsim.types import U8, Bool
+from wcsim.types import I64, U8, Bool
 
 SEGMENT_BLOBS: Final = 4096
 RECORD: Final = np.dtype([("number", "<u8"), ("offset", "<u8"), ("length", "<u4"), ("crc", "<u4"), ("seal", "<u4")])
@@ -202,8 +202,6 @@ def _write(descriptor: int, data: bytes) -> None:
 STORE_JSON: Final = "store.json"
 VERSION: Final = 1
 _KIND = FileKind(what="the description of a replay on disk", limit_bytes=1 << 16, error=PolicyError)
-
-I64 = npt.NDArray[np.int64]
 
 
 class DiskFrames:

@@ -8,16 +8,14 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 import zstandard
 
 from wcsim.agents.replay.blob import LEVEL, BlobCodec
-from wcsim.types import U8
+from wcsim.types import I64, U8
 
 _PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
 _CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
-I64 = npt.NDArray[np.int64]
 Folded = U8 | bytes
 
 

@@ -19,12 +19,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from wcsim.types import F32, Bool
+from wcsim.types import F32, I64, Bool
 
 if TYPE_CHECKING:
     from wcsim.agents.replay.buffer import FrameReplay
 
-I64 = npt.NDArray[np.int64]
 Tensors = dict[str, torch.Tensor]
 
 

@@ -14,9 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from wcsim.types import U8, Bool
-
-I64 = npt.NDArray[np.int64]
+from wcsim.types import I64, U8, Bool
 
 
 class AdviceBatch(NamedTuple):

@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.replay.frame_store import FrameStore, frame_store
-from wcsim.types import U8, Bool
+from wcsim.types import I64, U8, Bool
 
-I64 = npt.NDArray[np.int64]
 OpenStore = Callable[[int, int, int], FrameStore]
 
 

@@ -121,7 +121,7 @@ class SegmentCrew:
 def _work_key(key: SegmentKey) -> str:
     """What a segment is called wherever something is said of it.
 
-    >>> work_key(SegmentKey(run=3, round=0, index=12))
+    >>> _work_key(SegmentKey(run=3, round=0, index=12))
     '3-000-0012'
     """
     return f"{key.run}-{key.round:03d}-{key.index:04d}"

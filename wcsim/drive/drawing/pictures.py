@@ -249,7 +249,7 @@ class DrivePictures:
 def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
     r"""One message: a number, then for each picture (H, W, 3) a letter, the length of its JPEG, and that.
 
-    >>> packed(7, [])
+    >>> _packed(7, [])
     b'\x07\x00\x00\x00'
     """
     message = bytearray(_HEAD.pack(number))

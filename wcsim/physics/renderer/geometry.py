@@ -24,9 +24,8 @@ from wcsim.physics.renderer.models.paint import (
     TRUNK_RGB,
     class_paint_table,
 )
-from wcsim.types import F32, F64, I32, U8, Bool, ClassId, GroundPaint, StreetMesh
+from wcsim.types import F32, F64, I32, I64, U8, Bool, ClassId, GroundPaint, StreetMesh
 
-I64 = npt.NDArray[np.int64]
 U32 = npt.NDArray[np.uint32]
 
 WELD_M = 0.02

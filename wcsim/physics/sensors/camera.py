@@ -101,7 +101,7 @@ def _class_noise(classes: ClassNoiseConfig) -> ClassNoise:
 def _sigma_of(snr_db: float) -> float:
     """Standard deviation of a colour, in steps of 255, at a signal-to-noise ratio of full scale.
 
-    >>> round(sigma_of(40.0), 3)
+    >>> round(_sigma_of(40.0), 3)
     2.55
     """
     return float(FULL_SCALE * 10.0 ** (-snr_db / 20.0))

@@ -213,7 +213,7 @@ class Crew:
 def _machine_of(worker: str) -> str:
     """The machine of a worker, as ADDRESS of ADDRESS/NUMBER; "" for a process of this one.
 
-    >>> machine_of("10.0.0.2/3"), machine_of("process 1")
+    >>> _machine_of("10.0.0.2/3"), _machine_of("process 1")
     ('10.0.0.2', '')
     """
     return worker.rpartition("/")[0]

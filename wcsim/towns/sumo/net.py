@@ -215,7 +215,7 @@ def _permissions(element: Element) -> tuple[frozenset[str] | None, frozenset[str
 def _lane_kind(function: str, allow: frozenset[str] | None) -> LaneKind:
     """What a lane is, from its edge's function and the classes it allows (None: all but a few).
 
-    >>> lane_kind("normal", frozenset({"pedestrian", "bicycle"})).value
+    >>> _lane_kind("normal", frozenset({"pedestrian", "bicycle"})).value
     'shared'
     """
     if function == "crossing":

@@ -9,15 +9,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.policies.dynamic_window.arcs import LONGEST_S, STEP_S, advance, arcs
 from wcsim.agents.policies.dynamic_window.street_memory import is_known
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
 from wcsim.core.jit import exact_kernel
-from wcsim.types import F64, Bool
-
-I64 = npt.NDArray[np.int64]
+from wcsim.types import F64, I64, Bool
 
 
 @exact_kernel

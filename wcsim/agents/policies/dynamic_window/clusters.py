@@ -6,12 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.core.jit import exact_kernel
-from wcsim.types import F32, F64, U8, Bool, ClassId
-
-I64 = npt.NDArray[np.int64]
+from wcsim.types import F32, F64, I64, U8, Bool, ClassId
 
 CELL_M = 0.2
 AHEAD_M, ASIDE_M = 12.0, 8.0  # how far movers are looked for

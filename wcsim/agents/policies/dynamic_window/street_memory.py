@@ -10,13 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.policies.elevation_map import CELL_M, COLUMNS, REACH_M, ROWS
 from wcsim.core.jit import exact_kernel
-from wcsim.types import F32, F64, Bool
-
-I64 = npt.NDArray[np.int64]
+from wcsim.types import F32, F64, I64, Bool
 
 FORGET_M = 4.5  # away from the chair
 KEEP_WAY_M = 15.0  # driven since it was seen

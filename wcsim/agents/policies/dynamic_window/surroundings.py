@@ -23,9 +23,7 @@ from wcsim.config import CameraConfig, RunConfig
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.actions import ActionSet
-from wcsim.types import F32, F64, U8, Outline
-
-I64 = npt.NDArray[np.int64]
+from wcsim.types import F32, F64, I64, U8, Outline
 
 BACK_M = -1.2  # an edge is carried on as far as this, behind the axle
 _NEAREST_M, _FARTHEST_M, _ASIDE_M = 0.5, 3.2, 1.4  # where edges are looked for: ahead, and to each side
@@ -129,9 +127,7 @@ class StreetSense:
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
     """
 
-    def __init__(
-        self, config: RunConfig, actions: ActionSet, outline: Outline, delay_ticks: int | None = None
-    ) -> None:
+    def __init__(self, config: RunConfig, actions: ActionSet, outline: Outline, delay_ticks: int | None = None) -> None:
         camera, self._chair, self._tick_s = config.cameras[0], config.chair, config.world.tick_s
         self.box_B_m = box_of(outline)
         self.commands, self.limits = shaped_rows(actions.points, self._chair), limits_of(self._chair)

@@ -87,7 +87,7 @@ def _has_token() -> bool:
 def _is_loopback(address: str) -> bool:
     """Whether a HOST:PORT is of this machine alone.
 
-    >>> is_loopback("127.0.0.1:6379"), is_loopback("10.0.0.1:6379")
+    >>> _is_loopback("127.0.0.1:6379"), _is_loopback("10.0.0.1:6379")
     (True, False)
     """
     return _LOOPBACK.fullmatch(address.rpartition(":")[0]) is not None
