@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -211,3 +212,9 @@ def write_order(path: Path, line: bytes) -> None:
 def read_order(kind: type[T], path: Path) -> T:
     """The value in a file. Raises ConfigError when it is none."""
     return of_line(kind, read_bytes(path, FileKind(what=f"a {kind.__name__}", limit_bytes=_MOST_ORDER_BYTES)))
+
+
+def rss_mb() -> float:
+    """Memory of this process, in MB of 2**20 bytes."""
+    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -9,19 +9,13 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
+from wcsim.server.specs import rss_mb
 
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
-
-
-def _rss_mb() -> float:
-    """Memory of this process, in MB of 2**20 bytes."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 class ProcessGrownError(InterruptedRunError):
@@ -42,7 +36,7 @@ class ProcessGrowth:
     def __init__(
         self,
         learn: LearnConfig,
-        memory_mb: Callable[[], float] = _rss_mb,
+        memory_mb: Callable[[], float] = rss_mb,
         end: Callable[[], object] = lambda: os.kill(os.getpid(), signal.SIGTERM),
     ) -> None:
         self._limit_mb, self._full_step = learn.process_growth_mb, learn.replay_frames

@@ -123,7 +123,7 @@ class DangerNet(nn.Module):
             self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR)
         if spec.eye != "map":
             self.pictures = PictureHead(spec, count)
-        self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), faint(nn.Linear(48, count)))
+        self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _faint(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 
     def forward(
@@ -170,7 +170,7 @@ def laid_out(net: DangerNet) -> DangerNet:
     return net
 
 
-def faint(layer: nn.Linear) -> nn.Linear:
+def _faint(layer: nn.Linear) -> nn.Linear:
     """A layer that says little before it has learned."""
     with torch.no_grad():
         layer.weight.mul_(0.1)
@@ -210,7 +210,7 @@ class Context(nn.Module):
         self.squeeze = nn.Sequential(nn.Conv2d(32, 16, 3, stride=2, padding=1), nn.ReLU(), nn.Flatten())
         flat = 16 * (SIDE // 8) ** 2
         self.dense = nn.Sequential(nn.Linear(flat + VECTOR, 128), nn.ReLU(), nn.Linear(128, self.SIZE), nn.ReLU())
-        self.out = faint(nn.Linear(self.SIZE, count))
+        self.out = _faint(nn.Linear(self.SIZE, count))
 
     def forward(self, far: torch.Tensor, vector: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(B, SIZE) and (B, A)."""
@@ -236,7 +236,7 @@ class PictureHead(nn.Module):
         space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, IMU_KEY: vector, JOYSTICK_KEY: none})
         self.encoder = ObservationEncoder(space, spec.network, spec.classes)
         self.dense = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR, 64), nn.ReLU())
-        self.out = faint(nn.Linear(64, count))
+        self.out = _faint(nn.Linear(64, count))
 
     def forward(self, frames: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """(B, A)."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
-import torch
 from safetensors import SafetensorError
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -34,11 +32,10 @@ from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
-from wcsim.agents.networks.device import checked_device
+from wcsim.agents.networks.device import checked_device, torch_settings
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
-from wcsim.config import RunConfig
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
 
@@ -84,7 +81,7 @@ def train(
     if run.config.learn.tensorboard:
         require_tensorboard()
     folder = folder_of(run, with_window)
-    with files.locked(folder.path), _torch_settings(run.config), StopRequest(wait_no_more) as request:
+    with files.locked(folder.path), torch_settings(run.config.learn), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([make_env])
         try:
             model = build_model(run.config, env, run.info.seed, folder.replay)
@@ -298,16 +295,3 @@ def _tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) -
     if not loaded.sealed:
         say(f"{loaded.path}: of an older version; its counters and random states have no hash, so they are not checked")
         run.event("unsealed", checkpoint=loaded.path.name)
-
-
-@contextmanager
-def _torch_settings(config: RunConfig) -> Iterator[None]:
-    """Threads and determinism for the run, and what was set before after it."""
-    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    torch.set_num_threads(config.learn.threads)
-    torch.use_deterministic_algorithms(True, warn_only=config.learn.device != "cpu")
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-        torch.use_deterministic_algorithms(deterministic)

@@ -1,9 +1,13 @@
-"""On what a network is learned."""
+"""On what a network is learned, and how PyTorch works meanwhile."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 
+from wcsim.config import LearnConfig
 from wcsim.errors import ConfigError
 
 
@@ -16,3 +20,16 @@ def checked_device(name: str) -> str:
         message = f"learn.device={name!r} cannot be used here ({reason}); expected cpu, or cuda with a card"
         raise ConfigError(message) from None
     return name
+
+
+@contextmanager
+def torch_settings(learn: LearnConfig) -> Iterator[None]:
+    """Threads and determinism while a network learns, and what was set before after it."""
+    threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(learn.threads)
+    torch.use_deterministic_algorithms(True, warn_only=learn.device != "cpu")
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        torch.use_deterministic_algorithms(deterministic)

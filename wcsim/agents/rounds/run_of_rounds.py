@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.collecting.segment_places import require_recordable
+from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.rounds.round_checkpoint import damaged_rounds, newest_round
 from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
@@ -87,7 +88,7 @@ def train_danger(
     _require_driving(run.config)
     require_recordable(run.config)
     folder = folder_of(run, with_whole_data)
-    with files.locked(folder.path):
+    with files.locked(folder.path), torch_settings(folder.config.learn):
         _tell_damaged(folder, stage)
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
         rounds = Rounds(folder=folder, towns=towns, machines=machines)

@@ -77,8 +77,6 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
         DiskFullError: There is no room.
     """
     config, folder = rounds.config, rounds.folder
-    torch.set_num_threads(config.learn.threads)
-    torch.use_deterministic_algorithms(True, warn_only=config.learn.device != "cpu")
     seed, total = folder.manifest.seed, config.collect.rounds
     learner = DangerLearner(config, seed, config.danger.updates * total)
     first = newest_round(folder.checkpoints) + 1

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from wcsim.server.host.status import rss_mb
 from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import BarrierState
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldSpec, rss_mb
 
 EPOCH_OVER = "the world generation is over"
 """How the reason begins by which a world's process ends for another one to go on with the next epoch."""

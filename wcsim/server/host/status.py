@@ -8,7 +8,6 @@ import statistics
 import time
 from collections import deque
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 
@@ -19,7 +18,7 @@ from wcsim.server.protocol.events import BarrierState, Clock, Event, Received
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.messages import Act, failure_of
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import Held, WorldStatus, to_line
+from wcsim.server.specs import Held, WorldStatus, rss_mb, to_line
 
 _EVERY_S = 0.25
 _STEPS = 100  # for the median
@@ -169,9 +168,3 @@ class Reporter:
         if self._pipe >= 0:
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._pipe, line)
-
-
-def rss_mb() -> float:
-    """Memory of this process, in MB of 2**20 bytes."""
-    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
-    return int(pages) * os.sysconf("SC_PAGE_SIZE") / 2**20
