@@ -79,7 +79,6 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
     """The model card, as Markdown."""
     manifest, config = run.manifest, run.config
     camera, danger, collect = config.cameras[0], config.danger, config.collect
-    parts = [name for name in ("roll_out", "context", "rival") if getattr(danger, name)]
     towns, users, kept = driving(run)
     streets = f" (streets of {manifest.town} {manifest.town_sha256[:12]})" if manifest.town in towns else ""
     met = "".join(f"; {name} is held out" for name in HELD_OUT if name not in users)
@@ -93,9 +92,8 @@ def card(run: RunFolder, rows: Sequence[dict[str, Any]]) -> str:
         f"| users | {', '.join(users)}{met} |",
         f"| data | {kept} segments of {collect.ticks} ticks with {collect.chairs} chairs, labels {danger.teacher} |",
         f"| seed | {manifest.seed} |",
-        f"| network | {', '.join(parts)}, gaps {danger.gaps}, width {danger.width} |",
-        f"| rule | threshold {danger.threshold:g}, keep {danger.keep:g}, lenient {danger.lenient:g}, "
-        f"at once {danger.at_once:g}, warn {danger.warn:g} |",
+        f"| network | eye {danger.eye}, width {danger.width} |",
+        f"| rule | threshold {danger.threshold:g}, at once {danger.at_once:g}, warn {danger.warn:g} |",
         f"| camera | {camera_told(camera)} |",
         f"| delay | {config.world.action_delay_ticks} ticks of {config.world.tick_s:g} s |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in manifest.versions.items())} |",

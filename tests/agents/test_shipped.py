@@ -26,7 +26,7 @@ from wcsim.server.specs import RunInfo
 
 ROOT = Path(__file__).parents[2]
 TOOL = runpy.run_path(str(ROOT / "tools" / "ship_policy.py"), run_name="tool")
-OWN = with_overrides(CONFIG, ("danger.gaps=map", "danger.rival=false", "learn.head=danger"))
+OWN = with_overrides(CONFIG, ("learn.head=danger",))
 
 
 @pytest.fixture(scope="module")

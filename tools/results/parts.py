@@ -18,15 +18,7 @@ OF_THE_NETWORK: Final[dict[str, tuple[str, ...]]] = {
     "again": (),
     "pictures": ("danger.eye=picture", "learn.network=patch"),
     "map-and-pictures": ("danger.eye=both", "learn.network=patch"),
-    "no-roll-out": ("danger.roll_out=false",),
-    "no-gaps": ("danger.gaps=none",),
-    "own-map-alone": ("danger.gaps=map", "danger.rival=false"),
-    "no-memory": ("danger.memory=false",),
-    "no-odometry": ("danger.odometry=false",),
-    "no-rival": ("danger.rival=false",),
-    "no-context": ("danger.context=false",),
     "all-knowing-teacher": ("danger.teacher=truth",),
-    "heeding": ("danger.doubt=0.25", "danger.trust=1.25"),
 }
 # These change the driving itself, in three of the five rounds: `three-rounds` is their row of comparison.
 OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
@@ -40,10 +32,9 @@ OF_THE_DRIVING: Final[dict[str, tuple[str, ...]]] = {
     "no-scenes": ("collect.scene_share=0.0",),
 }
 AT_0_MS: Final = "world.action_delay_ticks=0"
-NETWORK_ALONE: Final = ("danger.doubt=1.0", "danger.trust=1.0")  # the rival in the rule would hide what it loses
 # Half of the updates that the rounds have.
-ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500", *NETWORK_ALONE)
-FEWER_ROUNDS: Final = ("collect.rounds=3", *NETWORK_ALONE)
+ALL_AT_ONCE: Final = ("collect.rounds=1", "collect.segments=0", "danger.updates=2500")
+FEWER_ROUNDS: Final = ("collect.rounds=3",)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

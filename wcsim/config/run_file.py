@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
 from wcsim.config.env import Form
-from wcsim.config.learning.danger import Gaps
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
@@ -91,31 +90,22 @@ class PolicyFile(Model):
 class DangerNetFile(Model):
     """The shape of a danger network."""
 
-    roll_out: bool
-    gaps: Gaps
-    rival: bool
-    context: bool
     width: Annotated[int, Field(ge=4, le=256)]
     actions: Literal["square81", "disc69"]
     eye: Literal["map", "picture", "both"] = "map"
     network: Name = "patch"
     window: Window = 1
-    memory: bool = True
-    odometry: bool = True
 
 
 class RuleFile(Model):
     """How dangers become an action."""
 
     threshold: Annotated[float, Field(gt=0.0, le=1.0)]
-    keep: NotNegative
-    lenient: Positive
-    shy: NotNegative
+    hysteresis: NotNegative
+    hysteresis_factor: Positive
+    danger_cost: NotNegative
     warn: Share
-    at_once: Share = 0.0  # files of before: every tick counts
-    doubt: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0  # files of before have no rival in the rule
-    trust: Annotated[float, Field(ge=1.0, le=10.0)] = 1.0
-    caution: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
+    at_once: Share
 
 
 class DangerFile(Model):

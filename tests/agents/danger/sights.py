@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.labels import SAFE
@@ -13,6 +14,13 @@ from wcsim.supervisor.actions import action_set
 
 HEIGHT_PX, WIDTH_PX = 24, 32
 SMALL = ("danger.batch=16", "danger.width=8", "sensors.odometry=typical", "env.observe_gyro=true")
+
+
+class Silent(torch.nn.Module):
+    """A head that says nothing, so that another one has to do the work."""
+
+    def forward(self, seen: torch.Tensor, *more: torch.Tensor) -> torch.Tensor:
+        return torch.zeros(len(seen), 81)
 
 
 def small_config(*overrides: str) -> RunConfig:

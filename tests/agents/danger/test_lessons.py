@@ -6,32 +6,31 @@ import numpy as np
 import pytest
 import torch
 
-from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, observation, small_config
+from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, small_config
 from wcsim.agents.danger.lessons import Lectures, lessons_of, windows_of
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import SLICES
-from wcsim.agents.danger.sight import MIRRORED, Eye, Looks
-from wcsim.agents.danger.street_map import AGE, SIDE
+from wcsim.agents.danger.sight import MIRRORED, Eye
+from wcsim.agents.danger.street_map import SIDE
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
 BOTH = ("danger.eye=both", "learn.network=fig6", "env.window=3")
 
 
-def test_a_mirror_turns_pictures_numbers_vector_start_and_labels():
+def test_a_mirror_turns_pictures_vector_start_and_labels():
     config = small_config(*BOTH)
     lessons = lectures(config, 20)
     rows = all_of(lessons)
-    street, numbers, vector, swept, frames = lessons.batch(rows).inputs
+    street, vector, swept, frames = lessons.batch(rows).inputs
     turned = lessons.batch(rows, mirror=True)
     assert torch.equal(turned.inputs[0], street.flip(-1)) and not torch.equal(turned.inputs[0], street)
-    assert torch.equal(turned.inputs[1], numbers[:, ACTIONS.mirror])
     signs = torch.ones(vector.shape[1])
     signs[list(MIRRORED)] = -1.0
-    assert torch.equal(turned.inputs[2], vector * signs) and (vector[:, list(MIRRORED)] != 0.0).any()
-    assert torch.equal(turned.inputs[4], frames.flip(-1)) and frames.shape == (20, 3, 2, HEIGHT_PX, WIDTH_PX)
+    assert torch.equal(turned.inputs[1], vector * signs) and (vector[:, list(MIRRORED)] != 0.0).any()
+    assert torch.equal(turned.inputs[3], frames.flip(-1)) and frames.shape == (20, 3, 2, HEIGHT_PX, WIDTH_PX)
     assert torch.equal(turned.unsafe, lessons.batch(rows).unsafe[:, ACTIONS.mirror])
-    same = turned.inputs[3] == flipped(swept)[:, ACTIONS.mirror]
+    same = turned.inputs[2] == flipped(swept)[:, ACTIONS.mirror]
     assert same.float().mean() > 0.97, "the roll-outs begin in the mirrored state, so they sweep the mirrored cells"
     assert (swept == flipped(swept)[:, ACTIONS.mirror]).float().mean() < 0.9
 
@@ -68,7 +67,7 @@ def test_windows_hold_the_pictures_of_their_own_episode():
     config = small_config(*BOTH)
     segment, lessons = a_segment(8, ends=(3,)), Lectures(config)
     lessons.add(lessons_of(segment, config))
-    frames = lessons.batch(all_of(lessons)).inputs[4].numpy()
+    frames = lessons.batch(all_of(lessons)).inputs[3].numpy()
     wanted = [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3], [4, 4, 4], [4, 4, 5], [4, 5, 6], [5, 6, 7]]
     assert windows_of(segment.ended, 3).tolist() == wanted
     for row, window in enumerate(wanted):
@@ -78,40 +77,15 @@ def test_windows_hold_the_pictures_of_their_own_episode():
 
 def test_an_eye_sees_the_windows_that_its_lessons_have():
     config = small_config(*BOTH)
-    segment, eye = a_segment(5, ends=()), Eye(config, 1, spec_of(config).looks)
+    segment, eye = a_segment(5, ends=()), Eye(config, 1, pictures=spec_of(config).pictures)
     lessons = Lectures(config)
     lessons.add(lessons_of(segment, config))
-    told = lessons.batch(all_of(lessons)).inputs[4].numpy()
+    told = lessons.batch(all_of(lessons)).inputs[3].numpy()
     for row in range(5):
         seen = {"depth": segment.depth[row][None], "seg": segment.seg[row][None], "imu": segment.imu[row]}
         sight = eye.look({**seen, "odometry": segment.odometry[row], "joystick": segment.wish[row]})
         eye.command(int(segment.action[row]))
         assert np.array_equal(sight.frames, told[row])
-
-
-def test_without_memory_only_this_ticks_street_is_known():
-    config = small_config()
-    remembers, forgets = Eye(config), Eye(config, looks=Looks(memory=False))
-    for tick in range(5):
-        seen = observation(config, tick)
-        last = [eye.look(seen).picture[AGE] for eye in (remembers, forgets)]
-        for eye in (remembers, forgets):
-            eye.command(0)
-    assert set(np.unique(last[1])) == {0, 255}
-    assert len(np.unique(last[0])) > 2
-
-
-def test_without_odometry_the_motion_that_is_told_is_zero_and_commands_move_the_map():
-    config = small_config()
-    eye, blind = Eye(config), Eye(config, looks=Looks(odometry=False))
-    ahead = ACTIONS.nearest((0.0, 1.0))
-    for tick in range(6):
-        seen = {**observation(config, tick), "odometry": np.array([0.0, 0.0], np.float32)}
-        still, driven = eye.look(seen), blind.look(seen)
-        for one in (eye, blind):
-            one.command(ahead)
-    assert not driven.vector[5:8].any() and still.vector[5:8].any()
-    assert eye.around.ego.way_m == 0.0 and blind.around.ego.way_m > 0.01, "wheels that stand are not looked at"
 
 
 def test_half_of_a_batch_is_tight_where_there_is_tightness():
@@ -145,6 +119,6 @@ def test_pictures_are_mirrored_where_the_camera_looks_straight_ahead_from_the_mi
 
 
 def test_roll_outs_are_swept_for_whom_they_are_read_alone():
-    for words, many in (((), 4 * SLICES), (("danger.roll_out=false",), 0), (("danger.eye=picture",), 0)):
-        swept = lectures(small_config(*words), 6).draw().inputs[3]
+    for words, many in (((), 4 * SLICES), (("danger.eye=picture",), 0)):
+        swept = lectures(small_config(*words), 6).draw().inputs[2]
         assert (swept.shape[2] > 0) == (many > 0)

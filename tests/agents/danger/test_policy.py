@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import observation, small_config
-from tests.agents.policies.test_baselines import box, looking_at
 from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
@@ -52,24 +51,6 @@ def test_it_follows_where_nothing_is_dangerous_and_brings_down_danger_where_all_
     assert 0 <= grim.act(seen) < 81
 
 
-def test_the_rival_is_heard_before_a_wall_where_the_network_only_doubts():
-    """Every action has a danger of some 0.1; 15 cm ahead is a wall, behind which the rival takes nothing."""
-    config = small_config()
-    wall = looking_at(box(0.95, 3.0, -3, 3, 0, 3), camera=config.cameras[0])
-    seen = {**observation(config), "depth": wall["depth"], "imu": np.zeros(8, np.float32)}
-    seen["joystick"] = np.array([0.0, 1.0], np.float32)
-    chosen = []
-    for doubt in (1.0, 0.1):
-        policy = policy_of(base=-2.2)
-        policy.rule = DangerRule(doubt=doubt)
-        chosen.append(float(ACTIONS.points[policy.act(seen)][1]))
-        assert policy.unsafe[ACTIONS.nearest((0.0, 1.0))] == (doubt < 1.0)
-    assert chosen[0] == 1.0 and chosen[1] < 1.0
-    blind = policy_of("danger.gaps=map", "danger.rival=false", base=-2.2)
-    blind.rule = DangerRule(doubt=0.1)
-    assert ACTIONS.points[blind.act(seen)][1] == 1.0, "it has no senses that the rival could be asked with"
-
-
 def test_a_tick_of_doubt_is_forgotten_with_everything_else_at_a_reset():
     """Every action has a danger of some 0.3, above the threshold: the second tick takes the user's own away."""
     policy, config = policy_of(base=-0.8), small_config()
@@ -87,13 +68,12 @@ def test_dangers_that_are_no_numbers_are_refused():
         policy.act(observation(small_config()))
 
 
-def test_a_policy_without_odometry_asks_for_none():
-    assert policy_of().senses == ("odometry", "gyro")
-    assert policy_of("danger.odometry=false").senses == ("gyro",)
-    policy = policy_of("danger.odometry=false")
-    seen = observation(small_config())
+def test_a_policy_asks_for_odometry_and_refuses_to_drive_without_it():
+    policy, seen = policy_of(), observation(small_config())
+    assert policy.senses == ("odometry", "gyro")
     del seen["odometry"]
-    assert 0 <= policy.act(seen) < 81
+    with pytest.raises(PolicyError, match="no odometry"):
+        policy.act(seen)
 
 
 def test_it_warns_of_the_users_own_stick_after_two_ticks_and_not_after_a_reset():

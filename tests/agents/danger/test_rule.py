@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.rule import RECENT_TICKS, DangerRule, alone, choose, next_recent, to_learn, within
+from wcsim.agents.danger.rule import RECENT_TICKS, DangerRule, choose, next_recent, to_learn, within
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
@@ -46,61 +46,19 @@ def test_a_way_round_is_kept_but_never_kept_from_who_can_be_followed():
     left, right = ACTIONS.nearest((-0.25, 0.25)), ACTIONS.nearest((0.25, 0.25))
     ahead = np.array([0.0, 0.9])
     assert [choose(danger, ahead, ACTIONS, RULE, last=last) for last in (left, right)] == [left, right]
-    calm = DangerRule(keep=0.0)
+    calm = DangerRule(hysteresis=0.0)
     assert choose(danger, ahead, ACTIONS, calm, last=left) == choose(danger, ahead, ACTIONS, calm, last=right)
-    assert choose(np.zeros(81), STICK, ACTIONS, DangerRule(keep=5.0), last=left) == wish
+    assert choose(np.zeros(81), STICK, ACTIONS, DangerRule(hysteresis=5.0), last=left) == wish
 
 
 @given(hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)), st.tuples(st.floats(-1, 1), st.floats(-1, 1)))
 def test_a_lower_level_is_never_more_dangerous(danger, stick):
     wish = np.array(stick)
-    rules = [DangerRule(threshold=level, keep=0.0, shy=0.0) for level in (0.1, 0.5, 1.0)]
+    rules = [DangerRule(threshold=level, hysteresis=0.0, danger_cost=0.0) for level in (0.1, 0.5, 1.0)]
     chosen = [danger[choose(danger, wish, ACTIONS, rule)] for rule in rules]
     allowed = [danger.min() < rule.threshold for rule in rules]
     for value, rule, any_is in zip(chosen, rules, allowed, strict=True):
         assert value < rule.threshold or not any_is
-
-
-HEEDING = DangerRule(doubt=0.1, keep=0.0, shy=0.0)
-
-
-def test_what_the_rival_holds_for_unsafe_must_be_safer():
-    wish = ACTIONS.nearest(STICK)
-    danger, doubted = np.full(81, 0.05), np.zeros(81, np.bool_)
-    doubted[wish] = True
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, HEEDING) == wish
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, HEEDING, doubted=doubted) != wish
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, alone(HEEDING), doubted=doubted) == wish
-    danger[wish] = 0.01
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, HEEDING, doubted=doubted) == wish
-
-
-def test_where_the_rival_would_take_nothing_the_network_decides_alone():
-    danger, doubted = np.full(81, 0.1), np.ones(81, np.bool_)
-    assert not within(danger, HEEDING, doubted=doubted).any()
-    assert choose(danger, STICK, ACTIONS, HEEDING, doubted=doubted) == ACTIONS.nearest(STICK)
-
-
-@given(
-    hnp.arrays(np.float64, 81, elements=st.floats(0.0, 1.0)),
-    hnp.arrays(np.bool_, 81),
-    st.floats(0.01, 1.0),
-    st.floats(1.0, 3.0),
-)
-def test_doubt_allows_nothing_and_trust_forbids_nothing(danger, doubted, doubt, trust):
-    rule = DangerRule(doubt=doubt, trust=trust)
-    heard, before = within(danger, rule, doubted=doubted), within(danger, rule)
-    assert not (heard & ~before & doubted).any()
-    assert not (before & ~heard & ~doubted).any()
-
-
-def test_what_the_rival_would_take_too_may_be_a_little_less_safe():
-    wish, nothing = ACTIONS.nearest(STICK), np.zeros(81, np.bool_)
-    danger = np.zeros(81)
-    danger[wish] = 1.1 * RULE.threshold
-    trusting = DangerRule(trust=1.25)
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, trusting, doubted=nothing) == wish
-    assert choose(danger, ACTIONS.points[wish], ACTIONS, trusting) != wish
 
 
 PATIENT = DangerRule(at_once=0.6)
@@ -122,9 +80,8 @@ def test_a_lone_doubtful_tick_takes_nothing_away_two_in_a_row_do():
     assert taken_of([0.3, 0.0, 0.3, 0.3, 0.3], PATIENT) == [False, False, False, True, True]
 
 
-def test_who_drives_to_learn_has_neither_rival_nor_patience():
-    rule = DangerRule(doubt=0.25, trust=1.25, at_once=0.6, threshold=0.3)
-    assert alone(rule) == DangerRule(at_once=0.6, threshold=0.3)
+def test_who_drives_to_learn_has_no_patience():
+    rule = DangerRule(at_once=0.6, threshold=0.3)
     assert to_learn(rule) == DangerRule(threshold=0.3)
     assert taken_of([0.5], to_learn(rule)) == [True]
 

@@ -23,7 +23,7 @@ RULE = DangerRule(threshold=0.2, warn=0.6)
 EYES = (
     (),
     ("danger.eye=both", "learn.network=conv3d", "env.window=2"),
-    ("danger.eye=picture", "learn.network=patch", "danger.memory=false", "danger.odometry=false"),
+    ("danger.eye=picture", "learn.network=patch"),
 )
 
 
@@ -43,16 +43,6 @@ def test_a_network_comes_back_as_it_was_saved(tmp_path: Path, words: tuple[str, 
     batch = lessons.batch(all_of(lessons))
     assert again.spec == net.spec and rule == RULE
     assert torch.equal(again(*batch.inputs), net(*batch.inputs))
-
-
-def test_a_policy_of_before_there_were_pictures_is_read(tmp_path: Path):
-    saved(tmp_path / "p", small_config())
-    path = tmp_path / "p" / POLICY_JSON
-    told = json.loads(path.read_text())
-    for name in ("eye", "network", "window", "memory", "odometry"):
-        del told["net"][name]
-    path.write_text(json.dumps(told))
-    assert load_net(tmp_path / "p")[0].spec == spec_of(small_config())
 
 
 def reseal(folder: Path) -> None:

@@ -1,6 +1,6 @@
 """A toy street for danger networks: walls, drops and people before a chair that moves by the drive's own law.
 
-Pictures are ray cast exactly (boxes, level ground, pits with a floor below); the real eye makes map and gaps of them.
+Pictures are ray cast exactly (boxes, level ground, pits with a floor below); the real eye makes a map of them.
 Labels follow a rule of their own, in plain NumPy: a position is unsafe when, held for half a second and then let go, it
 brings the hull into a wall, over a drop, or nearer to a person than `SHY_M`. So a network has to know where things are,
 what they are, how fast the chair is, and on which side.
@@ -33,7 +33,7 @@ FAR_M = 2.5  # more than the hull's length, a person's way in STEPS ticks and SH
 ACTIONS = action_set("square81")
 _SMALL = (
     "cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true",
-    "danger.ahead=0", "danger.rival=false", "danger.width=8", "danger.batch=32", "danger.weight_decay=0",
+    "danger.ahead=0", "danger.width=8", "danger.batch=32", "danger.weight_decay=0",
 )  # fmt: skip
 _CLASS = {WALL: ClassId.BUILDING, DROP: ClassId.SIDEWALK, PERSON: ClassId.PERSON}
 

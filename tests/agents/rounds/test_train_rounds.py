@@ -75,12 +75,12 @@ def test_a_run_leaves_data_rounds_and_a_policy_that_drives(straight: Path, corne
 
 
 @pytest.mark.proof
-def test_a_network_of_pictures_without_memory_or_odometry_is_trained_in_rounds(corner: Path, tmp_path: Path):
-    words = ("danger.eye=both", "danger.memory=false", "danger.odometry=false", "learn.network=fig6", "env.window=2")
+def test_a_network_of_pictures_is_trained_in_rounds(corner: Path, tmp_path: Path):
+    words = ("danger.eye=both", "learn.network=fig6", "env.window=2")
     run = run_in(corner, tmp_path / "seen", *words, "collect.segments=1")
     train_danger(run, find_town(str(corner)))
     policy = load_danger(run.out / "policies" / "final", "own", run.config)
-    assert policy.senses == ("gyro",)
+    assert policy.senses == ("odometry", "gyro")
     last = sorted((run.out / DATA / SEGMENTS).iterdir())[-1]
     assert NETWORK in read_segment(last).driver
 

@@ -24,7 +24,7 @@ from wcsim.types import F32, F64, U8, Bool
 
 I64 = npt.NDArray[np.int64]
 Inputs = tuple[torch.Tensor, ...]
-"""Picture, numbers, vector, swept cells and frames, see `DangerNet.forward`."""
+"""Picture, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
 
 
@@ -35,7 +35,6 @@ class Lessons:
     pictures: list[bytes]  # zstd, (PLANES, SIDE, SIDE) uint8 each
     frames: list[bytes]  # zstd, (2, H, W) uint8 each: class ids and depth; empty for an eye that looks at the map alone
     windows: I64  # (N, T) which of the frames are seen in a step, the newest last
-    actions: U8  # (N, A, NUMBERS)
     vectors: F32  # (N, VECTOR)
     starts: F32  # (N, 6)
     unsafe: Bool  # (N, A)
@@ -51,7 +50,7 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
     if segment.truth.shape[1] != actions:
         labels = segment.truth.shape[1]
         raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
-    looks = spec_of(config).looks
+    spec = spec_of(config)
     sights: list[KeptSight] = []
     eyes: dict[int, Eye] = {}
     begins = True
@@ -59,7 +58,7 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
         delay = int(segment.delay[row])
         if begins:
             if delay not in eyes:
-                eyes[delay] = Eye(config, delay, looks)
+                eyes[delay] = Eye(config, delay, spec.street, spec.pictures)
             eye = eyes[delay]
             eye.forget()
         sight = eye.look(
@@ -76,7 +75,7 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
         begins = bool(segment.ended[row])
     codes = segment.truth if config.danger.teacher == "truth" else segment.visible
     unsafe = unsafe_ahead(codes, segment.ended, config.danger.ahead)
-    return lessons_from(sights, windows_of(segment.ended, looks.window), unsafe)
+    return lessons_from(sights, windows_of(segment.ended, spec.pictures), unsafe)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -85,7 +84,6 @@ class KeptSight:
 
     picture: bytes
     frame: bytes  # the newest one, empty where there is none
-    actions: U8
     vector: F32
     start: F32
 
@@ -94,7 +92,7 @@ def kept(sight: DangerSight) -> KeptSight:
     """Its pictures packed."""
     frame = pack_each(sight.frames[-1:].reshape(1, -1))[0] if len(sight.frames) else b""
     picture = pack_each(sight.picture.reshape(1, -1))[0]
-    return KeptSight(picture=picture, frame=frame, actions=sight.actions, vector=sight.vector, start=sight.start)
+    return KeptSight(picture=picture, frame=frame, vector=sight.vector, start=sight.start)
 
 
 def lessons_from(sights: list[KeptSight], windows: I64, unsafe: Bool, before: list[KeptSight] | None = None) -> Lessons:
@@ -110,7 +108,6 @@ def lessons_from(sights: list[KeptSight], windows: I64, unsafe: Bool, before: li
         pictures=[sight.picture for sight in sights],
         frames=[sight.frame for sight in (*(before or ()), *sights)] if windows.shape[1] else [],
         windows=windows,
-        actions=np.stack([sight.actions for sight in sights]),
         vectors=np.stack([sight.vector for sight in sights]),
         starts=np.stack([sight.start for sight in sights]),
         unsafe=unsafe,
@@ -147,10 +144,10 @@ class Lectures:
 
     def __init__(self, config: RunConfig) -> None:
         self._danger: DangerConfig = config.danger
-        looks = spec_of(config).looks
-        self._rng, self._eye = np.random.default_rng(0), Eye(config, looks=looks)
+        spec = spec_of(config)
+        self._rng, self._eye = np.random.default_rng(0), Eye(config, street=spec.street)
         # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
-        self._may_mirror = not looks.window or sees_in_a_mirror(config.cameras[0])
+        self._may_mirror = not spec.pictures or sees_in_a_mirror(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._mirror = action_set(config.env.actions).mirror
         self._parts: dict[int, Lessons] = {}  # by number
@@ -204,17 +201,16 @@ class Lectures:
         chosen = [(self._parts[part], row) for part, row in picks.tolist()]
         pictures = unpack_each([part.pictures[row] for part, row in chosen], PLANES * SIDE * SIDE)
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
-        numbers = np.stack([part.actions[row] for part, row in chosen])
         frames = self._frames(chosen)
         vector = np.stack([part.vectors[row] for part, row in chosen])
         start = np.stack([part.starts[row] for part, row in chosen]).astype(np.float64)
         unsafe = np.stack([part.unsafe[row] for part, row in chosen])
         if mirror:
-            picture, numbers, unsafe = picture[..., ::-1].copy(), numbers[:, self._mirror], unsafe[:, self._mirror]
+            picture, unsafe = picture[..., ::-1].copy(), unsafe[:, self._mirror]
             frames = frames[..., ::-1].copy()
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
-        seen, *rest = tensors_of(self._eye, picture, numbers, vector, start, frames)
+        seen, *rest = tensors_of(self._eye, picture, vector, start, frames)
         return Batch(
             inputs=(seen.contiguous(memory_format=torch.channels_last), *rest),
             unsafe=torch.from_numpy(unsafe).float(),
@@ -226,11 +222,10 @@ class Lectures:
         return unpack_each(blobs, int(np.prod(self._size))).reshape(len(chosen), -1, *self._size)
 
 
-def tensors_of(eye: Eye, picture: U8, numbers: U8, vector: F32, start: F64, frames: U8) -> Inputs:
+def tensors_of(eye: Eye, picture: U8, vector: F32, start: F64, frames: U8) -> Inputs:
     """What the network is called with, for a batch of B steps of chairs like that of `eye`."""
     return (
         torch.from_numpy(picture).float().div_(255.0),
-        torch.from_numpy(numbers).float().div_(255.0),
         torch.from_numpy(vector),
         torch.from_numpy(_swept(eye, start)).long(),
         torch.from_numpy(frames),
@@ -240,7 +235,7 @@ def tensors_of(eye: Eye, picture: U8, numbers: U8, vector: F32, start: F64, fram
 def _swept(eye: Eye, starts: F64) -> npt.NDArray[np.int32]:
     """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 for an eye that need not know."""
     around = eye.around
-    if not eye.looks.swept:
+    if not eye.street:
         return np.zeros((len(starts), len(around.commands), 0), np.int32)
     swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(eye.chair)), np.int32)
     sweep(starts, around.commands, around.limits, eye.chair, swept)

@@ -1,9 +1,8 @@
 """The danger network: 81 logits, one for each joystick position, of "this ends badly"; the user's wish is no input.
 
-Parts are added up, each of which can be left out. On the street map (eye `map`): a roll-out head, which paints cost
-maps of the street and reads them where each position would bring the chair; a gap head, which looks at the numbers of
-each position with the same weights; and a context head on the street map as a whole. On the camera's pictures (eye
-`picture`): a network of the registry, then a dense layer. `both` has all of them.
+Its heads are added up. On the street map (eye `map`): a roll-out head, which paints cost maps of the street and reads
+them where each position would bring the chair, and a context head on the street map as a whole. On the camera's
+pictures (eye `picture`): a network of the registry, then a dense layer. `both` has all of them.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from gymnasium import spaces
 from torch import nn
 from torch.nn import functional
 
-from wcsim.agents.danger.roll_outs import NUMBERS, SLICES
-from wcsim.agents.danger.sight import VECTOR, Looks
-from wcsim.agents.danger.street_map import OWN_PLANES, PLANES, SIDE
+from wcsim.agents.danger.roll_outs import SLICES
+from wcsim.agents.danger.sight import VECTOR
+from wcsim.agents.danger.street_map import PLANES, SIDE
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 
@@ -32,17 +31,11 @@ _BASE: Final = -3.0  # so rare are dangers before anything is learned
 class DangerSpec:
     """What the network is made of; plain values, kept in policy.json."""
 
-    roll_out: bool = True
-    gaps: str = "rival"  # see `DangerConfig`
-    rival: bool = True
-    context: bool = True
     width: int = 20
     actions: str = "square81"
     eye: Literal["map", "picture", "both"] = "map"
     network: str = "patch"  # of the registry, for the pictures
     window: int = 1  # pictures that it sees
-    memory: bool = True  # see `sight.Looks`
-    odometry: bool = True
     height_px: int = 60
     width_px: int = 80
     classes: Literal["cityscapes", "wcsim"] = "cityscapes"
@@ -53,17 +46,9 @@ class DangerSpec:
         return self.eye != "picture"
 
     @property
-    def looks(self) -> Looks:
-        """What its eye has to look at."""
-        return Looks(
-            street=self.street,
-            swept=self.street and self.roll_out,
-            gaps=self.gaps if self.street else "none",
-            rival=self.rival,
-            window=0 if self.eye == "map" else self.window,
-            memory=self.memory,
-            odometry=self.odometry,
-        )
+    def pictures(self) -> int:
+        """How many of the last pictures it looks at as they are."""
+        return 0 if self.eye == "map" else self.window
 
 
 def spec_of(config: RunConfig) -> DangerSpec:
@@ -75,17 +60,11 @@ def spec_of(config: RunConfig) -> DangerSpec:
 
         network, window = learn.network, config.env.window or preferred_window(learn.network)
     return DangerSpec(
-        roll_out=danger.roll_out,
-        gaps=danger.gaps,
-        rival=danger.rival,
-        context=danger.context,
         width=danger.width,
         actions=config.env.actions,
         eye=danger.eye,
         network=network,
         window=window,
-        memory=danger.memory,
-        odometry=danger.odometry,
         height_px=camera.height_px,
         width_px=camera.width_px,
         classes=config.env.classes,
@@ -104,23 +83,20 @@ class DangerNet(nn.Module):
         super().__init__()
         self.spec = spec
         count, width = len(points), spec.width
-        self.planes = PLANES if spec.rival else OWN_PLANES
         self.register_buffer("points", points.to(torch.float32), persistent=False)
         self.points: torch.Tensor
-        self.roll_out, self.context, self.gaps, self.pictures = None, None, None, None
-        if spec.street and (spec.roll_out or spec.context):
+        self.roll_out, self.context, self.pictures = None, None, None
+        if spec.street:
             self.down = nn.Sequential(
-                *(nn.Conv2d(self.planes, width, 4, stride=2, padding=1), nn.ReLU()),
+                *(nn.Conv2d(PLANES, width, 4, stride=2, padding=1), nn.ReLU()),
                 *(nn.Conv2d(width, width, 3, padding=1), nn.ReLU()),
             )
             self.deep = nn.Sequential(
                 *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
                 *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
             )
-            self.roll_out = RollOutHead(self.planes, width) if spec.roll_out else None
-            self.context = Context(count) if spec.context else None
-        if spec.street and spec.gaps != "none":
-            self.gaps = Gaps(NUMBERS + 2, Context.SIZE if spec.context else VECTOR)
+            self.roll_out = RollOutHead(width)
+            self.context = Context(count)
         if spec.eye != "map":
             self.pictures = PictureHead(spec, count)
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _faint(nn.Linear(48, count)))
@@ -129,7 +105,6 @@ class DangerNet(nn.Module):
     def forward(
         self,
         picture: torch.Tensor,
-        numbers: torch.Tensor,
         vector: torch.Tensor,
         swept: torch.Tensor,
         frames: torch.Tensor | None = None,
@@ -138,25 +113,16 @@ class DangerNet(nn.Module):
 
         Args:
             picture: (B, PLANES, SIDE, SIDE) float32 in 0..1.
-            numbers: (B, A, NUMBERS) float32 in 0..1.
             vector: (B, VECTOR) float32.
-            swept: (B, A, n) int64, see `roll_outs.sweep`; not looked at without a roll-out head.
+            swept: (B, A, n) int64, see `roll_outs.sweep`; not looked at with the eye `picture`.
             frames: (B, T, 2, H, W) uint8, class ids and depth; not looked at with the eye `map`.
         """
-        picture = picture[:, : self.planes]
         logit = self.base + self.direct(vector)
-        told = vector
-        if self.roll_out is not None or self.context is not None:
+        if self.roll_out is not None and self.context is not None:
             near = self.down(picture)
             far = self.deep(near)
-            if self.context is not None:
-                told, more = self.context(far, vector)
-                logit = logit + more
-            if self.roll_out is not None:
-                logit = logit + self.roll_out(picture, near, far, swept)
-        if self.gaps is not None:
-            points = self.points[None].expand(len(numbers), -1, -1)
-            logit = logit + self.gaps(torch.cat([numbers, points], 2), told)
+            logit = logit + self.context(far, vector)
+            logit = logit + self.roll_out(picture, near, far, swept)
         if self.pictures is not None and frames is not None:
             logit = logit + self.pictures(frames, vector)
         return torch.as_tensor(logit)
@@ -181,10 +147,10 @@ def _faint(layer: nn.Linear) -> nn.Linear:
 class RollOutHead(nn.Module):
     """Cost maps (B, 2 * SLICES, SIDE, SIDE), read where hull and wheels sweep; the worst place counts most."""
 
-    def __init__(self, planes: int, width: int) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
         self.narrow = nn.Conv2d(32, width, 3, padding=1)
-        self.fine = nn.Conv2d(planes, _MAPS, 3, padding=1)
+        self.fine = nn.Conv2d(PLANES, _MAPS, 3, padding=1)
         self.out = nn.Conv2d(2 * width, 4 * _MAPS, 1)
         self.shuffle = nn.PixelShuffle(2)
         self.sharpness = nn.Parameter(torch.tensor(1.0))
@@ -201,21 +167,18 @@ class RollOutHead(nn.Module):
 
 
 class Context(nn.Module):
-    """The street map as a whole: a few numbers for others to use, and logits of its own."""
-
-    SIZE = 64
+    """Logits of the street map as a whole."""
 
     def __init__(self, count: int) -> None:
         super().__init__()
         self.squeeze = nn.Sequential(nn.Conv2d(32, 16, 3, stride=2, padding=1), nn.ReLU(), nn.Flatten())
         flat = 16 * (SIDE // 8) ** 2
-        self.dense = nn.Sequential(nn.Linear(flat + VECTOR, 128), nn.ReLU(), nn.Linear(128, self.SIZE), nn.ReLU())
-        self.out = _faint(nn.Linear(self.SIZE, count))
+        self.dense = nn.Sequential(nn.Linear(flat + VECTOR, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU())
+        self.out = _faint(nn.Linear(64, count))
 
-    def forward(self, far: torch.Tensor, vector: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """(B, SIZE) and (B, A)."""
-        told = self.dense(torch.cat([self.squeeze(far), vector], 1))
-        return told, self.out(told)
+    def forward(self, far: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+        """(B, A)."""
+        return torch.as_tensor(self.out(self.dense(torch.cat([self.squeeze(far), vector], 1))))
 
 
 class PictureHead(nn.Module):
@@ -242,16 +205,3 @@ class PictureHead(nn.Module):
         """(B, A)."""
         seen = {CLASS_KEY: frames[:, :, 0], DEPTH_KEY: frames[:, :, 1], IMU_KEY: vector, JOYSTICK_KEY: vector[:, :0]}
         return torch.as_tensor(self.out(self.dense(torch.cat([self.encoder(seen), vector], 1))))
-
-
-class Gaps(nn.Module):
-    """The same small network for each position: its numbers, its place on the stick, and what all share."""
-
-    def __init__(self, numbers: int, shared: int) -> None:
-        super().__init__()
-        self.own, self.shared = nn.Linear(numbers, 48), nn.Linear(shared, 48)
-        self.out = nn.Sequential(nn.ReLU(), nn.Linear(48, 32), nn.ReLU(), nn.Linear(32, 1))
-
-    def forward(self, numbers: torch.Tensor, shared: torch.Tensor) -> torch.Tensor:
-        """(B, A)."""
-        return torch.as_tensor(self.out(self.own(numbers) + self.shared(shared)[:, None])[..., 0])

@@ -10,12 +10,11 @@ import torch
 
 from wcsim.agents.danger.lessons import Inputs, tensors_of
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, heeds, next_recent, within
+from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, next_recent, within
 from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.alarm import Alarm, next_alarm
-from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
-from wcsim.agents.policy_api import GYRO, JOYSTICK_KEY, NotFinite, Observation, require_level
+from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, require_level
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64, Bool
@@ -37,11 +36,11 @@ class DangerPolicy:
     def __init__(
         self, name: str, net: DangerNet, config: RunConfig, rule: DangerRule, delay_ticks: int | None = None
     ) -> None:
-        self.name, self.senses = name, SENSES if net.spec.odometry else (GYRO,)
+        self.name, self.senses = name, SENSES
         self.rule, self._net, self._alarm = rule, net, Alarm()
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
-        self._eye = Eye(config, delay_ticks, net.spec.looks)
+        self._eye = Eye(config, delay_ticks, net.spec.street, net.spec.pictures)
         self._last, self._recent = -1, 0
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
         self.sight: DangerSight  # of the newest observation
@@ -91,19 +90,10 @@ class DangerPolicy:
         danger = self.dangers(observation)
         own = self._actions.nearest(stick)
         self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
-        doubted = self._doubted()
-        self.unsafe = ~within(danger, self.rule, self._last, doubted)
-        taken = choose(danger, stick, self._actions, self.rule, self._last, doubted, self._recent > 0)
+        self.unsafe = ~within(danger, self.rule, self._last)
+        taken = choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0)
         self._recent = next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
         return taken
-
-    def _doubted(self) -> Bool | None:
-        """(A,) which actions the rival holds for unsafe; None where the rule, or the network's senses, leave it out."""
-        if not heeds(self.rule) or not self._eye.looks.as_rival:
-            return None
-        around, care = self._eye.around, caution(self.rule.caution)
-        start, later_s = around.start()
-        return ~brakes_in_time(around, care, start, later_s, around.in_the_way(care.margin_m))[0]
 
     def watch(self, observation: Observation) -> None:
         """See what there is to see, and choose nothing."""
@@ -135,7 +125,6 @@ def inputs(sights: list[DangerSight], eye: Eye) -> Inputs:
     return tensors_of(
         eye,
         picture=np.stack([sight.picture for sight in sights]),
-        numbers=np.stack([sight.actions for sight in sights]),
         vector=np.stack([sight.vector for sight in sights]),
         start=np.stack([sight.start for sight in sights]).astype(np.float64),
         frames=np.stack([sight.frames for sight in sights]),

@@ -18,7 +18,6 @@ from wcsim.types import F64, Bool
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
-RIVAL_KEYS: Final = ("doubt", "trust", "caution")  # of `DangerRule`, what is about the rival
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,59 +25,28 @@ class DangerRule:
     """How dangers are answered."""
 
     threshold: float = 0.2  # of danger: below it an action is allowed
-    keep: float = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
-    lenient: float = 1.3  # times the threshold for the last action
-    shy: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    hysteresis: float = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
+    hysteresis_factor: float = 1.3  # times the threshold for the last action
+    danger_cost: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
     at_once: float = 0.0  # danger from which one tick is enough to take the user's own away; below it, two in a row
     warn: float = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
-    doubt: float = 1.0  # times the threshold for what the rival holds for unsafe
-    trust: float = 1.0  # and for what it would take, too; with 1 and 1 it is not asked
-    caution: float = 1.0  # of the rival that is asked: a level of `dwa`
 
 
 def rule_of(danger: DangerConfig) -> DangerRule:
     """The rule that a run's configuration asks for."""
-    return DangerRule(
-        threshold=danger.threshold,
-        keep=danger.keep,
-        lenient=danger.lenient,
-        shy=danger.shy,
-        at_once=danger.at_once,
-        warn=danger.warn,
-        doubt=danger.doubt,
-        trust=danger.trust,
-        caution=danger.caution,
-    )
-
-
-def alone(rule: DangerRule) -> DangerRule:
-    """The rule without the rival."""
-    return replace(rule, doubt=1.0, trust=1.0)
+    return DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
 
 
 def to_learn(rule: DangerRule) -> DangerRule:
-    """The rule of who drives to learn: the network alone at every tick, for it has to meet what it gets wrong."""
-    return replace(alone(rule), at_once=0.0)
+    """The rule of who drives to learn: it answers at every tick, for it has to meet what it gets wrong."""
+    return replace(rule, at_once=0.0)
 
 
-def heeds(rule: DangerRule) -> bool:
-    """Whether the rival is asked."""
-    return not rule.doubt == rule.trust == 1.0
-
-
-def limits(danger: F64, rule: DangerRule, doubted: Bool | None = None) -> F64:
-    """(A,) the danger from which on each action is out; the arguments are those of `choose`."""
-    limit = np.full(len(danger), rule.threshold)
-    if doubted is not None:
-        limit *= np.where(doubted, rule.doubt, rule.trust)
-    return limit
-
-
-def within(danger: F64, rule: DangerRule, last: int = -1, doubted: Bool | None = None) -> Bool:
+def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
     """(A,) which actions are safe enough; the arguments are those of `choose`."""
-    limit = limits(danger, rule, doubted)
+    limit = np.full(len(danger), rule.threshold)
     if last >= 0:
-        limit[last] *= rule.lenient
+        limit[last] *= rule.hysteresis_factor
     allowed: Bool = danger < limit
     return allowed
 
@@ -110,10 +78,9 @@ def choose(
     actions: ActionSet,
     rule: DangerRule,
     last: int = -1,
-    doubted: Bool | None = None,
     recent: bool = True,
 ) -> int:
-    """The action. Where none is safe enough, it is as if the rival would take them all.
+    """The action. Where none is safe enough, it is the least dangerous.
 
     Args:
         danger: (A,) in 0..1.
@@ -121,19 +88,16 @@ def choose(
         actions: The joystick positions.
         rule: See there.
         last: The action before, -1 for none.
-        doubted: (A,) which actions the rival holds for unsafe; None where it is not asked.
         recent: Whether the user's own was unsafe a short time ago, see `next_recent`.
     """
     distance = actions.distances(stick[None])[0]
-    cost = distance + rule.shy * danger / limits(danger, rule, doubted)
+    cost = distance + rule.danger_cost * danger / rule.threshold
     if last >= 0:
-        cost[last] -= rule.keep
-    allowed = within(danger, rule, last, doubted)
+        cost[last] -= rule.hysteresis
+    allowed = within(danger, rule, last)
     own = int(np.argmin(distance))
     if allowed[own] or (not recent and danger[own] < rule.at_once):
         return own
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))
-    if doubted is not None and doubted.any():
-        return choose(danger, stick, actions, rule, last, np.zeros_like(doubted), recent)
     return int(np.argmin(danger + LESS_M * distance))

@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.danger.map_gaps import discs_of, map_profile
-from wcsim.agents.danger.roll_outs import NUMBERS, hull_and_wheels, profile
+from wcsim.agents.danger.roll_outs import hull_and_wheels
 from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
@@ -22,27 +21,10 @@ COMMANDS: Final = 3  # last ones that are told
 TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
 TURNS: Final = slice(5, 8)  # turn rates there
 FULL_MOTION: Final = (1.67, 1.5, 2.0)  # speed, turn rate and acceleration that are told as 1
+_KEYS: Final = (DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY)
 _STARTS: Final = 4  # v, w, acceleration, delay
 VECTOR: Final = 2 + 3 + _STARTS + 2 * COMMANDS
 MIRRORED: Final = (0, 2, 4, 6, *range(9, VECTOR, 2))  # numbers that change their sign when left and right change places
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Looks:
-    """What an eye looks at, and what it keeps; what nobody reads is not made."""
-
-    street: bool = True  # the street map, and the numbers of each action
-    gaps: str = "rival"  # from what these numbers are made, see `DangerConfig`
-    rival: bool = True  # what the rival remembers of the street, too
-    swept: bool = True  # over which cells each action sweeps
-    window: int = 0  # pictures of the last ticks that are shown as they are
-    memory: bool = True  # False: the street is forgotten every tick, and who moves in it
-    odometry: bool = True  # False: speed is reckoned from the commands, and the motion that is told is zero
-
-    @property
-    def as_rival(self) -> bool:
-        """Whether the street is taken in as the rival does it, too."""
-        return self.street and (self.rival or self.gaps == "rival")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,7 +32,6 @@ class DangerSight:
     """One tick of one chair."""
 
     picture: U8  # (PLANES, SIDE, SIDE) see `street_map`
-    actions: U8  # (A, NUMBERS) see `roll_outs.profile`; zeros where the network has no use for them
     vector: F32  # (VECTOR,) roll, pitch, turn rates, v, w, acceleration, delay, the last commands (x, y)
     start: F32  # (6,) where roll-outs begin, see `sweep`
     frames: U8  # (T, 2, H, W) class ids and depth of the last T ticks, the newest last; the first one fills the window
@@ -62,11 +43,14 @@ class Eye:
     Args:
         config: Of the run: its first camera is seen, and its chair driven.
         delay_ticks: From a command to the chair that obeys it; as the configuration says when it is None.
-        looks: What it looks at; None for the street map, as the configuration says.
+        street: Whether it makes the street map, and over which cells of it each action sweeps.
+        pictures: How many of the last ticks' pictures are shown as they are.
     """
 
-    def __init__(self, config: RunConfig, delay_ticks: int | None = None, looks: Looks | None = None) -> None:
-        self.looks = looks or Looks(gaps=config.danger.gaps, rival=config.danger.rival)
+    def __init__(
+        self, config: RunConfig, delay_ticks: int | None = None, street: bool = True, pictures: int = 0
+    ) -> None:
+        self.street, self._pictures = street, pictures
         self._shape = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._actions = action_set(config.env.actions)
         spec = plant_spec(config.chair)
@@ -74,7 +58,6 @@ class Eye:
         around = self.around
         self._map = StreetMap(around.rays, around.eye_B_m, around.far_m)
         self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
-        self._discs = discs_of(around.box_B_m)
         self.forget()
 
     def forget(self) -> None:
@@ -87,18 +70,17 @@ class Eye:
     def look(self, observation: Observation) -> DangerSight:
         """Take the observation of a new tick. Raises PolicyError when it lacks a sense, or is of another camera."""
         self._require(observation)
-        if not self.looks.odometry:
-            observation = {key: value for key, value in observation.items() if key != ODOMETRY_KEY}
         picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
-        numbers = np.zeros((len(self._actions), NUMBERS), np.uint8)
-        if self.looks.street:
-            self._look_around(observation, picture, numbers)
+        if self.street:
+            around = self.around
+            around.move(observation)
+            self._map.see(around.depth_m, around.classes(observation), around.ego.pose_O)
+            self._map.picture(around.ego.pose_O, picture)
         else:
             self.around.feel(observation)
         start, later_s = self.around.start()
         return DangerSight(
             picture=picture,
-            actions=numbers,
             vector=self._vector(observation, later_s),
             start=start.astype(np.float32),
             frames=self._seen(observation),
@@ -110,36 +92,16 @@ class Eye:
         self._sent = np.roll(self._sent, 1, axis=0)
         self._sent[0] = self._actions.points[action]
 
-    def _look_around(self, observation: Observation, picture: U8, numbers: U8) -> None:
-        """Take in the street, and write the map and the numbers."""
-        around, looks = self.around, self.looks
-        if not looks.memory:
-            around.memory.forget()
-            around.tracker.forget()
-            self._map.forget()
-        (around.observe if looks.as_rival else around.move)(observation)
-        pose = around.ego.pose_O
-        self._map.see(around.depth_m, around.classes(observation), pose)
-        points = around.in_the_way(0.0) if looks.as_rival else np.zeros((0, 5))
-        self._map.picture(pose, around.memory.cells, points, picture)
-        start, later_s = around.start()
-        if looks.gaps == "rival":
-            profile(start, later_s, around.commands, around.limits, around.box_B_m, points, numbers)
-        elif looks.gaps == "map":
-            map_profile(start, around.commands, around.limits, self._discs, picture, numbers)
-
     def _seen(self, observation: Observation) -> U8:
         """The window of pictures with this one in it."""
-        frames = self.looks.window
-        if frames:
+        if self._pictures:
             now = np.stack([observation[key][-1] for key in (CLASS_KEY, DEPTH_KEY)]).reshape(1, *self._shape)
-            before = self._frames if len(self._frames) else np.repeat(now, frames - 1, axis=0)
-            self._frames = np.concatenate([before, now])[-frames:]
+            before = self._frames if len(self._frames) else np.repeat(now, self._pictures - 1, axis=0)
+            self._frames = np.concatenate([before, now])[-self._pictures :]
         return self._frames
 
     def _require(self, observation: Observation) -> None:
-        keys = (DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, *((ODOMETRY_KEY,) if self.looks.odometry else ()))
-        lacks = [key for key in keys if key not in observation]
+        lacks = [key for key in _KEYS if key not in observation]
         if lacks or len(observation[IMU_KEY]) < TURNS.stop:
             what = f"no {', '.join(lacks)}" if lacks else f"{len(observation[IMU_KEY])} numbers of the IMU"
             raise PolicyError(
@@ -154,7 +116,7 @@ class Eye:
             )
 
     def _vector(self, observation: Observation, later_s: float) -> F32:
-        imu, motion = observation[IMU_KEY], self.around.ego.motion if self.looks.odometry else np.zeros(3)
+        imu, motion = observation[IMU_KEY], self.around.ego.motion
         said: F64 = np.concatenate(
             [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
         )

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.policies.dynamic_window.street_memory import is_ground
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F32, F64, U8, Bool, ClassId
 
@@ -24,8 +23,8 @@ CELL_M: Final = 0.1
 BEHIND_M: Final = 1.6
 HALF_M: Final = 0.5 * SIDE * CELL_M
 # planes of the picture, uint8
-HIGHEST, LOWEST, AGE, TRAIL, KIND, EDGES, GROUND, COMING = range(8)
-PLANES, OWN_PLANES = 8, 5  # the last three are what `dwa` remembers of the street
+HIGHEST, LOWEST, AGE, TRAIL, KIND = range(5)
+PLANES: Final = 5
 RASTER: Final = 160  # cells of the raster each way: more than twice as far as the picture reaches
 KEEP_TICKS: Final = 40
 TRAIL_TICKS: Final = 20
@@ -33,7 +32,6 @@ LOW_M, SPAN_M = -0.5, 1.5  # heights above the axle's ground that the codes 1 to
 HEAD_M: Final = 1.8  # what hangs higher passes above
 MOVER_M: Final = 0.2  # a person or vehicle shows something above this
 REACH_M: Final = 7.5
-_COMING_S: Final = 0.6
 # columns of a cell
 _KEY_X, _KEY_Y, _TICK, _MOVER, _CLASS = range(5)
 _PAVED, _ROAD, _EARTH, _OTHER = range(1, 5)
@@ -85,17 +83,9 @@ class StreetMap:
             self._kinds, self._movers, self._cells, self._heights_m,
         )  # fmt: skip
 
-    def picture(self, pose_O: F64, memory: I64, points: F64, out: U8) -> None:
-        """Write the picture (PLANES, SIDE, SIDE).
-
-        Args:
-            pose_O: (3,) of the chair.
-            memory: Cells of `StreetMemory`.
-            points: (n, 5) what is in the way, as `Surroundings.in_the_way` has it.
-            out: Written.
-        """
-        _read(pose_O, self._tick, self._cells, self._heights_m, memory, out)
-        _mark(points, out)
+    def picture(self, pose_O: F64, out: U8) -> None:
+        """Write the picture (PLANES, SIDE, SIDE) around a chair at `pose_O` (3,)."""
+        _read(pose_O, self._tick, self._cells, self._heights_m, out)
 
 
 @exact_kernel
@@ -129,7 +119,7 @@ def _write(
 
 
 @exact_kernel
-def _read(pose: F64, tick: int, cells: I64, heights: F32, memory: I64, out: U8) -> None:
+def _read(pose: F64, tick: int, cells: I64, heights: F32, out: U8) -> None:
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     out[:] = 0
     for i in range(SIDE):
@@ -137,8 +127,6 @@ def _read(pose: F64, tick: int, cells: I64, heights: F32, memory: I64, out: U8) 
             bx, by = (SIDE - i - 0.5) * CELL_M - BEHIND_M, HALF_M - (j + 0.5) * CELL_M
             x, y = pose[0] + cos * bx - sin * by, pose[1] + sin * bx + cos * by
             ix, iy = math.floor(x / CELL_M), math.floor(y / CELL_M)
-            if is_ground(memory, x, y):
-                out[GROUND, i, j] = 255
             cell = cells[ix % RASTER, iy % RASTER]
             if cell[_TICK] == 0 or cell[_KEY_X] != ix or cell[_KEY_Y] != iy:
                 continue
@@ -155,21 +143,3 @@ def _read(pose: F64, tick: int, cells: I64, heights: F32, memory: I64, out: U8) 
 @exact_kernel
 def _height_code(height_m: float) -> int:
     return 1 + int(254.0 * min(max((height_m - LOW_M) / SPAN_M, 0.0), 1.0))
-
-
-@exact_kernel
-def _mark(points: F64, out: U8) -> None:
-    """What stands, and where those who come will be."""
-    for n in range(len(points)):
-        moves = points[n, 2] != 0.0 or points[n, 3] != 0.0
-        steps = 4 if moves else 1
-        for step in range(steps):
-            ahead_s = _COMING_S * step / 3.0 if moves else 0.0
-            x, y = points[n, 0] + ahead_s * points[n, 2], points[n, 1] + ahead_s * points[n, 3]
-            i = SIDE - 1 - math.floor((x + BEHIND_M) / CELL_M)
-            j = math.floor((HALF_M - y) / CELL_M)
-            if 0 <= i < SIDE and 0 <= j < SIDE:
-                if moves:
-                    out[COMING, i, j] = max(out[COMING, i, j], 255 - 60 * step)
-                else:
-                    out[EDGES, i, j] = 255

@@ -246,7 +246,8 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
 
 def window_for(policies: Sequence[Policy]) -> int:
     """Images that an observation must hold so that each of the policies sees enough; the others see the newest."""
-    return max((policy.file.window for policy in policies if isinstance(policy, NetPolicy)), default=1)
+    own = [getattr(policy, "inner", policy) for policy in policies]  # a wrapper sees what the policy in it needs
+    return max((policy.file.window for policy in own if isinstance(policy, NetPolicy)), default=1)
 
 
 def with_window(config: RunConfig, policies: Sequence[Policy]) -> RunConfig:

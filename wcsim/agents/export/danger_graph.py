@@ -1,7 +1,7 @@
 """The whole way from camera frames to an action as one network, for export: what it remembers goes in and comes out.
 
 It makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the two together
-(`tests/agents/export/test_danger_graph.py`). Networks that look at what the rival remembers cannot be exported so.
+(`tests/agents/export/test_danger_graph.py`).
 Each operation costs a machine more than the numbers in it, so there are as few as can be.
 """
 
@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, STEPS, hull_and_wheels
+from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, hull_and_wheels
 from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS, DangerRule
 from wcsim.agents.danger.sight import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.street_map import (
@@ -25,7 +25,7 @@ from wcsim.agents.danger.street_map import (
     KEEP_TICKS,
     LOW_M,
     MOVER_M,
-    OWN_PLANES,
+    PLANES,
     RASTER,
     REACH_M,
     SIDE,
@@ -35,7 +35,6 @@ from wcsim.agents.danger.street_map import (
     movers,
 )
 from wcsim.agents.export.drive_law import Drive, Motion, Places
-from wcsim.agents.export.map_gaps_graph import MapGaps
 from wcsim.agents.policies.alarm import CALM, NEWEST
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.ego_motion import (
@@ -62,7 +61,7 @@ class DangerGraph(nn.Module):
     """One step of a danger policy; every state is zero at the start of an episode.
 
     Args:
-        net: Without the rival's planes and numbers.
+        net: One that looks at the street map.
         config: Of the run.
         rule: From dangers to an action.
     """
@@ -76,16 +75,9 @@ class DangerGraph(nn.Module):
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
         """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
-        if net.spec.rival or net.spec.gaps == "rival":
+        if net.spec.eye != "map":
             raise PolicyError(
-                "a network that reads the memory of dwa cannot be exported; train another one on the "
-                "same data: wcsim train --preset laptop --data RUN/data --set collect.rounds=1 "
-                "--set collect.segments=0 --set danger.updates=6000 --set danger.rival=false --set danger.gaps=map"
-            )
-        if net.spec.eye != "map" or not (net.spec.memory and net.spec.odometry):
-            raise PolicyError(
-                "only a network that uses the street map, memory and odometry can be exported; train with "
-                "danger.eye=map, danger.memory=true and danger.odometry=true"
+                f"a network with danger.eye={net.spec.eye} cannot be exported; train with danger.eye=map, its default"
             )
         camera, actions = config.cameras[0], action_set(config.env.actions)
         self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
@@ -96,7 +88,6 @@ class DangerGraph(nn.Module):
         spec = plant_spec(config.chair)
         box = box_of(spec.outline)
         self.drive = Drive(limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent)
-        self.gaps = MapGaps(box) if net.spec.gaps == "map" else None
         chair = hull_and_wheels(box, np.array(spec.stand_m(), np.float64))
         kept = {
             "rays": rays.reshape(-1, 3).astype(np.float32),
@@ -151,11 +142,10 @@ class DangerGraph(nn.Module):
         cells = self._seen(depth, seg, motion, cells)
         codes = self._codes(motion, cells)
         places, start = self._start(motion, waiting)
-        holds = [step * STEP_S < HOLD_S - 1e-9 for step in range(STEPS)]
+        holds = [step * STEP_S < HOLD_S - 1e-9 for step in range(SLICES * EACH_SLICE)]
         rolled = self.drive.roll(places, start, self.commands, holds, STEP_S)
-        told = codes.new_zeros(1, 1) if self.gaps is None else self.gaps(codes, rolled, places)
         vector = self._vector(imu, motion, sent)
-        danger = torch.sigmoid(self.net(codes[None] / 255.0, told[None], vector, self._swept(rolled)))
+        danger = torch.sigmoid(self.net(codes[None] / 255.0, vector, self._swept(rolled)))
         values, recent = self._values(danger, joystick, last, recent)
         action = values.argmax(dim=1)
         alarm = self._alarm(danger, joystick, alarm)
@@ -231,7 +221,7 @@ class DangerGraph(nn.Module):
         return image[..., :: self.stride, :: self.stride].reshape(-1).to(torch.int64)
 
     def _codes(self, motion: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
-        """As `StreetMap.picture`, its own planes, (OWN_PLANES, SIDE, SIDE) in 0..255."""
+        """As `StreetMap.picture`, (PLANES, SIDE, SIDE) in 0..255."""
         x, y = _in_O(motion, self.cells_B[:, 0], self.cells_B[:, 1])
         ix, iy = torch.floor(x / CELL_M), torch.floor(y / CELL_M)
         found = cells[0].index_select(1, _slot(ix, iy).to(torch.int64))
@@ -249,7 +239,7 @@ class DangerGraph(nn.Module):
                 fresh * 60.0 * found[_CLASS],
             ]
         )
-        return planes.reshape(OWN_PLANES, SIDE, SIDE)
+        return planes.reshape(PLANES, SIDE, SIDE)
 
     def _start(self, motion: torch.Tensor, waiting: torch.Tensor) -> tuple[Places, Motion]:
         """As `StreetSense.start`: (1,) each."""
@@ -268,7 +258,7 @@ class DangerGraph(nn.Module):
 
     def _swept(self, rolled: Places) -> torch.Tensor:
         """As `roll_outs.sweep`: (1, A, n) int64."""
-        x, y, yaw = (part[: SLICES * EACH_SLICE, :, None] for part in rolled)
+        x, y, yaw = (part[:, :, None] for part in rolled)
         cos, sin = torch.cos(yaw), torch.sin(yaw)
         x = x + cos * self.chair[:, 0] - sin * self.chair[:, 1]
         y = y + sin * self.chair[:, 0] + cos * self.chair[:, 1]
@@ -285,8 +275,8 @@ class DangerGraph(nn.Module):
         distance = ((self.points[None] - joystick[:, None]) ** 2).sum(-1).sqrt().clamp(max=MAX_DISTANCE)
         numbers = torch.arange(1, len(self.points) + 1, dtype=danger.dtype, device=danger.device)[None]
         kept = (numbers == last).to(danger.dtype)
-        limit = rule.threshold * (1.0 + (rule.lenient - 1.0) * kept)
-        cost = distance + rule.shy * danger / rule.threshold - rule.keep * kept
+        limit = rule.threshold * (1.0 + (rule.hysteresis_factor - 1.0) * kept)
+        cost = distance + rule.danger_cost * danger / rule.threshold - rule.hysteresis * kept
         own = numbers == distance.argmin(dim=1, keepdim=True) + 1
         cost = torch.where(own, torch.full_like(cost, -1e6), cost)
         allowed = danger < limit

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any, Final
 
-from wcsim.agents.danger.rule import RIVAL_KEYS
 from wcsim.agents.export.danger_graph import DangerGraph
 from wcsim.agents.export.guard import GuardRule
 from wcsim.agents.export.value_graph import ValueGraph
@@ -53,8 +52,8 @@ _VALUES: Final = (
 _RULE: Final = (
     "already in `values`: the user's own action where its danger is below threshold, or below at_once and it was not "
     "above the threshold in the ticks before, which state_recent counts; else the nearest action that is below it, "
-    "each farther by shy times its danger over the threshold, the last one nearer by keep and allowed up to lenient "
-    "times the threshold; it warns above warn"
+    "each farther by danger_cost times its danger over the threshold, the last one nearer by hysteresis and allowed up "
+    "to hysteresis_factor times the threshold; it warns above warn"
 )
 _SENSES: Final = (
     "settings in training, in wcsim's words. Of imu: mean_gravity is about the specific force of `inputs` (included: "
@@ -112,7 +111,6 @@ def _input(key: str, config: RunConfig) -> str:
 def _of_kind(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
     """How a danger network's dangers become an action, or what the values of Q-learning are."""
     if isinstance(graph, DangerGraph):
-        rule = {key: value for key, value in asdict(graph.rule).items() if key not in RIVAL_KEYS}
-        return {"rule": rule, "rule_meaning": _RULE}
+        return {"rule": asdict(graph.rule), "rule_meaning": _RULE}
     scale = graph.net.spec.prior.reward_scale
     return {"values_meaning": _VALUES, "reward_scale": scale, "discount": config.learn.gamma}

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import alone
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.envs.frame_window import FrameWindow, newest
 from wcsim.agents.envs.senses import senses_of, with_senses
@@ -152,7 +151,7 @@ def _opened(policy: Path, config: RunConfig, level: float | None, network: str |
         held = load_policy(policy, network)
         return ValueGraph(held.net, held.file.window), held
     net, rule = load_net(policy)
-    rule = alone(rule if level is None else replace(rule, threshold=level))
+    rule = rule if level is None else replace(rule, threshold=level)
     return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 

@@ -20,12 +20,25 @@ UPPER_BOUNDS: Final = (VISIBLE_BOUND, UPPER_BOUND)
 
 
 LEVELLED: Final = "dwa"
+VETO: Final = "veto:"
+"""Before a policy's name: `dwa` forbids what it holds for unsafe, see `policies/veto.py`."""
+
 HIGHEST_LEVEL: Final = 2.0
 USUAL_LEVEL: Final = 1.0
 
 
+def without_veto(name: str) -> str:
+    """The policy that a name means, without the wrapper around it.
+
+    >>> without_veto("veto:runs/a@0.2"), without_veto("dwa")
+    ('runs/a@0.2', 'dwa')
+    """
+    return name.removeprefix(VETO)
+
+
 def is_baseline(name: str) -> bool:
     """Whether a baseline has this name. Raises PolicyError for a level of assistance that there is not."""
+    name = without_veto(name)
     level_of(name)
     return name.partition("@")[0] == LEVELLED or name in (*NAMES, *UPPER_BOUNDS)
 

@@ -23,6 +23,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.agents.policies.baseline_names import without_veto
 from wcsim.agents.policy_api import ANSWER_S, Observation
 from wcsim.core.reading import FileKind, parse_json, shown
 from wcsim.errors import PolicyError
@@ -35,7 +36,7 @@ _ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=_ANSWER_BYTE
 
 def is_served(name: str) -> bool:
     """Whether a policy's name is the address of a process that serves it."""
-    return name.startswith(SCHEME)
+    return without_veto(name).startswith(SCHEME)
 
 
 class ServedPolicy:

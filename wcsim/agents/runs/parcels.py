@@ -67,9 +67,10 @@ def with_plant_at(config: RunConfig, at: At) -> RunConfig:
 
 
 def policy_at(name: str, at: At) -> str:
-    """A policy's name, level included, where it lies now."""
+    """A policy's name, veto and level included, where it lies now."""
     plain, _ = split_level(name)
-    return at(plain) + name.removeprefix(plain)
+    before, _, after = name.partition(plain)
+    return before + at(plain) + after
 
 
 def require_travels(

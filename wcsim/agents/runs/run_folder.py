@@ -25,7 +25,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
+from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, without_veto
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.shipped import SHIPPED, shipped_folder
@@ -235,14 +235,15 @@ def policy_path(name: str) -> Path:
 
 
 def split_level(name: str) -> tuple[str, float | None]:
-    """A policy's name without the level of assistance that it may end with, and that level.
+    """A policy's name without a veto and the level of assistance that it may end with, and that level.
 
-    >>> split_level("runs/a@0.2"), split_level("runs/a"), split_level("b@home")
+    >>> split_level("runs/a@0.2"), split_level("veto:runs/a"), split_level("b@home")
     (('runs/a', 0.2), ('runs/a', None), ('b@home', None))
 
     Raises:
         PolicyError: The level is none.
     """
+    name = without_veto(name)
     head, at, text = name.rpartition("@")
     if not at or not _LEVEL.fullmatch(text):
         return name, None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from wcsim.agents.evaluation.suite.named_policy import is_own_class, is_plain
 from wcsim.agents.networks.names import is_own, require_named, require_network
+from wcsim.agents.policies.baseline_names import VETO, without_veto
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.core.plugins import find_class
@@ -22,7 +23,7 @@ def require_policy(name: str, network: str) -> None:
         PolicyError: There is no such policy or class, or its network was not named.
     """
     if is_own_class(name):
-        find_class(name, "policy")
+        find_class(without_veto(name), "policy")
     elif not is_plain(name):
         used = network_of(name)
         if is_own(used):
@@ -41,6 +42,14 @@ def require_driver(name: str, network: str) -> None:
     require_network(network)
     if is_plain(name) or network_of(name) != network:
         raise PolicyError(f"--network {shown(network, 80)}: {shown(name)} does not use it; leave it out")
+
+
+def require_without_veto(name: str, does: str) -> None:
+    """Refuse a policy behind a veto, where only its network is used. Raises PolicyError."""
+    if name.startswith(VETO):
+        raise PolicyError(
+            f"{shown(name)}: {does} uses the network alone; expected {shown(without_veto(name))}, without {VETO}"
+        )
 
 
 def network_of(name: str) -> str:

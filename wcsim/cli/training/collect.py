@@ -14,7 +14,7 @@ import tyro
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.machine_options import machines_of
-from wcsim.cli.shared.named_policies import require_policy
+from wcsim.cli.shared.named_policies import require_policy, require_without_veto
 from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import load_run_config
@@ -58,6 +58,7 @@ def run(words: list[str]) -> int:
     own = (f"learn.network={json.dumps(options.network)}",) if options.network else ()
     config = load_run_config(options.preset, (*options.set, *own), options.config)
     if options.policy:
+        require_without_veto(options.policy, "collecting")
         require_policy(options.policy, config.learn.network)
     require_known(options.network)
     require_trained_users(config)

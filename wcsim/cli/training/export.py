@@ -19,7 +19,7 @@ from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.named_policies import require_driver
+from wcsim.cli.shared.named_policies import require_driver, require_without_veto
 from wcsim.config import RunConfig
 from wcsim.core.reading import counted, is_folder, shown
 from wcsim.errors import ConfigError, PolicyError, meant
@@ -100,6 +100,7 @@ def run(words: list[str]) -> int:
 
 def _network(name: str) -> Path:
     """The folder of a network that may be exported. Raises PolicyError, also for what drives and has none."""
+    require_without_veto(name, "an export")
     if is_plain(name):
         raise PolicyError(
             f"{shown(name)} has no network that can be exported; expected a run that `wcsim train` made, "

@@ -11,9 +11,10 @@ from typing import Any
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.export.guard_file import guard_of
 from wcsim.agents.export.guarded_policy import GuardedPolicy
-from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.baseline_names import VETO, is_baseline, without_veto
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
+from wcsim.agents.policies.veto import Veto
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
@@ -28,6 +29,8 @@ from wcsim.supervisor.actions import action_set
 
 def identity_of(name: str, preset: str) -> list[Any]:
     """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
+    if name.startswith(VETO):
+        return ["veto", *identity_of(without_veto(name), preset)]
     if is_baseline(name):
         return ["baseline", name, preset]
     if is_served(name):
@@ -70,11 +73,13 @@ def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
 
 def is_onnx(name: str) -> bool:
     """Whether a policy's name is a folder with an ONNX model."""
+    name = without_veto(name)
     return name != SHIPPED and is_onnx_folder(Path(name))
 
 
 def is_own_class(policy: str) -> bool:
     """Whether a policy is named as module:Class: opening it runs somebody's code."""
+    policy = without_veto(policy)
     a_class = ":" in policy and not is_baseline(policy) and not is_served(policy)
     head, _, last = policy.rpartition(":")
     return a_class and last not in STAGES and not is_folder(Path(head))
@@ -88,6 +93,8 @@ def is_plain(name: str) -> bool:
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
     """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
     actions = action_set(config.env.actions)
+    if name.startswith(VETO):
+        return Veto(name, open_named(without_veto(name), config, seed, network), config)
     if is_served(name):
         return ServedPolicy(name, actions.points)
     if is_onnx(name):
@@ -133,7 +140,7 @@ def sensing(config: RunConfig, policy: Policy) -> RunConfig:
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
     """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
     if is_onnx(policy):
-        about = read_about(Path(policy))
+        about = read_about(Path(without_veto(policy)))
         return with_overrides(load_run_config(about.preset, about.settings), settings)
     plain = is_baseline(policy) or is_own_class(policy) or is_served(policy)
     config = with_overrides(load_run_config(preset) if plain else config_of(policy, preset, ()), settings)

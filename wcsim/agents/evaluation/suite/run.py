@@ -26,7 +26,7 @@ from wcsim.agents.evaluation.suite.named_policy import (
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
-from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.baseline_names import is_baseline, without_veto
 from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
@@ -217,7 +217,7 @@ def needs_of(piece: Piece) -> tuple[Parcel, ...]:
     if is_baseline(piece.policy):
         return towns
     if is_onnx(piece.policy):
-        return (*towns, folder_parcel(Path(piece.policy), piece.policy))
+        return (*towns, folder_parcel(Path(without_veto(piece.policy)), without_veto(piece.policy)))
     return (*towns, policy_parcel(split_level(piece.policy)[0]))
 
 

@@ -1,0 +1,146 @@
+"""The wrapper `veto:POLICY`: whose action is taken, what it passes on, and by which names it is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.agents.danger.sights import observation
+from tests.agents.policies.test_baselines import box, ground, looking_at
+from wcsim.agents.evaluation.suite.named_policy import identity_of, is_own_class, is_plain, open_named, settings_of
+from wcsim.agents.policies.baseline_names import is_baseline
+from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policies.served_policy import is_served
+from wcsim.agents.policies.veto import Veto
+from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
+from wcsim.agents.runs.parcels import policy_at
+from wcsim.agents.runs.run_folder import split_level
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import action_set
+
+CONFIG = RunConfig(cameras=(CameraConfig(width_px=96, height_px=72),))
+ACTIONS = action_set("square81")
+AHEAD = np.array([0.0, 1.0], np.float32)
+WALL = box(1.3, 3.0, -3, 3, 0, 2)  # 0.5 m ahead: driving on at 0.8 m/s would be too late
+
+
+def seen(surface, stick=AHEAD):
+    view = looking_at(surface, camera=CONFIG.cameras[0])
+    imu = np.concatenate([view["imu"], np.zeros(3, np.float32)])
+    return {**view, "imu": imu, "odometry": np.array([0.2, 0.0], np.float32), "joystick": np.asarray(stick, np.float32)}
+
+
+class Doubter:
+    """Wants one action, holds some for unsafe, and writes down what is sent."""
+
+    name, senses = "doubter", ("brake",)
+
+    def __init__(self, wants, doubts=()):
+        self.wants, self.told, self.warning = ACTIONS.nearest(wants), [], True
+        self.unsafe = np.array([tuple(point) in doubts for point in ACTIONS.points.tolist()])
+
+    def begin(self):
+        self.told.append("begin")
+
+    def reset(self):
+        self.told.append("reset")
+
+    def set_delay(self, ticks):
+        self.told.append(ticks)
+
+    def act(self, observation):
+        raise AssertionError("whoever hears what is sent is asked to choose")
+
+    def choose(self, observation):
+        return self.wants
+
+    def sent(self, action):
+        self.told.append(action)
+
+    def close(self):
+        self.told.append("closed")
+
+
+def test_where_dwa_forbids_nothing_the_policy_drives():
+    policy = Veto("veto:follow", baseline("follow", CONFIG), CONFIG)
+    assert policy.act(seen(ground)) == ACTIONS.nearest(AHEAD)
+    assert not policy.unsafe[ACTIONS.nearest(AHEAD)]
+
+
+def test_before_a_wall_the_nearest_action_that_is_allowed_is_taken():
+    policy = Veto("veto:follow", baseline("follow", CONFIG), CONFIG)
+    chosen = ACTIONS.points[policy.act(seen(WALL))]
+    assert policy.unsafe[ACTIONS.nearest(AHEAD)] and not policy.unsafe[ACTIONS.nearest(chosen)]
+    distance = ACTIONS.distances(AHEAD[None].astype(np.float64))[0]
+    assert ACTIONS.distance(ACTIONS.nearest(chosen), AHEAD) == distance[~policy.unsafe].min()
+
+
+def test_what_the_policy_itself_holds_for_unsafe_is_not_put_in_the_place():
+    free = Veto("veto:a", Doubter(AHEAD), CONFIG)
+    first = free.act(seen(WALL))
+    doubter = Doubter(AHEAD, doubts={tuple(ACTIONS.points[first].tolist())})
+    assert Veto("veto:b", doubter, CONFIG).act(seen(WALL)) != first
+
+
+def test_where_all_is_unsafe_to_one_of_both_the_veto_counts():
+    everything = {tuple(point) for point in ACTIONS.points.tolist()}
+    first = Veto("veto:a", Doubter(AHEAD), CONFIG).act(seen(WALL))
+    assert Veto("veto:b", Doubter(AHEAD, doubts=everything), CONFIG).act(seen(WALL)) == first
+
+
+def test_where_dwa_would_take_nothing_the_policy_decides(monkeypatch):
+    policy = Veto("veto:a", Doubter(AHEAD), CONFIG)
+    monkeypatch.setattr(policy._dwa, "choose", lambda observation: 0)
+    policy._dwa.unsafe = np.ones(81, np.bool_)
+    assert policy.act(seen(WALL)) == ACTIONS.nearest(AHEAD)
+
+
+def test_it_has_the_senses_of_both_and_tells_the_policy_what_happens():
+    inner = Doubter(AHEAD)
+    policy = Veto("veto:doubter", inner, CONFIG)
+    assert all(isinstance(policy, what) for what in (HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns))
+    assert policy.senses == ("odometry", "gyro", "brake") and policy.warning
+    policy.begin()
+    policy.set_delay(2)
+    policy.reset()
+    action = policy.act(seen(WALL))
+    policy.close()
+    assert inner.told == ["begin", 2, "reset", action, "closed"] and action != inner.wants
+
+
+def test_its_level_is_that_of_dwa():
+    policy = Veto("veto:follow", baseline("follow", CONFIG), CONFIG)
+    allowed = []
+    for level in (0.0, 1.0, 2.0):
+        policy.set_level(level)
+        policy.reset()
+        policy.act(seen(WALL))
+        allowed.append(int((~policy.unsafe).sum()))
+        assert policy.level == level
+    assert allowed[0] > allowed[2]
+    with pytest.raises(PolicyError, match="expected 0 to 2"):
+        policy.set_level(3.0)
+
+
+def test_names():
+    assert is_baseline("veto:dwa@0.5") and is_served("veto:tcp:5000") and is_plain("veto:follow")
+    assert is_own_class("veto:mine:Policy") and not is_own_class("veto:dwa") and not is_own_class("veto:runs/a:phase1")
+    assert split_level("veto:runs/a@0.2") == ("runs/a", 0.2)
+    assert policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
+    assert identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != identity_of("dwa", "quick")
+    assert settings_of("veto:dwa", "quick", ()) == settings_of("dwa", "quick", ())
+
+
+def test_a_policy_that_sees_the_truth_needs_no_veto():
+    with pytest.raises(PolicyError, match="sees the truth"):
+        open_named("veto:oracle", CONFIG, 0)
+
+
+def test_the_shipped_policy_drives_behind_a_veto():
+    config = settings_of("veto:shipped", "quick", ())
+    policy = open_named("veto:shipped", config, 0)
+    assert policy.name == "veto:shipped"
+    policy.begin()
+    policy.reset()
+    assert 0 <= policy.act(observation(config)) < 81
