@@ -116,8 +116,8 @@ class Recorder:
         self.calls.append("choose")
         return 3
 
-    def watch(self, observation: object) -> None:
-        self.calls.append("watch")
+    def observe(self, observation: object) -> None:
+        self.calls.append("observe")
 
     def sent(self, action: int) -> None:
         self.calls.append(f"sent {action}")
@@ -134,8 +134,8 @@ def test_a_network_is_told_what_is_sent_in_its_place():
     assert 10 < len(reckless) < 50
     assert all(choice.action == ACTIONS.nearest(choice.wish) for choice in reckless)
     assert all(choice.action == 3 for choice in chosen if choice.driver != RECKLESS)
-    assert learned.calls[1:3] in (["choose", "sent 3"], ["watch", f"sent {chosen[0].action}"])
-    assert learned.calls.count("watch") == len(reckless)
+    assert learned.calls[1:3] in (["choose", "sent 3"], ["observe", f"sent {chosen[0].action}"])
+    assert learned.calls.count("observe") == len(reckless)
     assert sum(call.startswith("sent") for call in learned.calls) == 60
 
 

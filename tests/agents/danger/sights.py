@@ -1,4 +1,4 @@
-"""Lessons and settings for tests of danger networks: tiny pictures, streets of noise."""
+"""LabelledSteps and settings for tests of danger networks: tiny pictures, streets of noise."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import Segment
-from wcsim.agents.danger.lessons import Lectures, lessons_of
+from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
 
@@ -52,15 +52,15 @@ def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Se
     )
 
 
-def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Lectures:
-    """Lessons of such a drive."""
-    found = Lectures(config)
-    found.add(lessons_of(a_segment(rows, seed), config))
+def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Dataset:
+    """LabelledSteps of such a drive."""
+    found = Dataset(config)
+    found.add(labelled_steps(a_segment(rows, seed), config))
     found.begin(np.random.default_rng(seed))
     return found
 
 
-def all_of(lessons: Lectures) -> np.ndarray:
+def all_of(lessons: Dataset) -> np.ndarray:
     """Part and row of all there are."""
     return np.stack([np.zeros(len(lessons), np.int64), np.arange(len(lessons))], 1)
 

@@ -12,9 +12,9 @@ from safetensors.torch import load_file, save_file
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.collecting.data_folder import read_manifest, require_same_settings, write_manifest
+from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import load_danger, save_danger
-from wcsim.agents.danger.sight import Eye
 from wcsim.agents.runs.policy_file import WEIGHTS
 from wcsim.config import with_overrides
 from wcsim.core import files
@@ -59,7 +59,7 @@ def test_a_run_with_other_actions_classes_or_pictures_is_refused(saved: Path, se
 def test_an_observation_without_its_senses_is_refused(bad, told):
     seen = {key: value for key, value in {**ride(1)[0], **bad}.items() if value is not None}
     with pytest.raises(PolicyError, match=told):
-        Eye(CONFIG).look(seen)
+        FeatureExtractor(CONFIG).extract(seen)
 
 
 def test_weights_of_another_hash_type_shape_or_form_are_refused(saved: Path):

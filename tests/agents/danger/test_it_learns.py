@@ -16,9 +16,9 @@ import torch
 from tests.agents.danger.sights import Silent, all_of
 from tests.agents.danger.toy_rides import ACTIONS, follow, mixed, ride, segment_of, slides, toy_config
 from wcsim.agents.collecting.labels import SAFE
-from wcsim.agents.danger import lessons as lessons_module
+from wcsim.agents.danger import dataset as dataset_module
+from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
 
@@ -44,7 +44,7 @@ BAR = Known(precision=0.79, sides=0.89, bits=0.5)
 
 @pytest.fixture(scope="module")
 def streets():
-    """What is learned from, and what is judged by; there the street's own labels count, not those of `lessons_of`."""
+    """Slides to learn from, and to be judged by; there the street's own labels count, not those of `labelled_steps`."""
     return slides(toy_config(), 1200, seed=1), slides(toy_config(), 300, seed=2)
 
 
@@ -68,9 +68,9 @@ def judged(logits, unsafe):
 def learned(part, seed, streets):
     """What this part alone knows after its updates."""
     config, (shown, held) = toy_config(*ALONE[part]), streets
-    lectures, asked = Lectures(config), Lectures(config)
-    lectures.add(lessons_of(shown, config))
-    asked.add(lessons_of(held, config))
+    lectures, asked = Dataset(config), Dataset(config)
+    lectures.add(labelled_steps(shown, config))
+    asked.add(labelled_steps(held, config))
     lectures.begin(np.random.default_rng(seed))
     learner = DangerLearner(config, seed, UPDATES[part])
     setattr(learner.net, OTHER[part], Silent())
@@ -102,20 +102,20 @@ def test_each_part_learns_with_other_seeds(part, seed, streets):
 
 
 def _a_tick_late(monkeypatch):
-    labels = lessons_module.unsafe_ahead
-    monkeypatch.setattr(lessons_module, "unsafe_ahead", lambda *of: np.roll(labels(*of), 1, axis=0))
+    labels = dataset_module.unsafe_ahead
+    monkeypatch.setattr(dataset_module, "unsafe_ahead", lambda *of: np.roll(labels(*of), 1, axis=0))
 
 
 def _mirrored_in_part(monkeypatch, pictures_alone):
     """A mirror in which either the pictures turn and nothing else does, or everything else does."""
-    batch = Lectures.batch
+    batch = Dataset.batch
 
     def half(self, picks, mirror=False):
         plain, turned = batch(self, picks), batch(self, picks, mirror=mirror)
         pictures, rest = (turned, plain) if pictures_alone else (plain, turned)
         return replace(rest, inputs=(pictures.inputs[0], *rest.inputs[1:3], pictures.inputs[3]))
 
-    monkeypatch.setattr(Lectures, "batch", half)
+    monkeypatch.setattr(Dataset, "batch", half)
 
 
 def _pictures_alone(monkeypatch):
@@ -128,8 +128,8 @@ def _all_but_pictures(monkeypatch):
 
 def _upside_down(monkeypatch):
     """The sign is wrong: what is safe counts as unsafe."""
-    labels = lessons_module.unsafe_ahead
-    monkeypatch.setattr(lessons_module, "unsafe_ahead", lambda *of: ~labels(*of))
+    labels = dataset_module.unsafe_ahead
+    monkeypatch.setattr(dataset_module, "unsafe_ahead", lambda *of: ~labels(*of))
 
 
 @pytest.mark.proof
@@ -177,8 +177,8 @@ def rides():
 def driven(seed, rides):
     """20 rides of a network that has learned, in the streets of the user alone."""
     config = toy_config(*RIDE)
-    lectures, learner = Lectures(config), DangerLearner(config, seed, RIDE_UPDATES)
-    lectures.add(lessons_of(segment_of(rides[0].rows), config))
+    lectures, learner = Dataset(config), DangerLearner(config, seed, RIDE_UPDATES)
+    lectures.add(labelled_steps(segment_of(rides[0].rows), config))
     lectures.begin(np.random.default_rng(seed))
     learner.learn(lectures, RIDE_UPDATES)
     return ride(config, DangerPolicy("toy", learner.net, config, DangerRule(threshold=0.15)), 20, seed=99)

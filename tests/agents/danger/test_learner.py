@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import a_segment, all_of, lectures, small_config
+from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner, rate_share
-from wcsim.agents.danger.lessons import Lectures, lessons_of
 from wcsim.errors import PolicyError
 
 
@@ -16,9 +16,9 @@ from wcsim.errors import PolicyError
 def test_64_steps_are_learned_by_heart(words):
     fast = ("danger.batch=32", "danger.learning_rate=0.004")
     config = small_config(*fast, "danger.weight_decay=0", "danger.ahead=0", *words)
-    lessons, learner = Lectures(config), DangerLearner(config, 1, 60)
+    lessons, learner = Dataset(config), DangerLearner(config, 1, 60)
     ends = () if words else tuple(range(64))  # a street map of noise tells nothing of a step once it has seen others
-    lessons.add(lessons_of(a_segment(64, ends=(9, *ends)), config))
+    lessons.add(labelled_steps(a_segment(64, ends=(9, *ends)), config))
     lessons.begin(np.random.default_rng(0))
     before = float(learner.learn(lessons, 1))
     learner.learn(lessons, 59)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import Silent, all_of, lectures, small_config
-from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -17,7 +17,7 @@ POINTS = torch.as_tensor(ACTIONS.points)
 
 def net_of(config) -> DangerNet:
     torch.manual_seed(0)
-    return laid_out(DangerNet(spec_of(config), POINTS))
+    return channels_last(DangerNet(spec_of(config), POINTS))
 
 
 @pytest.mark.parametrize("eye", ["map", "picture", "both"])
@@ -83,13 +83,13 @@ def test_the_position_of_the_stick_is_no_input():
     """Two wishes in the same street: the same logits for the same action, for there is nowhere to put a wish."""
     config = small_config("danger.eye=both")
     from tests.agents.danger.sights import a_segment
-    from wcsim.agents.danger.lessons import Lectures, lessons_of
+    from wcsim.agents.danger.dataset import Dataset, labelled_steps
 
     segment = a_segment(8, ends=())
     told = []
     for stick in (0.9, -0.9):
         segment.wish[1:] = (0.0, stick)  # the first one tells who drove before the chair was seen
-        lessons = Lectures(config)
-        lessons.add(lessons_of(segment, config))
+        lessons = Dataset(config)
+        lessons.add(labelled_steps(segment, config))
         told.append(net_of(config).eval()(*lessons.batch(all_of(lessons)).inputs))
     assert torch.equal(told[0], told[1])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import observation, small_config
-from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.policies.alarm import Alarm, next_alarm
@@ -22,7 +22,7 @@ RULE = DangerRule(warn=0.5)
 def policy_of(*words: str, base: float = -3.0) -> DangerPolicy:
     config = small_config(*words)
     torch.manual_seed(1)
-    net = laid_out(DangerNet(spec_of(config), torch.as_tensor(ACTIONS.points))).eval()
+    net = channels_last(DangerNet(spec_of(config), torch.as_tensor(ACTIONS.points))).eval()
     with torch.no_grad():
         net.base.fill_(base)
     return DangerPolicy("own", net, config, RULE)

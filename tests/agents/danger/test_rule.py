@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.rule import RECENT_TICKS, DangerRule, choose, next_recent, to_learn, within
+from wcsim.agents.danger.rule import RECENT_TICKS, DangerRule, choose, exploring, next_recent, within
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")
@@ -82,8 +82,8 @@ def test_a_lone_doubtful_tick_takes_nothing_away_two_in_a_row_do():
 
 def test_who_drives_to_learn_has_no_patience():
     rule = DangerRule(at_once=0.6, threshold=0.3)
-    assert to_learn(rule) == DangerRule(threshold=0.3)
-    assert taken_of([0.5], to_learn(rule)) == [True]
+    assert exploring(rule) == DangerRule(threshold=0.3)
+    assert taken_of([0.5], exploring(rule)) == [True]
 
 
 def test_what_is_surely_dangerous_is_taken_away_at_once():

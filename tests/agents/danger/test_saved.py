@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from tests.agents.danger.sights import all_of, lectures, small_config
-from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import load_danger, load_net, save_danger
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
@@ -29,7 +29,7 @@ EYES = (
 
 def saved(folder: Path, config: RunConfig) -> DangerNet:
     torch.manual_seed(3)
-    net = laid_out(DangerNet(spec_of(config), torch.as_tensor(action_set("square81").points))).eval()
+    net = channels_last(DangerNet(spec_of(config), torch.as_tensor(action_set("square81").points))).eval()
     save_danger(folder, net, RULE, config)
     return net
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tests.agents.policies.test_baselines import box, looking_at
+from wcsim.agents.danger.features import VECTOR, FeatureExtractor
 from wcsim.agents.danger.roll_outs import SLICES, sweep
-from wcsim.agents.danger.sight import VECTOR, Eye
 from wcsim.agents.danger.street_map import (
     AGE,
     BEHIND_M,
@@ -40,7 +40,7 @@ def cell(x_m, y_m):
 
 
 def test_a_wall_stands_where_it_is_and_the_ground_before_it_is_known():
-    sight = Eye(CONFIG).look(observation(box(2.0, 3.0, -3, 3, 0, 2), kind=ClassId.SIDEWALK))
+    sight = FeatureExtractor(CONFIG).extract(observation(box(2.0, 3.0, -3, 3, 0, 2), kind=ClassId.SIDEWALK))
     wall, floor = cell(2.05, 0.05), cell(1.55, 0.05)
     assert sight.picture.shape == (PLANES, SIDE, SIDE)
     assert sight.picture[(HIGHEST, *wall)] > 200 and sight.picture[(HIGHEST, *floor)] < 100
@@ -50,23 +50,23 @@ def test_a_wall_stands_where_it_is_and_the_ground_before_it_is_known():
 
 
 def test_what_was_seen_stays_while_the_chair_moves_and_grows_old():
-    eye = Eye(CONFIG)
-    eye.look(observation(box(2.0, 3.0, -3, 3, 0, 2)))
+    eye = FeatureExtractor(CONFIG)
+    eye.extract(observation(box(2.0, 3.0, -3, 3, 0, 2)))
     for _ in range(5):
         eye.command(AHEAD)
-        moved = eye.look(observation(lambda x, y, z: z <= -99.0, speed=1.0))
+        moved = eye.extract(observation(lambda x, y, z: z <= -99.0, speed=1.0))
     wall = cell(2.05 - eye.around.ego.pose_O[0], 0.05)
     assert moved.picture[(AGE, *wall)] == 255 - 5 * 5
     assert moved.picture[(HIGHEST, *wall)] > 200
 
 
 def test_people_leave_a_trail():
-    sight = Eye(CONFIG).look(observation(box(2.0, 2.3, -0.2, 0.2, 0, 1.7), kind=ClassId.PERSON))
+    sight = FeatureExtractor(CONFIG).extract(observation(box(2.0, 2.3, -0.2, 0.2, 0, 1.7), kind=ClassId.PERSON))
     assert sight.picture[(TRAIL, *cell(2.05, 0.05))] == 255
 
 
 def test_what_a_position_sweeps_over_lies_ahead_of_a_chair_that_drives_on():
-    eye = Eye(CONFIG)
+    eye = FeatureExtractor(CONFIG)
     around = eye.around
     starts = np.zeros((1, 6))
     starts[0, 3] = 1.0

@@ -49,7 +49,8 @@ def test_a_network_that_was_told_a_delay_sees_what_one_sees_that_was_made_with_i
     for tick in range(5):
         seen = observation(config, tick)
         assert told.act(seen) == made.act(seen)
-        assert (told.sight.vector == made.sight.vector).all() and (told.sight.start == made.sight.start).all()
+        assert (told.features.vector == made.features.vector).all()
+        assert (told.features.start == made.features.start).all()
 
 
 def test_without_a_drawn_delay_the_configured_one_stays():
@@ -57,7 +58,7 @@ def test_without_a_drawn_delay_the_configured_one_stays():
     for drawn in (None, Drawn(light=0.5)):
         tell_delay(policy, drawn)
         tell_delay(told, drawn)
-    assert policy._eye.around.ego.delay_ticks == 2 and told.heard == []
+    assert policy._extractor.around.ego.delay_ticks == 2 and told.heard == []
     assert isinstance(policy, HearsDelay) and not isinstance(baseline("dwa", small_config()), HearsDelay)
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from tests.support.worlds import quick_config
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import Segment
+from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.rule import DangerRule, choose
-from wcsim.agents.danger.sight import Eye
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import advance
 from wcsim.config import RunConfig
@@ -50,7 +50,7 @@ class Street:
     config: RunConfig
     things: np.ndarray
     chair: np.ndarray
-    eye: Eye = field(repr=False)
+    eye: FeatureExtractor = field(repr=False)
 
     def sees(self, stick=(0.0, 0.0)):
         """The observation of a chair that stands level."""
@@ -162,7 +162,7 @@ def slide(config, eye, rng):
 
 def slides(config, count, seed):
     """So many ticks, each in a street of its own: one tick off, and a label says nothing."""
-    rng, eye = np.random.default_rng(seed), Eye(config)
+    rng, eye = np.random.default_rng(seed), FeatureExtractor(config)
     streets = [slide(config, eye, rng) for _ in range(count)]
     rows = [(street.sees(), street.unsafe(), 40, True) for street in streets]
     return segment_of(rows)
@@ -206,7 +206,7 @@ def ride(config, policy, episodes, seed, ticks=60, labelled=False):
         ticks: Of an episode at most.
         labelled: Keep (observation, unsafe, action, ended) of each tick.
     """
-    rng, eye, found = np.random.default_rng(seed), Eye(config), Ride()
+    rng, eye, found = np.random.default_rng(seed), FeatureExtractor(config), Ride()
     for _ in range(episodes):
         street, goal_m, wobble = street_to_ride(config, eye, rng), 0.0, np.zeros(2)
         if hasattr(policy, "reset"):

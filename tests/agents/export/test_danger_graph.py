@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import DangerRule, choose, next_recent, within
-from wcsim.agents.danger.sight import Eye
 from wcsim.agents.export.danger_graph import DangerGraph
 from wcsim.agents.export.drive_law import Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
@@ -68,11 +68,11 @@ def test_the_drives_law_is_that_of_the_chair():
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
     config = with_overrides(CONFIG, (f"world.action_delay_ticks={delay}",))
-    eye, points = Eye(config), action_set(config.env.actions)
+    eye, points = FeatureExtractor(config), action_set(config.env.actions)
     graph = DangerGraph(network(), config, DangerRule()).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
     for seen in ride(25):
-        eye.look(seen)
+        eye.extract(seen)
         with torch.inference_mode():
             values, _, _, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
         assert np.allclose(state[0][0, 5:8], eye.around.ego.motion, atol=1e-4)
@@ -95,13 +95,13 @@ def _before_sent(waiting):
 def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height):
     config = CONFIG.model_copy(update={"cameras": (CameraConfig(width_px=width, height_px=height),)})
     net, rule = network(), DangerRule(threshold=0.4)
-    policy, eye = DangerPolicy("own", net, config, rule), Eye(config)
+    policy, eye = DangerPolicy("own", net, config, rule), FeatureExtractor(config)
     graph = DangerGraph(net, config, rule).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]
     policy.reset()
     actions, same = [], 0
     for seen in ride(shape=(height, width)):
-        sight = eye.look(seen)
+        sight = eye.extract(seen)
         with torch.inference_mode():
             values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
             wanted = torch.sigmoid(net(*inputs([sight], eye)))

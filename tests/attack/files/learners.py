@@ -19,9 +19,9 @@ from tests.attack.files.family import Family
 from tests.attack.files.policies import CHANGES, bad_header, packed, unpacked
 from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick, spoiled, twisted
 from wcsim.agents.collecting.data_folder import packed_segment, read_segment
+from wcsim.agents.danger.dataset import labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE
-from wcsim.agents.danger.lessons import lessons_of
 from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
 from wcsim.core import files
 from wcsim.core.reading import is_file, is_folder
@@ -67,7 +67,7 @@ def _take_segment(path: Path) -> bool:
     segment = read_segment(path)
     path.write_bytes(packed_segment(segment))
     again = read_segment(path).arrays()
-    lessons_of(segment, small_config())
+    labelled_steps(segment, small_config())
     return all(np.array_equal(column, again[name]) for name, column in segment.arrays().items())
 
 

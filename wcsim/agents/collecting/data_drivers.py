@@ -22,7 +22,7 @@ _ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
 
 
 class Learned(Protocol):
-    """The network as a driver: in each step `choose` or `watch`, then `sent`."""
+    """The network as a driver: in each step `choose` or `observe`, then `sent`."""
 
     def reset(self) -> None:
         """An episode begins."""
@@ -30,8 +30,8 @@ class Learned(Protocol):
     def choose(self, observation: Observation) -> int:
         """Its action."""
 
-    def watch(self, observation: Observation) -> None:
-        """See what there is to see without being asked."""
+    def observe(self, observation: Observation) -> None:
+        """Take in an observation without choosing."""
 
     def sent(self, action: int) -> None:
         """What is carried out."""
@@ -79,7 +79,7 @@ class DataDriver:
         action = self._actions.nearest(wish)
         if self._driver == NETWORK and self._learned is not None:
             if reckless:
-                self._learned.watch(observation)
+                self._learned.observe(observation)
             else:
                 action = self._learned.choose({**observation, JOYSTICK_KEY: wish.astype(np.float32)})
             self._learned.sent(action)

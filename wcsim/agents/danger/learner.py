@@ -10,8 +10,8 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from wcsim.agents.danger.lessons import Lectures
-from wcsim.agents.danger.network import DangerNet, laid_out, spec_of
+from wcsim.agents.danger.dataset import Dataset
+from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.networks.device import checked_device
 from wcsim.config import RunConfig
 from wcsim.core import seeding
@@ -41,20 +41,24 @@ class DangerLearner:
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
         points = torch.as_tensor(action_set(config.env.actions).points)
         self._device = checked_device(config.learn.device)
-        self.net = laid_out(DangerNet(spec_of(config), points)).to(self._device)
+        self.net = channels_last(DangerNet(spec_of(config), points)).to(self._device)
         self._optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
         )
         self._total, self._rate = max(total, 1), danger.learning_rate
         self.updates, self.loss = 0, float("nan")
 
-    def learn(self, lectures: Lectures, updates: int, told: Callable[[int], object] = lambda done: None) -> float:
-        """So many updates, each told when done; the smoothed loss. Raises PolicyError for one that is not finite."""
+    def learn(self, data: Dataset, updates: int, on_update: Callable[[int], object] = lambda done: None) -> float:
+        """Do so many updates, and call `on_update` after each; the smoothed loss.
+
+        Raises:
+            PolicyError: A loss or gradient is not finite.
+        """
         self.net.train()
         for done in range(1, updates + 1):
             for group in self._optimizer.param_groups:
                 group["lr"] = self._rate * rate_share(self.updates / self._total)
-            batch = lectures.draw()
+            batch = data.draw()
             seen, unsafe = (part.to(self._device) for part in batch.inputs), batch.unsafe.to(self._device)
             loss = functional.binary_cross_entropy_with_logits(self.net(*seen), unsafe)
             now = float(loss.detach())
@@ -69,7 +73,7 @@ class DangerLearner:
             self._optimizer.step()
             self.updates += 1
             self.loss = now if np.isnan(self.loss) else _SMOOTH * self.loss + (1.0 - _SMOOTH) * now
-            told(done)
+            on_update(done)
         self.net.train(False)
         return self.loss
 

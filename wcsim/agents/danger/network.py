@@ -17,8 +17,8 @@ from gymnasium import spaces
 from torch import nn
 from torch.nn import functional
 
+from wcsim.agents.danger.features import VECTOR
 from wcsim.agents.danger.roll_outs import SLICES
-from wcsim.agents.danger.sight import VECTOR
 from wcsim.agents.danger.street_map import PLANES, SIDE
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
@@ -99,7 +99,7 @@ class DangerNet(nn.Module):
             self.context = Context(count)
         if spec.eye != "map":
             self.pictures = PictureHead(spec, count)
-        self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _faint(nn.Linear(48, count)))
+        self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 
     def forward(
@@ -128,7 +128,7 @@ class DangerNet(nn.Module):
         return torch.as_tensor(logit)
 
 
-def laid_out(net: DangerNet) -> DangerNet:
+def channels_last(net: DangerNet) -> DangerNet:
     """The same network, the weights of its two-dimensional convolutions with channels last in memory."""
     for value in net.parameters():
         if value.dim() == 4:
@@ -136,7 +136,7 @@ def laid_out(net: DangerNet) -> DangerNet:
     return net
 
 
-def _faint(layer: nn.Linear) -> nn.Linear:
+def _small_init(layer: nn.Linear) -> nn.Linear:
     """A layer that says little before it has learned."""
     with torch.no_grad():
         layer.weight.mul_(0.1)
@@ -174,7 +174,7 @@ class Context(nn.Module):
         self.squeeze = nn.Sequential(nn.Conv2d(32, 16, 3, stride=2, padding=1), nn.ReLU(), nn.Flatten())
         flat = 16 * (SIDE // 8) ** 2
         self.dense = nn.Sequential(nn.Linear(flat + VECTOR, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU())
-        self.out = _faint(nn.Linear(64, count))
+        self.out = _small_init(nn.Linear(64, count))
 
     def forward(self, far: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """(B, A)."""
@@ -199,7 +199,7 @@ class PictureHead(nn.Module):
         space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, IMU_KEY: vector, JOYSTICK_KEY: none})
         self.encoder = ObservationEncoder(space, spec.network, spec.classes)
         self.dense = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR, 64), nn.ReLU())
-        self.out = _faint(nn.Linear(64, count))
+        self.out = _small_init(nn.Linear(64, count))
 
     def forward(self, frames: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """(B, A)."""

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.lessons import Inputs, tensors_of
+from wcsim.agents.danger.dataset import Inputs, to_tensors
+from wcsim.agents.danger.features import FeatureExtractor, Features
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, next_recent, within
-from wcsim.agents.danger.sight import DangerSight, Eye
 from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policies.dynamic_window.surroundings import SENSES
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, require_level
@@ -40,11 +40,10 @@ class DangerPolicy:
         self.rule, self._net, self._alarm = rule, net, Alarm()
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)
-        self._eye = Eye(config, delay_ticks, net.spec.street, net.spec.pictures)
+        self._extractor = FeatureExtractor(config, delay_ticks, net.spec.street, net.spec.pictures)
         self._last, self._recent = -1, 0
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) above the threshold at the last choice
-        self.sight: DangerSight  # of the newest observation
-        self.told: F64  # the newest dangers
+        self.features: Features  # of the newest observation
 
     @property
     def warning(self) -> bool:
@@ -68,14 +67,14 @@ class DangerPolicy:
 
     def set_delay(self, ticks: int) -> None:
         """From the next `reset` on a command reaches the chair so many ticks late."""
-        self._eye.around.ego.delay_ticks = ticks
+        self._extractor.around.ego.delay_ticks = ticks
 
     def begin(self) -> None:
         """Nothing outlives an episode."""
 
     def reset(self) -> None:
         """Stand still, and know nothing of the street."""
-        self._eye.forget()
+        self._extractor.forget()
         self._alarm, self._last, self._recent = Alarm(), -1, 0
 
     def act(self, observation: Observation) -> int:
@@ -87,7 +86,8 @@ class DangerPolicy:
     def choose(self, observation: Observation) -> int:
         """The same, while another action may still be sent."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
-        danger = self.dangers(observation)
+        self.observe(observation)
+        danger = self.danger(self.features)
         own = self._actions.nearest(stick)
         self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
         self.unsafe = ~within(danger, self.rule, self._last)
@@ -95,37 +95,32 @@ class DangerPolicy:
         self._recent = next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
         return taken
 
-    def watch(self, observation: Observation) -> None:
-        """See what there is to see, and choose nothing."""
-        self.sight = self._eye.look(observation)
-
-    def dangers(self, observation: Observation) -> F64:
-        """How bad each action is (A,), while any action may still be sent."""
-        self.watch(observation)
-        self.told = self.danger(self.sight)
-        return self.told
+    def observe(self, observation: Observation) -> None:
+        """Take in the observation, and choose nothing."""
+        self.features = self._extractor.extract(observation)
 
     def sent(self, action: int) -> None:
         """Say which action is carried out."""
-        self._eye.command(action)
+        self._extractor.command(action)
         self._last = action
 
-    def danger(self, sight: DangerSight) -> F64:
+    def danger(self, features: Features) -> F64:
         """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
         with torch.inference_mode():
-            logits = self._net(*(part.to(self._device) for part in inputs([sight], self._eye))).cpu().numpy()[0]
+            tensors = [part.to(self._device) for part in inputs([features], self._extractor)]
+            logits = self._net(*tensors).cpu().numpy()[0]
         if not np.isfinite(logits).all():
             raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
         return danger
 
 
-def inputs(sights: list[DangerSight], eye: Eye) -> Inputs:
-    """What the network is called with, for a batch of sights of chairs like that of `eye`."""
-    return tensors_of(
-        eye,
-        picture=np.stack([sight.picture for sight in sights]),
-        vector=np.stack([sight.vector for sight in sights]),
-        start=np.stack([sight.start for sight in sights]).astype(np.float64),
-        frames=np.stack([sight.frames for sight in sights]),
+def inputs(batch: list[Features], extractor: FeatureExtractor) -> Inputs:
+    """What the network is called with, for a batch of chairs like that of `extractor`."""
+    return to_tensors(
+        extractor,
+        picture=np.stack([features.picture for features in batch]),
+        vector=np.stack([features.vector for features in batch]),
+        start=np.stack([features.start for features in batch]).astype(np.float64),
+        frames=np.stack([features.frames for features in batch]),
     )

@@ -32,12 +32,12 @@ class DangerRule:
     warn: float = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
 
 
-def rule_of(danger: DangerConfig) -> DangerRule:
+def configured_rule(danger: DangerConfig) -> DangerRule:
     """The rule that a run's configuration asks for."""
     return DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
 
 
-def to_learn(rule: DangerRule) -> DangerRule:
+def exploring(rule: DangerRule) -> DangerRule:
     """The rule of who drives to learn: it answers at every tick, for it has to meet what it gets wrong."""
     return replace(rule, at_once=0.0)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from safetensors.torch import save_file
 
-from wcsim.agents.danger.network import DangerNet, DangerSpec, laid_out
+from wcsim.agents.danger.network import DangerNet, DangerSpec, channels_last
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
@@ -69,7 +69,7 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     data = read_weights(weights, file.weights_sha256, net.state_dict())
     net.load_state_dict(checked_weights(weights, data, net.state_dict()))
     net.train(False)
-    return laid_out(net), DangerRule(**file.rule.model_dump())
+    return channels_last(net), DangerRule(**file.rule.model_dump())
 
 
 def load_danger(

@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch import nn
 
+from wcsim.agents.danger.features import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, hull_and_wheels
 from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS, DangerRule
-from wcsim.agents.danger.sight import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,
@@ -250,7 +250,7 @@ class DangerGraph(nn.Module):
         return places, now
 
     def _vector(self, imu: torch.Tensor, motion: torch.Tensor, sent: torch.Tensor) -> torch.Tensor:
-        """As `Eye` has it."""
+        """As `FeatureExtractor` has it."""
         scaled = motion[:, 5:8] / motion.new_tensor(FULL_MOTION)
         later = motion.new_full((1, 1), self.delay * self.tick_s)
         said = torch.cat([10.0 * imu[:, TILT], imu[:, TURNS], scaled, later, sent.reshape(1, -1)], 1)

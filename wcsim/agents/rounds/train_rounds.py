@@ -18,9 +18,9 @@ import torch
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_segment, write_manifest
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of
+from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.danger.lessons import Lectures, lessons_of
-from wcsim.agents.danger.rule import rule_of
+from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.rounds.learned_data import learned_segments
 from wcsim.agents.rounds.round_checkpoint import digest_of, in_order, load_round, newest_round, save_round
@@ -81,11 +81,11 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
     learner = DangerLearner(config, seed, config.danger.updates * total)
     first = newest_round(folder.checkpoints) + 1
     segments = load_round(folder.checkpoints, first - 1, learner) if first else {}
-    lectures = Lectures(config)
+    dataset = Dataset(config)
     for segment in learned_segments(folder):
-        lectures.add(lessons_of(segment, config))
+        dataset.add(labelled_steps(segment, config))
     for name in in_order(segments):
-        lectures.add(lessons_of(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
+        dataset.add(labelled_steps(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
     with _drivers(rounds).open() as workers:
         for number in range(first, total):
             began_s = time.monotonic()
@@ -95,17 +95,17 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             if number + 1 < total:
                 workers.ask(_orders(rounds, number + 1))
             waited_s = time.monotonic() - began_s
-            before, crashes = len(lectures), 0
+            before, crashes = len(dataset), 0
             for name in sorted(came):
                 segment = read_segment(folder.path / DATA / SEGMENTS / name, came[name])
-                lectures.add(lessons_of(segment, config))
+                dataset.add(labelled_steps(segment, config))
                 crashes += int(segment.crashed.sum())
-            lectures.begin(seeding.generator(seed, "agent", "lectures", number))
+            dataset.begin(seeding.generator(seed, "agent", "lectures", number))
             torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
-            loss = learner.learn(lectures, config.danger.updates, told.learned)
+            loss = learner.learn(dataset, config.danger.updates, told.learned)
             segments |= came
             _save(rounds, learner, f"round-{number:03d}")
-            row = (number, len(lectures), len(lectures) - before, lectures.tight_share, crashes, learner.updates, loss)
+            row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, learner.updates, loss)
             note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
             save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             many = len(now)
@@ -172,5 +172,5 @@ class RoundTeller:
 
 
 def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
-    rule, sha256 = rule_of(rounds.config.danger), rounds.folder.manifest_sha256()
+    rule, sha256 = configured_rule(rounds.config.danger), rounds.folder.manifest_sha256()
     save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.config, sha256)

@@ -16,7 +16,7 @@ from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.collecting.work import collect
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import to_learn
+from wcsim.agents.danger.rule import exploring
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.runs.parcels import folder_parcel, plant_parcels, require_travels, town_parcel, with_plant_at
 from wcsim.config import RunConfig
@@ -156,6 +156,6 @@ def _learned_of(folder: Path, config: RunConfig) -> MakeLearned:
     net, rule = load_net(folder, config.learn.network)
 
     def make(delay_ticks: int) -> DangerPolicy:
-        return DangerPolicy(folder.name, net, config, to_learn(rule), delay_ticks)
+        return DangerPolicy(folder.name, net, config, exploring(rule), delay_ticks)
 
     return make

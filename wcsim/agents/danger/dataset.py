@@ -1,8 +1,8 @@
-"""Recorded driving as the danger network learns from it: sights and labels, kept small, drawn in batches."""
+"""Recorded driving as the danger network learns from it: features and labels, packed, drawn in batches."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +10,9 @@ import torch
 
 from wcsim.agents.collecting.labels import unsafe_ahead
 from wcsim.agents.collecting.segment import Segment
+from wcsim.agents.danger.features import MIRRORED, FeatureExtractor, Features
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
-from wcsim.agents.danger.sight import MIRRORED, DangerSight, Eye
 from wcsim.agents.danger.street_map import PLANES, SIDE
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
@@ -20,20 +20,20 @@ from wcsim.agents.replay.frame_store import pack_each, unpack_each
 from wcsim.config import DangerConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
-from wcsim.types import F32, F64, U8, Bool
+from wcsim.types import F32, F64, I64, U8, Bool
 
-I64 = npt.NDArray[np.int64]
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
+_NO_PICTURE = np.zeros(0, np.uint8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Lessons:
-    """Sights of N steps and what is unsafe in each."""
+class LabelledSteps:
+    """Features of N steps, and which actions are unsafe in each."""
 
     pictures: list[bytes]  # zstd, (PLANES, SIDE, SIDE) uint8 each
-    frames: list[bytes]  # zstd, (2, H, W) uint8 each: class ids and depth; empty for an eye that looks at the map alone
+    frames: list[bytes]  # zstd, (2, H, W) uint8 each: classes, depth; empty without `danger.eye` of pictures
     windows: I64  # (N, T) which of the frames are seen in a step, the newest last
     vectors: F32  # (N, VECTOR)
     starts: F32  # (N, 6)
@@ -44,24 +44,25 @@ class Lessons:
         return len(self.pictures)
 
 
-def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
-    """Look at a segment again, step by step, as a chair that drives would. Raises PolicyError for other actions."""
+def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
+    """Extract the features of a segment again, as a chair that drives would. Raises PolicyError for other actions."""
     actions = len(action_set(config.env.actions))
     if segment.truth.shape[1] != actions:
         labels = segment.truth.shape[1]
         raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
     spec = spec_of(config)
-    sights: list[KeptSight] = []
-    eyes: dict[int, Eye] = {}
+    found: list[Features] = []
+    extractors: dict[int, FeatureExtractor] = {}
+    pictures, frames = list[bytes](), list[bytes]()
     begins = True
     for row in range(len(segment)):
         delay = int(segment.delay[row])
         if begins:
-            if delay not in eyes:
-                eyes[delay] = Eye(config, delay, spec.street, spec.pictures)
-            eye = eyes[delay]
-            eye.forget()
-        sight = eye.look(
+            if delay not in extractors:
+                extractors[delay] = FeatureExtractor(config, delay, spec.street, spec.pictures)
+            extractor = extractors[delay]
+            extractor.forget()
+        features = extractor.extract(
             {
                 DEPTH_KEY: segment.depth[row][None],
                 CLASS_KEY: segment.seg[row][None],
@@ -70,54 +71,27 @@ def lessons_of(segment: Segment, config: RunConfig) -> Lessons:
                 JOYSTICK_KEY: segment.wish[row],
             }
         )
-        eye.command(int(segment.action[row]))
-        sights.append(kept(sight))
+        extractor.command(int(segment.action[row]))
+        # Packed at once: the pictures of a whole segment would take a hundred times the memory.
+        pictures += pack_each(features.picture.reshape(1, -1))
+        frames += pack_each(features.frames[-1:].reshape(1, -1)) if spec.pictures else []
+        found.append(replace(features, picture=_NO_PICTURE, frames=_NO_PICTURE))
         begins = bool(segment.ended[row])
     codes = segment.truth if config.danger.teacher == "truth" else segment.visible
-    unsafe = unsafe_ahead(codes, segment.ended, config.danger.ahead)
-    return lessons_from(sights, windows_of(segment.ended, spec.pictures), unsafe)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KeptSight:
-    """A sight, kept small."""
-
-    picture: bytes
-    frame: bytes  # the newest one, empty where there is none
-    vector: F32
-    start: F32
-
-
-def kept(sight: DangerSight) -> KeptSight:
-    """Its pictures packed."""
-    frame = pack_each(sight.frames[-1:].reshape(1, -1))[0] if len(sight.frames) else b""
-    picture = pack_each(sight.picture.reshape(1, -1))[0]
-    return KeptSight(picture=picture, frame=frame, vector=sight.vector, start=sight.start)
-
-
-def lessons_from(sights: list[KeptSight], windows: I64, unsafe: Bool, before: list[KeptSight] | None = None) -> Lessons:
-    """What is learned from successive sights.
-
-    Args:
-        sights: N of them.
-        windows: (N, T) see `Lessons`; counted from the first of `before` on.
-        unsafe: (N, A).
-        before: Sights of the steps before, whose frames the windows reach back to.
-    """
-    return Lessons(
-        pictures=[sight.picture for sight in sights],
-        frames=[sight.frame for sight in (*(before or ()), *sights)] if windows.shape[1] else [],
-        windows=windows,
-        vectors=np.stack([sight.vector for sight in sights]),
-        starts=np.stack([sight.start for sight in sights]),
-        unsafe=unsafe,
+    return LabelledSteps(
+        pictures=pictures,
+        frames=frames,
+        windows=frame_windows(segment.ended, spec.pictures),
+        vectors=np.stack([features.vector for features in found]),
+        starts=np.stack([features.start for features in found]),
+        unsafe=unsafe_ahead(codes, segment.ended, config.danger.ahead),
     )
 
 
-def windows_of(ended: Bool, frames: int) -> I64:
+def frame_windows(ended: Bool, frames: int) -> I64:
     """(N, frames) the rows whose pictures are seen in each of N successive steps; none is of an episode before.
 
-    >>> windows_of(np.array([False, False, True, False]), 2).tolist()
+    >>> frame_windows(np.array([False, False, True, False]), 2).tolist()
     [[0, 0], [0, 1], [1, 2], [3, 3]]
     """
     rows = np.arange(len(ended))
@@ -135,8 +109,8 @@ class Batch:
     unsafe: torch.Tensor  # (B, A) float32
 
 
-class Lectures:
-    """Draws batches from all lessons so far.
+class Dataset:
+    """Draws batches from all steps so far.
 
     Args:
         config: Of the run.
@@ -145,26 +119,26 @@ class Lectures:
     def __init__(self, config: RunConfig) -> None:
         self._danger: DangerConfig = config.danger
         spec = spec_of(config)
-        self._rng, self._eye = np.random.default_rng(0), Eye(config, street=spec.street)
+        self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config, street=spec.street)
         # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
         self._may_mirror = not spec.pictures or sees_in_a_mirror(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._mirror = action_set(config.env.actions).mirror
-        self._parts: dict[int, Lessons] = {}  # by number
+        self._parts: dict[int, LabelledSteps] = {}  # by number
         self._added, self._oldest = 0, 0
         self._rows = np.zeros((0, 2), np.int64)  # part and row
         self._tight = np.zeros((0, 2), np.int64)
 
-    def add(self, lessons: Lessons) -> None:
+    def add(self, steps: LabelledSteps) -> None:
         """Learn from these, too."""
-        rows = np.stack([np.full(len(lessons), self._added), np.arange(len(lessons))], 1)
-        self._parts[self._added] = lessons
+        rows = np.stack([np.full(len(steps), self._added), np.arange(len(steps))], 1)
+        self._parts[self._added] = steps
         self._added += 1
         self._rows = np.concatenate([self._rows, rows])
-        self._tight = np.concatenate([self._tight, rows[lessons.unsafe.any(axis=1)]])
+        self._tight = np.concatenate([self._tight, rows[steps.unsafe.any(axis=1)]])
 
     def keep_newest(self, count: int) -> None:
-        """Forget the oldest lessons, as long as so many steps are left without them."""
+        """Forget the oldest parts, as long as so many steps are left without them."""
         while self._oldest in self._parts and len(self._rows) - len(self._parts[self._oldest]) >= count:
             del self._parts[self._oldest]
             self._oldest += 1
@@ -210,33 +184,33 @@ class Lectures:
             frames = frames[..., ::-1].copy()
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
-        seen, *rest = tensors_of(self._eye, picture, vector, start, frames)
+        seen, *rest = to_tensors(self._extractor, picture, vector, start, frames)
         return Batch(
             inputs=(seen.contiguous(memory_format=torch.channels_last), *rest),
             unsafe=torch.from_numpy(unsafe).float(),
         )
 
-    def _frames(self, chosen: list[tuple[Lessons, int]]) -> U8:
+    def _frames(self, chosen: list[tuple[LabelledSteps, int]]) -> U8:
         """The windows of these rows, (B, T, 2, H, W)."""
         blobs = [part.frames[at] for part, row in chosen for at in part.windows[row].tolist()]
         return unpack_each(blobs, int(np.prod(self._size))).reshape(len(chosen), -1, *self._size)
 
 
-def tensors_of(eye: Eye, picture: U8, vector: F32, start: F64, frames: U8) -> Inputs:
-    """What the network is called with, for a batch of B steps of chairs like that of `eye`."""
+def to_tensors(extractor: FeatureExtractor, picture: U8, vector: F32, start: F64, frames: U8) -> Inputs:
+    """What the network is called with, for a batch of B steps of chairs like that of `extractor`."""
     return (
         torch.from_numpy(picture).float().div_(255.0),
         torch.from_numpy(vector),
-        torch.from_numpy(_swept(eye, start)).long(),
+        torch.from_numpy(_swept(extractor, start)).long(),
         torch.from_numpy(frames),
     )
 
 
-def _swept(eye: Eye, starts: F64) -> npt.NDArray[np.int32]:
-    """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 for an eye that need not know."""
-    around = eye.around
-    if not eye.street:
+def _swept(extractor: FeatureExtractor, starts: F64) -> npt.NDArray[np.int32]:
+    """Over which cells each action sweeps (B, A, n) from these states (B, 6); n is 0 without a street map."""
+    around = extractor.around
+    if not extractor.street:
         return np.zeros((len(starts), len(around.commands), 0), np.int32)
-    swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(eye.chair)), np.int32)
-    sweep(starts, around.commands, around.limits, eye.chair, swept)
+    swept = np.empty((len(starts), len(around.commands), SLICES * EACH_SLICE * len(extractor.chair)), np.int32)
+    sweep(starts, around.commands, around.limits, extractor.chair, swept)
     return swept

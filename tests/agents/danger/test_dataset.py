@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, small_config
-from wcsim.agents.danger.lessons import Lectures, lessons_of, windows_of
+from wcsim.agents.danger.dataset import Dataset, frame_windows, labelled_steps
+from wcsim.agents.danger.features import MIRRORED, FeatureExtractor
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import SLICES
-from wcsim.agents.danger.sight import MIRRORED, Eye
 from wcsim.agents.danger.street_map import SIDE
 from wcsim.supervisor.actions import action_set
 
@@ -39,7 +39,7 @@ def flipped(swept: torch.Tensor) -> torch.Tensor:
     """The same cells on the other side, the points of the chair in the order that they have there."""
     columns = swept % SIDE
     other = swept - columns + (SIDE - 1 - columns)
-    eye = Eye(small_config())
+    eye = FeatureExtractor(small_config())
     chair = eye.chair
     order = [int(np.argmin(np.abs(chair - row * (1, -1, 1)).sum(1))) for row in chair]
     points = other.view(*swept.shape[:2], -1, len(chair))[..., order]
@@ -51,7 +51,7 @@ def test_an_action_is_unsafe_already_a_step_before_it_is_and_never_for_another_e
     segment.visible[:] = 255
     segment.visible[4, 7] = segment.visible[6, 8] = 2
     for ahead, rows in ((0, [4]), (1, [3, 4]), (2, [2, 3, 4])):
-        lessons = lessons_of(segment, small_config(f"danger.ahead={ahead}"))
+        lessons = labelled_steps(segment, small_config(f"danger.ahead={ahead}"))
         assert np.flatnonzero(lessons.unsafe[:, 7]).tolist() == rows
         assert np.flatnonzero(lessons.unsafe[:, 8]).tolist() == [6], "row 5 ended its episode"
 
@@ -59,17 +59,17 @@ def test_an_action_is_unsafe_already_a_step_before_it_is_and_never_for_another_e
 def test_the_teacher_is_the_one_that_was_asked_for():
     segment = a_segment(6, ends=())
     segment.visible[:], segment.truth[:] = 255, 0
-    assert not lessons_of(segment, small_config("danger.teacher=visible", "danger.ahead=0")).unsafe.any()
-    assert lessons_of(segment, small_config("danger.teacher=truth", "danger.ahead=0")).unsafe.all()
+    assert not labelled_steps(segment, small_config("danger.teacher=visible", "danger.ahead=0")).unsafe.any()
+    assert labelled_steps(segment, small_config("danger.teacher=truth", "danger.ahead=0")).unsafe.all()
 
 
 def test_windows_hold_the_pictures_of_their_own_episode():
     config = small_config(*BOTH)
-    segment, lessons = a_segment(8, ends=(3,)), Lectures(config)
-    lessons.add(lessons_of(segment, config))
+    segment, lessons = a_segment(8, ends=(3,)), Dataset(config)
+    lessons.add(labelled_steps(segment, config))
     frames = lessons.batch(all_of(lessons)).inputs[3].numpy()
     wanted = [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3], [4, 4, 4], [4, 4, 5], [4, 5, 6], [5, 6, 7]]
-    assert windows_of(segment.ended, 3).tolist() == wanted
+    assert frame_windows(segment.ended, 3).tolist() == wanted
     for row, window in enumerate(wanted):
         assert np.array_equal(frames[row, :, 0], segment.seg[window])
         assert np.array_equal(frames[row, :, 1], segment.depth[window])
@@ -77,13 +77,13 @@ def test_windows_hold_the_pictures_of_their_own_episode():
 
 def test_an_eye_sees_the_windows_that_its_lessons_have():
     config = small_config(*BOTH)
-    segment, eye = a_segment(5, ends=()), Eye(config, 1, pictures=spec_of(config).pictures)
-    lessons = Lectures(config)
-    lessons.add(lessons_of(segment, config))
+    segment, eye = a_segment(5, ends=()), FeatureExtractor(config, 1, pictures=spec_of(config).pictures)
+    lessons = Dataset(config)
+    lessons.add(labelled_steps(segment, config))
     told = lessons.batch(all_of(lessons)).inputs[3].numpy()
     for row in range(5):
         seen = {"depth": segment.depth[row][None], "seg": segment.seg[row][None], "imu": segment.imu[row]}
-        sight = eye.look({**seen, "odometry": segment.odometry[row], "joystick": segment.wish[row]})
+        sight = eye.extract({**seen, "odometry": segment.odometry[row], "joystick": segment.wish[row]})
         eye.command(int(segment.action[row]))
         assert np.array_equal(sight.frames, told[row])
 

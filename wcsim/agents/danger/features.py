@@ -1,4 +1,4 @@
-"""What the danger network is shown of one tick, made from a chair's observation and what it remembers."""
+"""The inputs of the danger network at one tick, made from a chair's observation and what it remembers."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, U8
 
-COMMANDS: Final = 3  # last ones that are told
+COMMANDS: Final = 3  # last ones that are an input
 TILT: Final = slice(3, 5)  # roll and pitch in the IMU vector
 TURNS: Final = slice(5, 8)  # turn rates there
-FULL_MOTION: Final = (1.67, 1.5, 2.0)  # speed, turn rate and acceleration that are told as 1
+FULL_MOTION: Final = (1.67, 1.5, 2.0)  # speed, turn rate and acceleration that are 1 in the vector
 _KEYS: Final = (DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY)
 _STARTS: Final = 4  # v, w, acceleration, delay
 VECTOR: Final = 2 + 3 + _STARTS + 2 * COMMANDS
@@ -28,7 +28,7 @@ MIRRORED: Final = (0, 2, 4, 6, *range(9, VECTOR, 2))  # numbers that change thei
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DangerSight:
+class Features:
     """One tick of one chair."""
 
     picture: U8  # (PLANES, SIDE, SIDE) see `street_map`
@@ -37,8 +37,8 @@ class DangerSight:
     frames: U8  # (T, 2, H, W) class ids and depth of the last T ticks, the newest last; the first one fills the window
 
 
-class Eye:
-    """Makes sights for one chair, from tick to tick: `look`, then `command`.
+class FeatureExtractor:
+    """Makes the features of one chair, from tick to tick: `extract`, then `command`.
 
     Args:
         config: Of the run: its first camera is seen, and its chair driven.
@@ -67,7 +67,7 @@ class Eye:
         self._sent = np.zeros((COMMANDS, 2))
         self._frames: U8 = np.empty((0, *self._shape), np.uint8)
 
-    def look(self, observation: Observation) -> DangerSight:
+    def extract(self, observation: Observation) -> Features:
         """Take the observation of a new tick. Raises PolicyError when it lacks a sense, or is of another camera."""
         self._require(observation)
         picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
@@ -79,7 +79,7 @@ class Eye:
         else:
             self.around.feel(observation)
         start, later_s = self.around.start()
-        return DangerSight(
+        return Features(
             picture=picture,
             vector=self._vector(observation, later_s),
             start=start.astype(np.float32),
@@ -117,7 +117,7 @@ class Eye:
 
     def _vector(self, observation: Observation, later_s: float) -> F32:
         imu, motion = observation[IMU_KEY], self.around.ego.motion
-        said: F64 = np.concatenate(
+        vector: F64 = np.concatenate(
             [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
         )
-        return np.clip(said, -2.0, 2.0).astype(np.float32)
+        return np.clip(vector, -2.0, 2.0).astype(np.float32)
