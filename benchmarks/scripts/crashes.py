@@ -11,7 +11,7 @@ from rich import box
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
 from wcsim.cli.shared.common import (
     MAX_SEED,
     OutFile,
@@ -111,7 +111,7 @@ def _policies(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(some_words("--policy", text)))
     for name in names:
         if not is_baseline(name):
-            raise ConfigError(f"--policy {name!r}: expected baselines, such as: {', '.join((*NAMES, *UPPER_BOUNDS))}")
+            raise ConfigError(f"--policy {name!r}: expected a baseline, one of: {', '.join((*BASELINES, *UPPER_BOUNDS))}")
     return names
 
 

@@ -1,4 +1,7 @@
-"""What everything that can drive a wheelchair has in common; nothing here loads torch."""
+"""What everything that can drive a wheelchair has in common, and the names of the baselines; nothing here loads torch.
+
+`agents/policies/baselines.py` has the baselines.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy.typing as npt
 
 from wcsim.core.plugins import running_own
+from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
 from wcsim.types import Bool, Drawn, Truth
 
@@ -17,7 +21,23 @@ Observation = Mapping[str, npt.NDArray[Any]]
 DEPTH_KEY, CLASS_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY = "depth", "seg", "imu", "joystick", "odometry"
 RGB_KEY, COLOURS_KEY = "rgb", "segmentation"  # colours of form compact_rgb, and of the classes of form table3
 GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
+MOTION_SENSES: Final = ("odometry", GYRO)  # that tell how the chair moves
 ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
+
+BASELINES: Final = ("follow", "random", "zero", "stop", "dwa")
+"""What sees no more than a network does."""
+
+UPPER_BOUND: Final = "oracle"
+VISIBLE_BOUND: Final = "oracle-visible"
+UPPER_BOUNDS: Final = (VISIBLE_BOUND, UPPER_BOUND)
+"""See the truth, so they are no rivals of a network but what could be reached."""
+
+LEVELLED: Final = "dwa"
+VETO: Final = "veto:"
+"""Before a policy's name: `dwa` forbids what it holds for unsafe, see `policies/veto.py`."""
+
+HIGHEST_LEVEL: Final = 2.0
+USUAL_LEVEL: Final = 1.0
 
 
 class NotFinite(PolicyError):
@@ -165,3 +185,43 @@ class NeedsSenses(Protocol):
     @property
     def senses(self) -> tuple[str, ...]:
         """Names of sensors of the section `[sensors]`, and `GYRO`."""
+
+
+def without_veto(name: str) -> str:
+    """The policy that a name means, without the wrapper around it.
+
+    >>> without_veto("veto:runs/a@0.2"), without_veto("dwa")
+    ('runs/a@0.2', 'dwa')
+    """
+    return name.removeprefix(VETO)
+
+
+def is_baseline(name: str) -> bool:
+    """Whether a baseline has this name. Raises PolicyError for a level of assistance that there is not."""
+    name = without_veto(name)
+    level_of(name)
+    return name.partition("@")[0] == LEVELLED or name in (*BASELINES, *UPPER_BOUNDS)
+
+
+def level_of(name: str) -> float:
+    """How much `dwa@L` assists: 0 at the last moment, 1 as `dwa` itself, 2 early and with wide margins.
+
+    >>> level_of("dwa@0.5"), level_of("dwa"), level_of("follow")
+    (0.5, 1.0, 1.0)
+
+    Raises:
+        PolicyError: L is no number from 0 to 2.
+    """
+    who, at, text = name.partition("@")
+    if who != LEVELLED or not at:
+        return USUAL_LEVEL
+    try:
+        level = float(text)
+    except ValueError:
+        level = -1.0
+    if not 0.0 <= level <= HIGHEST_LEVEL:
+        raise PolicyError(
+            f"policy {shown(name)!r} has no such level of assistance; expected {LEVELLED}@L with L from 0 to "
+            f"{HIGHEST_LEVEL:g}: {LEVELLED}@{USUAL_LEVEL:g} is {LEVELLED}"
+        )
+    return level

@@ -14,8 +14,7 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.agents.evaluation.suite.forks import users_alone
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
-from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
-from wcsim.agents.policy_api import SeesTruth, Warns, calling, tell_delay
+from wcsim.agents.policy_api import VISIBLE_BOUND, SeesTruth, Warns, calling, tell_delay
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError

@@ -6,10 +6,9 @@ import pytest
 from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.agents.evaluation.evaluate import evaluate
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUND, VISIBLE_BOUND, is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import CorridorWatch, in_corridor, viewing_rays
-from wcsim.agents.policy_api import SeesTruth
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth, is_baseline
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -101,7 +100,7 @@ def test_two_derivations_of_the_viewing_rays_agree():
     assert np.allclose(turned.mean(axis=0), [0, 1, 0], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BASELINES)
 def test_every_baseline_drives(name):
     config = RunConfig(cameras=(toy_camera(),))
     policy = baseline(name, config, seed=3)
@@ -116,7 +115,7 @@ def test_baselines_in_the_toy_street_rank_as_they_must():
     config = RunConfig(cameras=(camera,), chair=ChairConfig(v_max_mps=1.6))
     rows = {
         name: evaluate(baseline(name, config, seed=3), ToyStreet(camera, max_steps=200), 6, 200, seed=11)
-        for name in NAMES
+        for name in BASELINES
     }
     assert rows["follow"].kpi1_within == pytest.approx(1.0)
     assert rows["follow"].crashes >= 5

@@ -10,7 +10,6 @@ from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.evaluation.evaluate import evaluate
-from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touches_after
@@ -18,6 +17,7 @@ from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
 from wcsim.agents.policies.dynamic_window.surroundings import up_in_body
 from wcsim.agents.policies.elevation_map import StepMap
+from wcsim.agents.policy_api import is_baseline
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
 from wcsim.core.joystick import limits_of
 from wcsim.errors import PolicyError

@@ -8,11 +8,10 @@ import pytest
 from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from wcsim.agents.evaluation.suite.named_policy import identity_of, is_own_class, is_plain, open_named, settings_of
-from wcsim.agents.policies.baseline_names import is_baseline
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.policies.veto import Veto
-from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
+from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns, is_baseline
 from wcsim.agents.runs.parcels import policy_at
 from wcsim.agents.runs.run_folder import split_level
 from wcsim.config import CameraConfig, RunConfig

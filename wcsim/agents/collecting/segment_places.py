@@ -10,7 +10,7 @@ from typing import Final
 from wcsim.agents.collecting.drive_segment import SegmentPlace
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.envs.senses import with_senses
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES
+from wcsim.agents.policy_api import MOTION_SENSES
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import seeding
 from wcsim.core.reading import shown
@@ -135,7 +135,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
         TownError: A town is missing.
     """
     config = with_overrides(order.config, (*order.settings, "world.draw_threads=1"))
-    config = with_senses(config, SENSES)
+    config = with_senses(config, MOTION_SENSES)
     if is_of_scenes(order.config, order.key):
         yield from _scenes(order, config, work)
     else:

@@ -13,8 +13,7 @@ from wcsim.agents.danger.features import FeatureExtractor, Features
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, next_recent, within
 from wcsim.agents.policies.alarm import Alarm, next_alarm
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES
-from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, require_level
+from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, NotFinite, Observation, require_level
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64, Bool
@@ -36,7 +35,7 @@ class DangerPolicy:
     def __init__(
         self, name: str, net: DangerNet, config: RunConfig, rule: DangerRule, delay_ticks: int | None = None
     ) -> None:
-        self.name, self.senses = name, SENSES
+        self.name, self.senses = name, MOTION_SENSES
         self.rule, self._net, self._alarm = rule, net, Alarm()
         self._device = next(net.parameters()).device
         self._actions = action_set(config.env.actions)

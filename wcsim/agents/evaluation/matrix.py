@@ -21,8 +21,7 @@ from wcsim.agents.envs.senses import senses_of
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
-from wcsim.agents.policies.baseline_names import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
-from wcsim.agents.policy_api import Policy
+from wcsim.agents.policy_api import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, Policy, is_baseline
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
 from wcsim.agents.runs.run_folder import policy_path, split_level
 from wcsim.config import RunConfig, with_overrides

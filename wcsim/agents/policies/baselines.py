@@ -7,17 +7,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.policies.baseline_names import (
+from wcsim.agents.policies.depth_check import CorridorWatch
+from wcsim.agents.policies.dwa import DynamicWindow
+from wcsim.agents.policy_api import (
+    BASELINES,
+    JOYSTICK_KEY,
     LEVELLED,
-    NAMES,
     UPPER_BOUND,
     UPPER_BOUNDS,
     VISIBLE_BOUND,
+    Observation,
+    Policy,
     level_of,
 )
-from wcsim.agents.policies.depth_check import CorridorWatch
-from wcsim.agents.policies.dwa import DynamicWindow
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
@@ -179,4 +181,4 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
         return DynamicWindow(name, config, actions, plant_spec(config.chair).outline, level_of(name))
     if name in UPPER_BOUNDS:
         return _OracleDriver(actions=actions, name=name)
-    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*NAMES, *UPPER_BOUNDS))}")
+    raise PolicyError(f"unknown baseline {name!r}; expected one of: {', '.join((*BASELINES, *UPPER_BOUNDS))}")

@@ -13,11 +13,10 @@ import math
 import numpy as np
 
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.policies.baseline_names import HIGHEST_LEVEL, USUAL_LEVEL
 from wcsim.agents.policies.dynamic_window.arcs import touches_after
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES, StreetSense
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, require_level
+from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
+from wcsim.agents.policy_api import HIGHEST_LEVEL, JOYSTICK_KEY, MOTION_SENSES, USUAL_LEVEL, Observation, require_level
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool, Outline
@@ -38,7 +37,7 @@ class DynamicWindow:
         level: Of assistance, see `caution`.
     """
 
-    senses, levels = SENSES, (0.0, HIGHEST_LEVEL)
+    senses, levels = MOTION_SENSES, (0.0, HIGHEST_LEVEL)
 
     def __init__(
         self, name: str, config: RunConfig, actions: ActionSet, outline: Outline, level: float = USUAL_LEVEL

@@ -23,8 +23,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.policies.baseline_names import without_veto
-from wcsim.agents.policy_api import ANSWER_S, Observation
+from wcsim.agents.policy_api import ANSWER_S, Observation, without_veto
 from wcsim.core.reading import FileKind, parse_json, shown
 from wcsim.errors import PolicyError
 

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.policies.dwa import DynamicWindow
-from wcsim.agents.policies.dynamic_window.surroundings import SENSES
 from wcsim.agents.policy_api import (
+    MOTION_SENSES,
     HearsDelay,
     HearsSent,
     NeedsSenses,
@@ -51,7 +51,7 @@ class Veto:
         self._actions: ActionSet = action_set(config.env.actions)
         self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline, _LEVEL)
         wanted = inner.senses if isinstance(inner, NeedsSenses) else ()
-        self.senses, self.levels = tuple(dict.fromkeys((*SENSES, *wanted))), self._dwa.levels
+        self.senses, self.levels = tuple(dict.fromkeys((*MOTION_SENSES, *wanted))), self._dwa.levels
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) to either of both at the last choice
 
     @property

@@ -25,7 +25,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS, without_veto
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, without_veto
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.shipped import SHIPPED, shipped_folder
@@ -218,7 +218,7 @@ def policy_path(name: str) -> Path:
             "of your own"
         )
     if not is_folder(Path(head)):
-        names = (*NAMES, *UPPER_BOUNDS)
+        names = (*BASELINES, *UPPER_BOUNDS)
         raise PolicyError(
             f"{shown(head)} is not a run: no such folder; expected one that `wcsim train` made, {SHIPPED}, "
             f"module:Class of your own, or a baseline: {', '.join(names)}{meant(head, (SHIPPED, *names))}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import (
@@ -104,7 +104,7 @@ def run_suites(words: list[str]) -> int:
     from wcsim.agents.evaluation.suite.list_rules import told_of_rules
     from wcsim.agents.evaluation.suite.run import UNAIDED, require_usable
 
-    added = () if options.only or options.sensitivity else (*NAMES, *UPPER_BOUNDS)
+    added = () if options.only or options.sensitivity else (*BASELINES, *UPPER_BOUNDS)
     names = tuple(dict.fromkeys((UNAIDED, *options.policies, *added)))
     told = stderr_console()
     order = replace(_order(options, suite, out), machines=_machines(options, told), look=_look(options, told))

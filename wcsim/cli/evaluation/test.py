@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_plain, open_named, settings_of
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.run_folder import config_of, run_of
 from wcsim.cli.evaluation.judged_suite import run_suites
 from wcsim.cli.evaluation.list_maker import make_list
@@ -177,7 +177,7 @@ def _driven(options: Options) -> list[str]:
     """Who drives, in the order of the tables; the user alone is what the others are compared with."""
     from wcsim.agents.evaluation.suite.run import UNAIDED  # loads the simulators, which --help must not
 
-    added = (UNAIDED,) if options.only else (*NAMES, *UPPER_BOUNDS)
+    added = (UNAIDED,) if options.only else (*BASELINES, *UPPER_BOUNDS)
     return list(dict.fromkeys([*options.policies, *added]))
 
 

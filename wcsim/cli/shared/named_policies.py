@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wcsim.agents.evaluation.suite.named_policy import is_own_class, is_plain
 from wcsim.agents.networks.names import is_own, require_named, require_network
-from wcsim.agents.policies.baseline_names import VETO, without_veto
+from wcsim.agents.policy_api import VETO, without_veto
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.core.plugins import find_class

@@ -12,8 +12,7 @@ import tyro
 
 from wcsim.agents.evaluation.suite.named_policy import is_plain, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
-from wcsim.agents.policy_api import Observation, Policy
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
@@ -137,7 +136,7 @@ def _compared(facts: ExportFacts) -> str:
 def _beside_recording(same: float, by: str, policy: str) -> str:
     """How the network's own actions compare with those of a recording."""
     told = f"{same:.1%} of the actions match the recording{f', which {shown(by, 80)} drove' if by else ''}"
-    if same >= _SAME_POLICY and by.partition("@")[0] not in (*NAMES, *UPPER_BOUNDS):
+    if same >= _SAME_POLICY and by.partition("@")[0] not in (*BASELINES, *UPPER_BOUNDS):
         return told
     return (
         f"{told}: another policy or threshold. The reference ride holds the actions of {shown(policy)} for these "

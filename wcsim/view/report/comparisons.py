@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import KeptResult
 from wcsim.agents.evaluation.suite.rows import Row, row_of, undone
 from wcsim.agents.evaluation.suite.run import UNAIDED
-from wcsim.agents.policies.baseline_names import NAMES, UPPER_BOUNDS
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.core.reading import counted
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
@@ -193,7 +193,7 @@ def verdict(result: KeptResult) -> str:
     Policies of the user's own come first; of many only some are named.
     """
     helping = [name for name in result.episodes if name not in _NO_HELP]
-    helping.sort(key=lambda name: name.partition("@")[0] in NAMES)
+    helping.sort(key=lambda name: name.partition("@")[0] in BASELINES)
     driven = {name: result.episodes.get(name, ()) for name in (UNAIDED, *helping[:_MOST_POLICIES])}
     # Of the episodes, not those of the file: of a file of others they are what was checked.
     rows = [row_of(name, "", [episode.record for episode in found], ()) for name, found in driven.items() if found]

@@ -24,8 +24,7 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
     EpisodeRecord,
 )
-from wcsim.agents.policies.baseline_names import VISIBLE_BOUND
-from wcsim.agents.policy_api import Helping, Policy, SeesTruth, Warns, tell_delay
+from wcsim.agents.policy_api import VISIBLE_BOUND, Helping, Policy, SeesTruth, Warns, tell_delay
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile, EpisodeFile

@@ -26,9 +26,8 @@ from wcsim.agents.evaluation.suite.named_policy import (
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
-from wcsim.agents.policies.baseline_names import is_baseline, without_veto
 from wcsim.agents.policies.served_policy import is_served
-from wcsim.agents.policy_api import Policy
+from wcsim.agents.policy_api import Policy, is_baseline, without_veto
 from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
 from wcsim.agents.runs.run_folder import split_level
 from wcsim.config import RunConfig

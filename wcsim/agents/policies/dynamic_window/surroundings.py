@@ -18,7 +18,7 @@ from wcsim.agents.policies.dynamic_window.ego_motion import EgoMotion, in_body, 
 from wcsim.agents.policies.dynamic_window.street_memory import StreetMemory, is_ground
 from wcsim.agents.policies.dynamic_window.tracker import Mover, Tracker
 from wcsim.agents.policies.elevation_map import CELL_M, REACH_M, StepMap
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, GYRO, IMU_KEY, JOYSTICK_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.core.jit import exact_kernel
 from wcsim.core.joystick import limits_of, shaped_rows
@@ -111,7 +111,6 @@ def _line(points: F64) -> tuple[float, float, float]:
 
 Number = TypeVar("Number", np.float32, np.uint8)
 
-SENSES = ("odometry", GYRO)
 SHY_M = 0.06  # more than from a wall: who moves is wider than what is seen, and may do otherwise
 _AHEAD_MPS = 0.05  # slower is no driving ahead
 _MOST_CARRIED, _MOST_CELLS = 96, 1024  # places of edges that go on, cells of those who could move
