@@ -1,0 +1,68 @@
+"""What no change of the code's order may move: two drives through whole towns, state by state and picture by picture.
+
+Golden traces of scenes pin short streets; these pin what only a town has: its traffic, signals, users and their draws.
+Whoever changes a world on purpose runs `python -m tests.scenes.test_pins` and takes over what it prints.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.support.worlds import follow, open_world
+
+TOWNS = Path(__file__).parents[2] / "scenarios" / "sumo"
+TICKS = 120
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pin:
+    """A drive, and what comes of it."""
+
+    town: str
+    seed: int
+    seats: int
+    states: str  # BLAKE2 of all state hashes
+    pictures: str  # of the classes in all pictures
+
+
+PINS = (
+    Pin(
+        town="helsinki", seed=3, seats=2,
+        states="925ca95f69ad82c12748123b44c2d170", pictures="f810f0dba54b0e66f8887b869226f7fe",
+    ),
+    Pin(
+        town="manhattan", seed=11, seats=1,
+        states="d8d91dbf0f87d903422854916e5d45cf", pictures="79a2d966ed287f0f4f84a9c4207f7168",
+    ),
+)
+
+
+def driven(pin: Pin) -> tuple[str, str]:
+    """Digests of states and pictures."""
+    states, pictures = hashlib.blake2b(digest_size=16), hashlib.blake2b(digest_size=16)
+    world = open_world(TOWNS / pin.town, "world.warmup_s=30", seats=pin.seats, seed=pin.seed)
+    try:
+        for _ in range(TICKS):
+            now = follow(world)
+            states.update(now.state_hash.encode())
+            for chair in now.clients:
+                for frame in chair.sensors.cameras:
+                    pictures.update(frame.class_id.tobytes())
+    finally:
+        world.close()
+    return states.hexdigest(), pictures.hexdigest()
+
+
+@pytest.mark.parametrize("pin", PINS, ids=lambda pin: pin.town)
+def test_a_drive_through_a_town_is_the_same_as_ever(pin):
+    assert driven(pin) == (pin.states, pin.pictures)
+
+
+if __name__ == "__main__":
+    for drive in PINS:
+        sys.stdout.write(f"{drive.town}, seed {drive.seed}: {driven(drive)}\n")
