@@ -161,6 +161,7 @@ class Dataset:
     def draw(self) -> Batch:
         """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be."""
         size, rng = self._danger.batch, self._rng
+        # Steps with a danger are rare. Drawn evenly, they would hardly move the weights.
         tight = round(self._danger.tight_share * size) if len(self._tight) else 0
         picks = np.concatenate(
             [
@@ -182,6 +183,7 @@ class Dataset:
         if mirror:
             picture, unsafe = picture[..., ::-1].copy(), unsafe[:, self._mirror]
             frames = frames[..., ::-1].copy()
+            # What turns or leans changes its sign with the sides. Otherwise left would teach right the wrong way.
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
         seen, *rest = to_tensors(self._extractor, picture, vector, start, frames)

@@ -120,4 +120,5 @@ class FeatureExtractor:
         vector: F64 = np.concatenate(
             [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
         )
+        # A fault of a sensor must not carry the network beyond what it has learned from.
         return np.clip(vector, -2.0, 2.0).astype(np.float32)

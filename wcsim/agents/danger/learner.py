@@ -70,6 +70,7 @@ class DangerLearner:
                     f"the loss was {now} and the norm of its gradient {norm} after {self.updates} updates; expected "
                     "finite numbers: start a new run with a smaller danger.learning_rate"
                 )
+            # Only now, as a step with a gradient that is not finite would destroy the weights for good.
             self._optimizer.step()
             self.updates += 1
             self.loss = now if np.isnan(self.loss) else _SMOOTH * self.loss + (1.0 - _SMOOTH) * now
@@ -95,6 +96,7 @@ class DangerLearner:
             ValueError: A tensor of it is of another form, or not finite.
         """
         parameters = dict(self.net.named_parameters())
+        # Whatever the optimiser has gathered since would be mixed with what it had then.
         self._optimizer.state.clear()
         for name in sorted({name.rpartition(".")[0] for name in moments}):
             held = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}

@@ -99,6 +99,7 @@ class DangerNet(nn.Module):
             self.context = Context(count)
         if spec.eye != "map":
             self.pictures = PictureHead(spec, count)
+        # The order of these modules is the order of the random draws: another one gives another network for a seed.
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
 
@@ -132,6 +133,7 @@ def channels_last(net: DangerNet) -> DangerNet:
     """The same network, the weights of its two-dimensional convolutions with channels last in memory."""
     for value in net.parameters():
         if value.dim() == 4:
+            # Convolutions on a CPU run faster so; sums have another order, so weights are always kept in this form.
             value.data = value.data.contiguous(memory_format=torch.channels_last)
     return net
 
@@ -162,6 +164,7 @@ class RollOutHead(nn.Module):
         wide = functional.interpolate(functional.relu(self.narrow(far)), scale_factor=2.0)
         maps = self.shuffle(self.out(torch.cat([near, wide], 1))) + self.fine(picture)
         read = maps.reshape(len(maps), -1).gather(1, swept.flatten(1)).view(len(swept), swept.shape[1], -1)
+        # A soft maximum: one bad cell is a crash, but the gradient has to reach its neighbours too. Never flat (0.2).
         sharp = functional.softplus(self.sharpness) + 0.2
         return torch.as_tensor((torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp)
 

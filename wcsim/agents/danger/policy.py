@@ -110,6 +110,7 @@ class DangerPolicy:
             logits = self._net(*tensors).cpu().numpy()[0]
         if not np.isfinite(logits).all():
             raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")
+        # In float64 and clipped, so that exp never overflows and equal logits stay equal dangers.
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
         return danger
 

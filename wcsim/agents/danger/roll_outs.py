@@ -58,6 +58,7 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
                 for p in range(len(chair)):
                     x = now[0] + cos * chair[p, 0] - sin * chair[p, 1]
                     y = now[1] + sin * chair[p, 0] + cos * chair[p, 1]
+                    # Clamped: what leaves the map is read at its edge, as there is no cell that says "unknown".
                     row = min(max(SIDE - 1 - math.floor((x + BEHIND_M) / CELL_M), 0), SIDE - 1)
                     column = min(max(math.floor((HALF_M - y) / CELL_M), 0), SIDE - 1)
                     which = i // EACH_SLICE + (SLICES if chair[p, 2] > 0.0 else 0)

@@ -92,6 +92,7 @@ def choose(
     """
     distance = actions.distances(stick[None])[0]
     cost = distance + rule.danger_cost * danger / rule.threshold
+    # Noise moves dangers by more than neighbours differ: without it the chair would waver between two ways round.
     if last >= 0:
         cost[last] -= rule.hysteresis
     allowed = within(danger, rule, last)
@@ -100,4 +101,5 @@ def choose(
         return own
     if allowed.any():
         return int(np.argmin(np.where(allowed, cost, np.inf)))
+    # All are bad: safety decides, and the stick only where dangers tie, as they do at 1.
     return int(np.argmin(danger + LESS_M * distance))

@@ -104,9 +104,11 @@ def _write(
         iy = math.floor((pose[1] + sin * x + cos * y) / CELL_M)
         cell, height = cells[ix % RASTER, iy % RASTER], heights[ix % RASTER, iy % RASTER]
         kind = kinds[classes[n]]
+        # The raster wraps around: a key tells a place from another one that falls into the same cell.
         if cell[_KEY_X] != ix or cell[_KEY_Y] != iy:
             cell[_KEY_X], cell[_KEY_Y], cell[_MOVER] = ix, iy, 0
             cell[_TICK] = 0
+        # The newest picture replaces what older ones said; within it heights are gathered.
         if cell[_TICK] != tick:
             cell[_TICK], cell[_CLASS] = tick, kind
             height[0] = height[1] = z
@@ -130,6 +132,7 @@ def _read(pose: F64, tick: int, cells: I64, heights: F32, out: U8) -> None:
             cell = cells[ix % RASTER, iy % RASTER]
             if cell[_TICK] == 0 or cell[_KEY_X] != ix or cell[_KEY_Y] != iy:
                 continue
+            # Codes fall with age, so that a network can trust what it saw just now more than what may have moved.
             age = tick - cell[_TICK]
             if age <= KEEP_TICKS:
                 out[HIGHEST, i, j] = _height_code(heights[ix % RASTER, iy % RASTER, 0])
