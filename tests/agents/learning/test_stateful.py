@@ -83,7 +83,6 @@ def test_a_carried_state_replaces_the_window():
         ({"mirror": True}, r"learn\.mirror=true with learn\.memory=groups"),
         ({"aid": "oracle"}, r"learn\.aid=oracle with learn\.memory=groups"),
         ({"memory": "windows"}, r"learn\.memory=windows with one image.*env\.window=4"),
-        ({"replay_store": "disk"}, r"learn\.replay_store=disk without a folder"),
     ],
 )
 def test_what_does_not_go_together_is_refused(learn, told):

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.learning.checkpoint_file import (
@@ -106,7 +105,6 @@ def save_checkpoint(
     files.write_folder(target, fill)
     files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
     _drop_old(folder, target)
-    _hold_frames(folder, model)
     return target
 
 
@@ -159,7 +157,6 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             passed.append(passed_over(path, error))
             continue
-        _hold_frames(folder, model)
         return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
     raise _none_sound(folder, passed)
 
@@ -174,22 +171,6 @@ def _none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
     """What is raised where all checkpoints of a run were passed over, or none found."""
     faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
     return PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
-
-
-def _hold_frames(folder: Path, model: SeqDQN) -> None:
-    """Keep the frames on disk that the checkpoints count on, as long as these are there."""
-    memory = _replay(model)
-    if memory.disk is not None:
-        memory.disk.hold(min((n for path in step_folders(folder) for n in _first_frame(path)), default=None))
-
-
-def _first_frame(path: Path) -> list[int]:
-    """The number of the first frame on disk that a checkpoint counts on; none for one that is no such."""
-    try:
-        with safe_open(path / REPLAY, framework="np") as arrays:
-            return [int(arrays.get_tensor("disk")[0])]
-    except (OSError, SafetensorError, IndexError):
-        return []
 
 
 def newest_step(folder: Path) -> int:

@@ -143,6 +143,10 @@ def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> T
 States = tuple[npt.NDArray[Any], ...]
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
 RELABELLED: Final = 0.5  # share of a batch of oracle data with a random joystick in the user's place
+AID_BATCH: Final = 32  # steps of oracle data in a batch
+AID_SHARE: Final = 0.3  # of that batch from steps with an action that leads to a crash
+AID_AHEAD: Final = 5  # steps before that in which an action already counts as unsafe
+AID_MARGIN: Final = 6.0  # joystick distance by which an unsafe action must lose to a safe one
 MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
 
 
@@ -157,10 +161,6 @@ class SeqSettings:
     epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
     mirror: bool = False  # batches are mirrored left to right half of the time
     mirror_signs: Signs = ()  # of the sensors of [sensors]
-    aid_batch: int = 32  # this and the following: see LearnConfig
-    aid_share: float = 0.5
-    aid_ahead: int = 0
-    aid_margin: float = 1.0
     supervision: Literal["margin", "cross_entropy"] = "margin"  # the loss towards the user's action
     later: bool = False  # updates are done after the next action was chosen; see `SeqDQN.due_updates`
 
@@ -423,7 +423,7 @@ class SeqDQN(DQN):
         settings, buffer = self.settings, self.replay_buffer
         advice = None
         if isinstance(buffer, FrameReplay):
-            advice = buffer.sample_advice(settings.aid_batch, settings.aid_share, settings.aid_ahead)
+            advice = buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, points = advice.observations, self.action_points.points
@@ -434,7 +434,7 @@ class SeqDQN(DQN):
             advice = mirrored_advice(advice, self._mirror_map(), self.settings.mirror_signs)
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
         values = self.q_net(advice.observations)
-        return aid_loss(values, distances, advice.safe, settings.reward_scale, settings.aid_margin)
+        return aid_loss(values, distances, advice.safe, settings.reward_scale, AID_MARGIN)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

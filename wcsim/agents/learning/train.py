@@ -33,7 +33,6 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.networks.device import checked_device, torch_settings
-from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
 from wcsim.core import files, seeding
@@ -84,18 +83,14 @@ def train(
     with files.locked(folder.path), torch_settings(run.config.learn), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([make_env])
         try:
-            model = build_model(run.config, env, run.info.seed, folder.replay)
+            model = build_model(run.config, env, run.info.seed)
             _learn_meanwhile(model, env)
             request.wait_less = getattr(env.envs[0].unwrapped, "wait_less", request.wait_less)
-            with contextlib.closing(_replay(model)) as memory:
-                for note in () if memory.disk is None else memory.disk.notes:
-                    say(note)
-                    folder.event("replay_torn", reason=note)
-                loaded = _loaded(folder, model, say, alive) if run.resume else None
-                session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
-                session.callbacks.extend(callbacks)
-                with session.logs.board or contextlib.nullcontext():
-                    return session.learn()
+            loaded = _loaded(folder, model, say, alive) if run.resume else None
+            session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
+            session.callbacks.extend(callbacks)
+            with session.logs.board or contextlib.nullcontext():
+                return session.learn()
         finally:
             env.close()
 
@@ -105,12 +100,6 @@ def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
     inner = env.envs[0].unwrapped
     if model.settings.later and hasattr(inner, "due_work"):
         inner.due_work, model.meanwhile = model.due_updates, True
-
-
-def _replay(model: SeqDQN) -> FrameReplay:
-    if not isinstance(model.replay_buffer, FrameReplay):
-        raise PolicyError("the model has no replay of wcsim's; build it with agents.build.build_model")
-    return model.replay_buffer
 
 
 def _stopped_error(path: Path, step: int, total: int, unsaved: str) -> InterruptedRunError | DiskFullError:
@@ -270,9 +259,7 @@ class _Session:
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
 
 
-def _loaded(
-    run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]
-) -> Loaded | None:
+def _loaded(run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]) -> Loaded | None:
     """The newest sound checkpoint, restored; None for a run that has none yet and begins again."""
     if newest_step(run.checkpoints) < 0:
         say(f"{run.path} stopped before its first checkpoint; it starts again")

@@ -8,8 +8,7 @@ ring, so that a truncated episode bootstraps from its true last observation. n-s
 chain; at the newest row, whose successor is not known yet, they are shorter.
 
 What is drawn: single steps, uniformly (`memory` "steps", or "windows" where an observation is a window of frames:
-memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`: memory (a)). Frames lie in memory or,
-with a `folder`, on disk (`agents/replay/disk_store.py`).
+memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`: memory (a)).
 
 How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back.
 
@@ -22,7 +21,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -36,11 +34,10 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
-from wcsim.agents.replay.disk_store import DiskFrames
-from wcsim.agents.replay.frame_store import Folded, folded, frame_store, unfolded
+from wcsim.agents.replay.frame_store import Folded, folded, unfolded
 from wcsim.agents.replay.groups import Groups, SequenceBatch, gather_groups
 from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
-from wcsim.agents.replay.window_store import OpenStore, WindowStore
+from wcsim.agents.replay.window_store import WindowStore
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
@@ -149,7 +146,6 @@ class ReplaySettings:
     memory: Literal["steps", "groups", "windows"] = "steps"
     group_steps: int = 16
     burn_in: int = 8
-    folder: Path | None = None  # of the frames, which are in memory without one
     seed: int = 0
 
 
@@ -194,7 +190,7 @@ class FrameReplay(ReplayBuffer):
         self.groups: Groups | None = None
         if settings.memory == "groups":
             self.groups = Groups(settings.group_steps, settings.burn_in)
-        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._store(settings))
+        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._smooth_bytes())
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
@@ -205,27 +201,13 @@ class FrameReplay(ReplayBuffer):
         self.advice = AdviceRing(rows, n_envs, count) if settings.advice else None
         self.reset()
 
-    def _store(self, settings: ReplaySettings) -> OpenStore:
-        folder = settings.folder
+    def _smooth_bytes(self) -> int:
+        """How many bytes at a frame's beginning are of depth."""
         first, shape = self.layout.images[0] if self.layout.images else ("", ())
-        smooth = int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
-        if folder is None:
-            return lambda steps, seats, size: frame_store(steps, seats, size, smooth)
-        layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)
-        return lambda steps, seats, size: DiskFrames(folder, steps, seats, size, layout, smooth)
-
-    @property
-    def disk(self) -> DiskFrames | None:
-        """The frames, where they are on disk."""
-        return self.windows.frames if isinstance(self.windows.frames, DiskFrames) else None
-
-    def close(self) -> None:
-        """Close the files, where frames are on disk."""
-        if self.disk is not None:
-            self.disk.close()
+        return int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
 
     def reset(self) -> None:
-        """Forget everything; frames on disk stay until others are written in their place."""
+        """Forget everything."""
         self.total = 0  # steps added per seat, ever
         self.pos, self.full = 0, False
         self.ended[:] = False

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.disk_store import DiskFrames
 from wcsim.agents.replay.groups import Groups
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -28,7 +27,7 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     index = first + np.arange(size)
     rows = index % replay.buffer_size
     blobs: list[bytes] = []
-    for seat in range(replay.n_envs if replay.disk is None else 0):
+    for seat in range(replay.n_envs):
         for k in range(0, size, _SLICE):
             blobs += frame_store.pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
@@ -38,9 +37,6 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     if replay.advice is not None:
         arrays.update(replay.advice.arrays(rows))
     arrays.update(_group_arrays(replay))
-    if replay.disk is not None:  # the frames stay where they are
-        replay.disk.sync()
-        arrays["disk"] = np.array(_on_disk(replay.disk, replay.total, size, replay.n_envs), np.int64)
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
     arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
     arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
@@ -76,19 +72,9 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
     }
 
 
-def _on_disk(disk: DiskFrames, total: int, size: int, seats: int) -> list[int]:
-    """The first of the frames on disk that a memory of these steps needs, the one after its last, and their seal."""
-    first, stop = (total - size) * seats, total * seats
-    return [first, stop, disk.seal(first, stop)]
-
-
 def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
-    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type.
-
-    Raises PolicyError when its frames are on disk and not all there.
-    """
+    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
     size = _steps_kept(replay, arrays)
-    _require_frames(replay, arrays, size)
     arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
     arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
     for name, (shape, kind) in _expected(replay, arrays, size).items():
@@ -100,16 +86,6 @@ def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
         raise ValueError("replay: its images do not go together")
     if (lengths < 0).any() or int(lengths.sum()) != len(frames):
         raise ValueError("replay: its frames have other lengths than it says")
-
-
-def _require_frames(replay: FrameReplay, arrays: Arrays, size: int) -> None:
-    if ("disk" in arrays) != (replay.disk is not None):
-        kept, wanted = ("disk", "memory") if "disk" in arrays else ("memory", "disk")
-        raise ValueError(f"replay: its frames were kept with learn.replay_store={kept}; this is {wanted}")
-    if replay.disk is not None:
-        total = int(arrays["total"][0])
-        if arrays["disk"].tolist() != _on_disk(replay.disk, total, size, replay.n_envs):
-            raise ValueError("replay: the frames on disk are not those that it was saved with")
 
 
 def _steps_kept(replay: FrameReplay, arrays: Arrays) -> int:
@@ -169,11 +145,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obje
     if replay.groups is not None:
         keys = map(tuple, arrays["state_at"].tolist())
         replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
-    if replay.disk is None:
-        _restore_frames(replay, arrays, index, alive)
-    else:
-        replay.disk.cut(total * replay.n_envs)
-        replay.windows.attach(total - size, replay.episode_step[rows] == 0)
+    _restore_frames(replay, arrays, index, alive)
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):

@@ -6,28 +6,21 @@ observations, or the steps before it are gone) is kept whole beside the frames, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from wcsim.agents.replay.frame_store import FrameStore, frame_store
 from wcsim.types import I64, U8, Bool
 
-OpenStore = Callable[[int, int, int], FrameStore]
-
 
 class WindowStore:
     """Windows (frames * size,) by absolute step index and seat, of the last `steps` steps."""
 
-    def __init__(self, steps: int, seats: int, frames: int, size: int, open_store: OpenStore = frame_store) -> None:
-        """A place for `steps` windows of `frames` frames of `size` bytes in each seat.
-
-        `open_store` is given how many steps' frames are kept, the seats, and the bytes of a frame.
-        """
+    def __init__(self, steps: int, seats: int, frames: int, size: int, smooth: int = 0) -> None:
+        """A place for `steps` windows of `frames` frames of `size` bytes in each seat, the first `smooth` of depth."""
         self._window, self._size = frames, size
         self._rows = steps + frames - 1  # the oldest window's older frames belong to steps before it
         self._steps = steps
-        self.frames: FrameStore = open_store(self._rows, seats, size)
+        self.frames: FrameStore = frame_store(self._rows, seats, size, smooth)
         self._depth = np.zeros((self._rows, seats), dtype=np.int64)  # steps since the start of the chain
         self._told = np.zeros((seats, frames * size), dtype=np.uint8)  # the last windows, as they would be read
         self.reset()
@@ -56,14 +49,6 @@ class WindowStore:
             else:
                 told[:-1] = told[1:].copy()
                 told[-1] = frame
-
-    def attach(self, first: int, fresh: Bool) -> None:
-        """Go on from frames that the store has already: of the steps from `first` on, `fresh` (steps, seats)."""
-        for step, begins in enumerate(fresh):
-            self._follow(first + step, begins)
-        if len(fresh):
-            seats = np.arange(fresh.shape[1])
-            self._told[:] = self.read(np.full(len(seats), first + len(fresh) - 1), seats)
 
     def _follow(self, index: int, fresh: Bool) -> Bool:
         """Note where chains begin at the next step; returns where they do."""
