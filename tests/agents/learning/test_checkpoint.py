@@ -16,8 +16,8 @@ from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import MODEL, STATE, step_folders
+from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.train import train
-from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.errors import InterruptedRunError, PolicyError
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill, number_of, stack
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
-from wcsim.agents.replay.groups import gather_groups
 from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
 
 PLANS = st.integers(1, 3).flatmap(
@@ -92,7 +91,7 @@ def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, bur
     if not wanted:
         return
     starts, seats = np.array(sorted(wanted)).T
-    batch = gather_groups(buffer, buffer.groups, starts, seats)
+    batch = buffer.groups.gather(buffer, starts, seats)
     burned = {
         int(k): seen
         for rows_, seen in batch.burn_in

@@ -1,4 +1,4 @@
-"""What all faces of a town share: the configuration, the spaces, and the order for a world.
+"""What all faces of a town share: the configuration, the spaces, the order for a world, and a world's chairs.
 
 A face is a standard interface over the same links: Gymnasium's (`agents/envs/wheelchair_env.py`), PettingZoo's
 (`agents/envs/parallel_env.py`) and that of Stable-Baselines3's vectorised environments (`agents/envs/vec_env.py`).
@@ -6,6 +6,7 @@ A face is a standard interface over the same links: Gymnasium's (`agents/envs/wh
 
 from __future__ import annotations
 
+import copy
 import operator
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,13 +16,16 @@ from typing import Any, TypedDict
 import gymnasium
 import numpy as np
 
+from wcsim.agents.envs.episode_view import Chair, Info
 from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import MAX_INTEGER, shown_value
-from wcsim.errors import ConfigError, meant
+from wcsim.errors import ConfigError, ProtocolError, meant
+from wcsim.server.links.base import WorldLink
+from wcsim.server.links.group import SeatGroup, open_group
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.supervisor.observation import Observation, imu_size, observation_space
 from wcsim.supervisor.reward_terms import RewardTerm, is_reward_term
 from wcsim.users.recorded import find_user
 
@@ -191,3 +195,51 @@ def _with_colours(config: RunConfig) -> RunConfig:
     eye = config.eye
     drawn = [camera.model_copy(update={"rgb": True}) if camera is eye else camera for camera in config.cameras]
     return config.model_copy(update={"cameras": tuple(drawn)})
+
+
+class Chairs:
+    """The chairs of a world, by seat; the world is made by the first `begin`."""
+
+    def __init__(self, face: Face, count: int, terms: Sequence[RewardTerm] = ()) -> None:
+        """So many chairs, each with a copy of the user's own reward terms, which remember one episode each."""
+        self.face = face
+        self.all = [Chair(face.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
+        self._group: SeatGroup | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether there is a world, and no step of it was interrupted."""
+        return self._group is not None and not any(link.interrupted for link in self._group.links)
+
+    def begin(self, seed: int | None) -> list[tuple[Observation, Info]]:
+        """Begin everybody's first episode in a world made anew; without a seed, with one drawn from the system."""
+        seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
+        if not self.open:
+            self.close()
+        if self._group is None:
+            self._group = open_group(self.face.order(seed, len(self.all)))
+            frames = self._group.join()
+        else:
+            frames = self._group.begin_again(seed)
+        return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
+
+    def begin_next(self) -> list[tuple[Observation, Info]]:
+        """Begin everybody's next episode where the world is now, without a tick."""
+        if self._group is None or not self.open:
+            return self.begin(None)
+        frames = self._group.respawn()
+        return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
+
+    def link(self, seat: int) -> WorldLink:
+        """The link of a seat. Raises ProtocolError when there is no world."""
+        if self._group is None:
+            raise ProtocolError("step() came before reset(); call reset() first")
+        return self._group.links[seat]
+
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+        group, self._group = self._group, None
+        for chair in self.all:
+            chair.now = None
+        if group is not None:
+            group.close()

@@ -49,7 +49,7 @@ class EpisodeStep(NamedTuple):
         return self.terminated or self.truncated
 
 
-class ChairLink(Protocol):
+class _ChairLink(Protocol):
     """What a chair needs of its link."""
 
     def send(self, tick: int, joystick: Joystick) -> None:
@@ -140,7 +140,7 @@ class Chair:
             raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
         return index
 
-    def send(self, link: ChairLink, action: object) -> None:
+    def send(self, link: _ChairLink, action: object) -> None:
         """Say what to do in this tick; see `checked`."""
         index = self.checked(action)
         if self.now is not None:
@@ -148,7 +148,7 @@ class Chair:
             x, y = self._actions.points[index]
             link.send(self.now.tick, Joystick(float(x), float(y)))
 
-    def receive(self, link: ChairLink) -> EpisodeStep:
+    def receive(self, link: _ChairLink) -> EpisodeStep:
         """What came of the action that was sent. Raises LinkError."""
         before, after = self.now, link.receive()
         if before is None:

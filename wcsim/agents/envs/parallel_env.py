@@ -13,9 +13,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
+from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep, Info
-from wcsim.agents.envs.episode_views import Chairs
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.supervisor.observation import Observation

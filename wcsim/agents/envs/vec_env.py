@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, make_face
+from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.envs.episode_views import Chairs
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.server.links.base import Waits
 from wcsim.supervisor.observation import Observation

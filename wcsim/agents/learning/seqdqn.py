@@ -47,7 +47,7 @@ from wcsim.supervisor.observation import imu_size
 
 
 @torch.no_grad()
-def burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
     """The network's state (K, S) where the groups begin."""
     states = batch.states.clone()
     for rows, observations in batch.burn_in:
@@ -55,13 +55,13 @@ def burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
     return states
 
 
-def group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+def _group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
     """Values (K, P, A) of all observations of the groups."""
-    return net.unroll(batch.observations, burned_in(net, batch))[0]
+    return net.unroll(batch.observations, _burned_in(net, batch))[0]
 
 
 @torch.no_grad()
-def group_targets(
+def _group_targets(
     online: torch.Tensor, target: torch.Tensor, batch: SequenceBatch, reward_scale: float, double_q: bool
 ) -> torch.Tensor:
     """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
@@ -71,7 +71,7 @@ def group_targets(
     return reward_scale * batch.returns + (1.0 - batch.terminated) * batch.discounts * value
 
 
-def sequence_loss(
+def _sequence_loss(
     nets: tuple[QNet, QNet],
     batch: SequenceBatch,
     reward_scale: float,
@@ -87,10 +87,10 @@ def sequence_loss(
         double_q: The online network chooses the action whose value the target network gives.
         supervised: Added to it: of values (N, A) and the joysticks that they are for, by their key.
     """
-    online = group_values(nets[0], batch)
+    online = _group_values(nets[0], batch)
     with torch.no_grad():
-        target = group_values(nets[1], batch)
-    wanted = group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
+        target = _group_values(nets[1], batch)
+    wanted = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
     length = batch.live.shape[1]
     values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
     chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
@@ -115,7 +115,7 @@ _SIGNS = {
 }
 
 
-def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
+def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
     """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
         observations=_mirrored(batch.observations, actions, signs),
@@ -124,7 +124,7 @@ def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs
     )
 
 
-def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
+def _mirror_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
     """The same for a batch of the training aid."""
     return AdviceBatch(observations=_mirrored(batch.observations, actions, signs), safe=batch.safe[:, actions])
 
@@ -376,11 +376,11 @@ class SeqDQN(DQN):
             settings, nets = self.settings, (self.q_net, self.q_net_target)
             supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
             batch = buffer.sample_groups(batch_size)
-            loss, self.max_abs_q = sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
+            loss, self.max_abs_q = _sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
             return loss
         drawn: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
         if self._flips():
-            drawn = mirrored(drawn, self._mirror_map(), self.settings.mirror_signs)
+            drawn = _mirror_batch(drawn, self._mirror_map(), self.settings.mirror_signs)
         return self.loss(drawn, margin)
 
     def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
@@ -431,7 +431,7 @@ class SeqDQN(DQN):
         wishes = relabelled(sticks, points, RELABELLED, self.rng)
         advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
         if self._flips():
-            advice = mirrored_advice(advice, self._mirror_map(), self.settings.mirror_signs)
+            advice = _mirror_advice(advice, self._mirror_map(), self.settings.mirror_signs)
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
         values = self.q_net(advice.observations)
         return aid_loss(values, distances, advice.safe, settings.reward_scale, AID_MARGIN)

@@ -27,11 +27,10 @@ from wcsim.agents.learning.callbacks import (
     TrainProgress,
 )
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
+from wcsim.agents.learning.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
 from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
-from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.networks.device import checked_device, torch_settings
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
@@ -78,7 +77,7 @@ def train(
     """
     checked_device(run.config.learn.device)
     if run.config.learn.tensorboard:
-        require_tensorboard()
+        check_tensorboard()
     folder = folder_of(run, with_window)
     with files.locked(folder.path), torch_settings(run.config.learn), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([make_env])

@@ -39,7 +39,7 @@ _CLASSES = {CLASS_KEY, COLOURS_KEY}  # one of which every observation has
 WCSIM_GROUPS: tuple[tuple[int, ...], ...] = ((C.KERB,), (C.LOWERED_KERB, C.CROSSWALK))
 
 
-def group_table(classes: Classes) -> torch.Tensor:
+def _group_table(classes: Classes) -> torch.Tensor:
     """One row per group: (G, 256) bool, true where a class id belongs to the group."""
     groups = GROUPS + (WCSIM_GROUPS if classes == "wcsim" else ())
     table = torch.zeros(len(groups), 256, dtype=torch.bool)
@@ -66,7 +66,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
             _require_state(observation_space, network)
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
-        table = group_table(classes)
+        table = _group_table(classes)
         self.form = form_of(observation_space)
         count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
         shape = registry.input_shape(network, window_size(observation_space), (count, height, width))

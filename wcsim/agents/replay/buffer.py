@@ -1,6 +1,6 @@
 """Replay memory for image observations: each frame is kept once, the next observation is the next row.
 
-Of a window of frames, too, a row keeps the newest alone (`agents/replay/window_store.py`).
+Of a window of frames, too, a row keeps the newest alone (`agents/replay/frame_store.py`).
 
 A chain of rows ends where an episode ends (crash, time limit, a world that began again) or where the next step did not
 continue this one (the environment was reset from outside). The observation after the end of a chain is kept beside the
@@ -34,10 +34,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
-from wcsim.agents.replay.frame_store import Folded, folded, unfolded
-from wcsim.agents.replay.groups import Groups, SequenceBatch, gather_groups
+from wcsim.agents.replay.frame_store import Folded, WindowStore, folded, unfolded
+from wcsim.agents.replay.groups import Groups, SequenceBatch
 from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
-from wcsim.agents.replay.window_store import WindowStore
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
@@ -46,7 +45,7 @@ Shapes = tuple[tuple[str, tuple[int, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ObservationLayout:
+class _ObservationLayout:
     """Which keys of an observation are images and which are vectors (float32), with their shapes, by name."""
 
     images: Shapes
@@ -102,7 +101,7 @@ class ObservationLayout:
         return np.uint8 if self.item_bytes == 1 else np.float32
 
 
-def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
+def _layout_of(space: spaces.Space[Any]) -> _ObservationLayout:
     """The layout of an observation space.
 
     Raises:
@@ -120,7 +119,7 @@ def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
     sizes = {space[key].dtype.itemsize for key, _ in images} or {1}  # type: ignore[union-attr]
     if len(sizes) > 1:
         raise PolicyError(f"images of {space} are of uint8 and float32; expected one kind: see env.observation")
-    return ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
+    return _ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
 
 
 def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt.NDArray[Any]]:
@@ -150,7 +149,7 @@ class ReplaySettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chains:
+class _Chains:
     """n-step chains from K start rows."""
 
     returns: F32  # (K,) discounted rewards up to and including the last step
@@ -185,7 +184,7 @@ class FrameReplay(ReplayBuffer):
         self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, least)
         self.n_step, self.gamma = settings.n_step, settings.gamma
         self.precrash_share, self.precrash_window = settings.precrash_share, settings.precrash_window
-        self.layout = layout_of(observation_space)
+        self.layout = _layout_of(observation_space)
         self.rng = seeding.generator(settings.seed, "agent", "replay")
         self.groups: Groups | None = None
         if settings.memory == "groups":
@@ -285,7 +284,7 @@ class FrameReplay(ReplayBuffer):
         if self.groups is None:
             raise ValueError("replay holds single steps; build it with memory='groups'")
         drawn = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
-        return gather_groups(self, self.groups, *drawn)
+        return self.groups.gather(self, *drawn)
 
     def draw(self, batch_size: int) -> tuple[I64, I64]:
         """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
@@ -350,7 +349,7 @@ class FrameReplay(ReplayBuffer):
             safe = np.where(both.any(axis=1, keepdims=True), both, safe)
         return safe
 
-    def chains(self, starts: I64, seats: I64) -> Chains:
+    def chains(self, starts: I64, seats: I64) -> _Chains:
         """Follow each start for up to n steps, to the end of its chain or the newest row whose successor is known."""
         returns = np.zeros(len(starts), dtype=np.float64)
         discounts = np.ones(len(starts), dtype=np.float64)
@@ -365,7 +364,7 @@ class FrameReplay(ReplayBuffer):
             last = np.where(alive, index, last)
             alive &= ~self.ended[rows, seats]
         at = last % self.buffer_size
-        return Chains(
+        return _Chains(
             returns=returns.astype(np.float32),
             discounts=discounts.astype(np.float32),
             terminated=self.terminated[at, seats],
@@ -373,7 +372,7 @@ class FrameReplay(ReplayBuffer):
             ended=self.ended[at, seats],
         )
 
-    def _after(self, chains: Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
+    def _after(self, chains: _Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
         rows = (chains.last + 1) % self.buffer_size
         images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
         for k in np.flatnonzero(chains.ended):

@@ -7,10 +7,9 @@ from torch import nn
 
 from tests.agents.chain import LENGTH, Chain
 from tests.agents.toy import logs_in
-from wcsim.agents.learning.callbacks import EpisodeMetrics
+from wcsim.agents.learning.callbacks import EpisodeMetrics, _ValueWatch
+from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
-from wcsim.agents.learning.watching.metrics import read_metrics
-from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import ReplaySettings
@@ -19,17 +18,17 @@ GAMMA = 0.97
 
 
 def test_returns_are_discounted_and_scaled_as_values_are():
-    watch = ValueWatch(gamma=0.9, scale=0.05, value=1.0)
+    watch = _ValueWatch(gamma=0.9, scale=0.05, value=1.0)
     for reward in (1.0, 0.0, -100.0):
         watch.add(reward)
     check = watch.check(ended=True)
     assert check.discounted == pytest.approx(0.05 * (1.0 - 0.81 * 100.0))
     assert check.overestimate == pytest.approx(1.0 - check.discounted)
-    assert ValueWatch(gamma=0.9, scale=1.0).check(ended=True).overestimate is None
+    assert _ValueWatch(gamma=0.9, scale=1.0).check(ended=True).overestimate is None
 
 
 def test_an_episode_cut_short_counts_only_when_little_was_to_come():
-    watch = ValueWatch(gamma=0.9, scale=1.0, value=0.0)
+    watch = _ValueWatch(gamma=0.9, scale=1.0, value=0.0)
     for steps in range(1, 40):
         watch.add(1.0)
         told = watch.check(ended=False).discounted
