@@ -16,9 +16,9 @@ from wcsim.agents.clients.client import (
     _ProcessGrownError,
     _ProcessGrowth,
     _StatusPipe,
-    _Stopped,
+    _Stopwatch,
     _TimeShares,
-    exit_of,
+    exit_code,
     learn,
 )
 from wcsim.agents.clients.client_process import main
@@ -51,7 +51,7 @@ from wcsim.towns.scenario.overrides import Override
     ],
 )
 def test_how_a_client_ends(error, code):
-    assert exit_of(error("so")) is code
+    assert exit_code(error("so")) is code
 
 
 def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_path, capfd, monkeypatch):
@@ -122,7 +122,7 @@ def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
 def test_a_call_within_a_call_counts_once(monkeypatch):
     clock = count()
     monkeypatch.setattr("wcsim.agents.clients.client.time.perf_counter", lambda: next(clock))
-    watch = _Stopped()
+    watch = _Stopwatch()
     inner = watch.around(lambda: next(clock))
     watch.around(lambda: (inner(), inner()))()
     assert (watch.calls, watch.seconds) == (1, 3)
@@ -173,7 +173,7 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
     order = ClientSpec(join=join, config_json=settings.model_dump_json(), out=str(tmp_path / "run"), info=info)
     with pytest.raises(_ProcessGrownError, match="grown from 100 to 160 MB") as told:
         learn(order, resume=False)
-    assert exit_of(told.value) is ClientExit.GROWN
+    assert exit_code(told.value) is ClientExit.GROWN
     (kept,) = (path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*"))
     assert kept == "step-00000120"
     learn(order, resume=True)

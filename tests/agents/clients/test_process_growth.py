@@ -22,7 +22,7 @@ def asked_at(epochs: Iterable[tuple[int, int]], memory_mb: dict[int, float]) -> 
     growth = _ProcessGrowth(LEARN, mb_now, lambda: asked.append(now))
     for now, epoch in epochs:
         growth.look(now, epoch)
-    assert bool(growth.told) == bool(asked)
+    assert bool(growth.reason) == bool(asked)
     return asked
 
 

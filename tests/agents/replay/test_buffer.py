@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.replay import frame_store
+from wcsim.agents.replay import frame_store, state
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.frame_store import _PackedFrames, _RawFrames
 from wcsim.agents.replay.state import replay_arrays, restore_replay
@@ -184,7 +184,7 @@ def test_large_frames_are_packed_and_come_back(smooth):
     rows, seats = np.array([4, 0, 3]), np.array([1, 0, 1])
     assert np.array_equal(store.read(rows, seats), frames[rows, seats])
     assert max(len(blob) for row in store._blobs for blob in row) < 20_000
-    assert np.array_equal(frame_store.unpack(frame_store.pack(frames[:, 0]), 50_000), frames[:, 0])
+    assert np.array_equal(state._unpack(state._pack(frames[:, 0]), 50_000), frames[:, 0])
 
 
 @pytest.mark.parametrize("steps", [30, 500])

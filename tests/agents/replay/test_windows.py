@@ -27,7 +27,7 @@ from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.frame_store import WindowStore
-from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
+from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import config_of, open_run, policy_path
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, load_run_config
@@ -238,7 +238,7 @@ def test_a_memory_that_holds_nothing_yet_can_be_kept():
     twin = replay(400, seats=2)
     add(twin, [Street(), Street()], ["go", "go"])  # to be forgotten
     arrays = replay_arrays(replay(400, seats=2))
-    require_fit(twin, arrays)
+    check_fit(twin, arrays)
     restore_replay(twin, arrays)
     assert (twin.total, twin.size()) == (0, 0)
     streets = [Street(), Street()]
@@ -260,7 +260,7 @@ def test_a_checkpoint_of_other_windows_is_refused():
     for _ in range(5):
         add(buffer, streets, ["go"])
     with pytest.raises(ValueError, match=r"end_images is uint8 \(0, 36\); expected uint8 \(0, 12\)"):
-        require_fit(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
+        check_fit(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
 
 
 def test_every_image_of_a_window_is_mirrored():

@@ -46,12 +46,12 @@ from wcsim.errors import (
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
 
-SAY_S = 0.5  # shortest time between two status lines
+STATUS_EVERY_S = 0.5  # shortest time between two status lines
 TIMES = "times.json"
 _LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
-P = ParamSpec("P")
-R = TypeVar("R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
 class _ProcessGrownError(InterruptedRunError):
@@ -80,7 +80,7 @@ class _ProcessGrowth:
         self._first_step: int | None = None  # of this life
         self._epoch = -1
         self._begun_mb: float | None = None
-        self.told = ""  # why it was asked to end
+        self.reason = ""  # why it was asked to end
 
     def look(self, step: int, epoch: int) -> None:
         """To be called every few steps.
@@ -94,26 +94,26 @@ class _ProcessGrowth:
             if step > max(self._first_step + SETTLED_STEPS, self._full_step):
                 self._begun_mb, self._epoch = self._memory_mb(), epoch
             return
-        if epoch == self._epoch or self.told:
+        if epoch == self._epoch or self.reason:
             return
         self._epoch, now_mb = epoch, self._memory_mb()
         if now_mb - self._begun_mb > self._limit_mb:
-            self.told = f"its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
+            self.reason = f"its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
             self._end()
 
 
 @dataclass(slots=True)
-class _Stopped:
+class _Stopwatch:
     """A stopwatch around calls."""
 
     seconds: float = 0.0
     calls: int = 0
     _open: bool = field(default=False, repr=False)
 
-    def around(self, call: Callable[P, R]) -> Callable[P, R]:
+    def around(self, call: Callable[_P, _R]) -> Callable[_P, _R]:
         """The same call, measured; one within another counts once."""
 
-        def measured(*args: P.args, **kwargs: P.kwargs) -> R:
+        def measured(*args: _P.args, **kwargs: _P.kwargs) -> _R:
             if self._open:
                 return call(*args, **kwargs)
             self._open, begun_s = True, time.perf_counter()
@@ -132,7 +132,7 @@ class _TimeShares(SeqCallback):
 
     def __init__(self) -> None:
         super().__init__()
-        self.inference, self.learning = _Stopped(), _Stopped()
+        self.inference, self.learning = _Stopwatch(), _Stopwatch()
 
     def _on_training_start(self) -> None:
         learner = self.learner
@@ -142,7 +142,7 @@ class _TimeShares(SeqCallback):
 
 
 class _StatusPipe:
-    """Says how far a client is, a few times a second; to nobody when there is no pipe."""
+    """Reports the progress of a client, a few times a second, where there is a pipe."""
 
     def __init__(
         self, name: str, descriptor: int, env: WheelchairEnv, shares: _TimeShares, growth: _ProcessGrowth
@@ -151,11 +151,11 @@ class _StatusPipe:
         if descriptor >= 0:
             os.set_blocking(descriptor, False)
         self._env, self._shares = env, shares
-        self._said_s = 0.0
+        self._written_s = 0.0
         self.last = ClientStatus(name=name)
 
     def show(self, now: TrainProgress) -> None:
-        """Take in how far the learner is, and say it when it is time, or when that is all."""
+        """Take in the progress, and report it when it is time, or when that is all."""
         self._growth.look(now.step, self._env.epoch)
         waits = self._env.waits
         self.last = ClientStatus(
@@ -173,18 +173,19 @@ class _StatusPipe:
             overlap_s=waits.worked_s,
             pid=os.getpid(),
         )
-        if self._descriptor >= 0 and (time.monotonic() - self._said_s >= SAY_S or now.step >= now.total_steps):
-            self._said_s = time.monotonic()
+        is_due = time.monotonic() - self._written_s >= STATUS_EVERY_S or now.step >= now.total_steps
+        if self._descriptor >= 0 and is_due:
+            self._written_s = time.monotonic()
             try:
                 os.write(self._descriptor, to_line(self.last))
-            except BlockingIOError:  # whoever listens is stopped
+            except BlockingIOError:  # the reader is stopped
                 pass
-            except OSError:  # nobody listens any more; the kernel asks for the end itself (`parent.die_with_parent`),
+            except OSError:  # no reader is left; the kernel asks for the end itself (`parent.die_with_parent`),
                 self._descriptor = -1  # and a second request from here would cut the saving short
 
 
 def learn(
-    order: ClientSpec, resume: bool, status_fd: int = -1, say: Callable[[str], object] = lambda text: None
+    order: ClientSpec, resume: bool, status_fd: int = -1, log: Callable[[str], object] = lambda text: None
 ) -> None:
     """Train as ordered, into the run folder.
 
@@ -192,7 +193,7 @@ def learn(
         order: The client.
         resume: Go on from a checkpoint, or begin again when a life before left none.
         status_fd: Where status lines go; -1 for nowhere.
-        say: Told what a person should know.
+        log: Gets messages for the user.
 
     Raises:
         InterruptedRunError: It was asked to end; the work is saved.
@@ -217,12 +218,12 @@ def learn(
     def alive() -> None:  # else a server that hears nothing gives the seat away
         env.beat(next(beats))
 
-    told: dict[str, Any] = {"alive": alive, "say": say, "wait_no_more": env.wait_no_more}
+    listeners: dict[str, Any] = {"alive": alive, "log": log, "wait_no_more": env.wait_no_more}
     try:
-        train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **told)
+        train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **listeners)
     except (InterruptedRunError, DiskFullError) as error:
-        if growth.told:  # with or without a last checkpoint, as any other one may fail
-            raise _ProcessGrownError(f"{growth.told}; a fresh one goes on") from error
+        if growth.reason:  # with or without a last checkpoint, as any other one may fail
+            raise _ProcessGrownError(f"{growth.reason}; a fresh one goes on") from error
         raise
     finally:
         env.close()
@@ -248,7 +249,7 @@ def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
         files.write_json(out / TIMES, times)
 
 
-def exit_of(error: WcsimError) -> ClientExit:
+def exit_code(error: WcsimError) -> ClientExit:
     """How a client ends that met this error."""
     if isinstance(error, _ProcessGrownError):
         return ClientExit.GROWN

@@ -114,8 +114,8 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
         ConfigError: The configuration, a reward term, the user's profile or the render mode cannot be used.
         TypeError: There is no such option.
     """
-    _require_known(options, own)
-    _require_terms(options.get("reward_terms", ()))
+    _check_known(options, own)
+    _check_terms(options.get("reward_terms", ()))
     render_mode, resolved = options.get("render_mode"), _resolved(options)
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
@@ -128,7 +128,7 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
 
 def _resolved(options: EnvOptions) -> RunConfig:
     """The configuration that was given, or that of the preset, with the overrides laid over it."""
-    config, overrides = options.get("config"), _overrides_of(options)
+    config, overrides = options.get("config"), _given_overrides(options)
     if config is None:
         return load_run_config(options.get("preset", "quick"), overrides)
     if "preset" in options:
@@ -139,15 +139,15 @@ def _resolved(options: EnvOptions) -> RunConfig:
     return with_overrides(config, overrides) if overrides else config
 
 
-def _overrides_of(options: EnvOptions) -> tuple[str, ...]:
+def _given_overrides(options: EnvOptions) -> tuple[str, ...]:
     """Those that were given. Raises ConfigError for one by itself, whose letters would be taken for overrides."""
-    asked = options.get("overrides", ())
-    if isinstance(asked, str):
-        raise ConfigError(f"overrides={shown_value(asked)} is one string; expected several: overrides=[{asked!r}]")
-    return tuple(asked)
+    given = options.get("overrides", ())
+    if isinstance(given, str):
+        raise ConfigError(f"overrides={shown_value(given)} is one string; expected several: overrides=[{given!r}]")
+    return tuple(given)
 
 
-def _require_known(options: Iterable[str], own: Collection[str]) -> None:
+def _check_known(options: Iterable[str], own: Collection[str]) -> None:
     """Raise TypeError, as Python does, for an argument that no environment takes."""
     known = sorted({*EnvOptions.__annotations__, *own})
     for name in options:
@@ -155,7 +155,7 @@ def _require_known(options: Iterable[str], own: Collection[str]) -> None:
             raise TypeError(f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}")
 
 
-def _require_terms(terms: object) -> None:
+def _check_terms(terms: object) -> None:
     """Raise ConfigError for what is no list of objects with the methods of `RewardTerm`."""
     for term in terms if isinstance(terms, Sequence) else (terms,):
         if not isinstance(terms, Sequence) or isinstance(term, type) or not is_reward_term(term):
@@ -173,7 +173,7 @@ def checked_chairs(chairs: int) -> int:
 
 
 def checked_seed(seed: object) -> int | None:
-    """A seed that somebody gave, or None. Raises ConfigError for one that is no integer from 0 on."""
+    """A given seed, or None. Raises ConfigError for one that is no integer from 0 on."""
     if seed is None:
         return None
     try:
@@ -186,7 +186,7 @@ def checked_seed(seed: object) -> int | None:
 
 
 def drawn_seed() -> int:
-    """A seed from the system, for whoever gave none."""
+    """A seed from the system, where none is given."""
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
 
 
@@ -212,7 +212,7 @@ class Chairs:
         return self._group is not None and not any(link.interrupted for link in self._group.links)
 
     def begin(self, seed: int | None) -> list[tuple[Observation, Info]]:
-        """Begin everybody's first episode in a world made anew; without a seed, with one drawn from the system."""
+        """Begin every chair's first episode in a world made anew; without a seed, with one drawn from the system."""
         seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
         if not self.open:
             self.close()
@@ -224,7 +224,7 @@ class Chairs:
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
 
     def begin_next(self) -> list[tuple[Observation, Info]]:
-        """Begin everybody's next episode where the world is now, without a tick."""
+        """Begin every chair's next episode where the world is now, without a tick."""
         if self._group is None or not self.open:
             return self.begin(None)
         frames = self._group.respawn()

@@ -95,7 +95,7 @@ class Chair:
     def picture(self) -> npt.NDArray[np.uint8] | None:
         """What the camera of networks sees in colours, (H, W, 3) uint8, where colours are drawn; an array of its own.
 
-        Whoever films keeps pictures, and the camera draws into the same buffers again.
+        A film needs pictures for longer, and the camera draws into the same buffers again.
         """
         place = self._config.cameras.index(self._config.eye)
         drawn = None if self.now is None else self.now.sensors.cameras[place].rgb
@@ -126,7 +126,7 @@ class Chair:
         return self.begin(self.now.first)
 
     def checked(self, action: object) -> int:
-        """An action's index, of what a learner said.
+        """An action's index, of what a learner chose.
 
         Raises:
             ProtocolError: No episode is on.
@@ -224,9 +224,9 @@ class Chair:
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
         sensors = {name: len(measure.parts) for name, measure in self._config.sensors.measures().items()}
-        said = {reading.name: len(reading.values) for reading in first.sensors.readings}
-        if not sensors.items() <= said.items():
-            raise ConfigMismatchError(f"the world's sensors are {said}; expected {sensors}: use its configuration")
+        given = {reading.name: len(reading.values) for reading in first.sensors.readings}
+        if not sensors.items() <= given.items():
+            raise ConfigMismatchError(f"the world's sensors are {given}; expected {sensors}: use its configuration")
 
 
 def _integer(value: object) -> int | None:

@@ -81,7 +81,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         """Drive for one tick, with one action of every agent that is left; without one there is nothing to do.
 
         Raises:
-            ProtocolError: An action is missing, not in the set, or of somebody who is not there; nothing has moved.
+            ProtocolError: An action is missing, not in the set, or of an agent that is not there; nothing has moved.
         """
         self._check(actions)
         seats = {agent: self.possible_agents.index(agent) for agent in self.agents}

@@ -33,7 +33,7 @@ _TAIL: Final = 0.05  # an episode that was cut short says nothing of its return 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _ValueCheck:
-    """What an episode says about the value at its start; None where it does not."""
+    """The value at the start of an episode beside its return; None where it is not known."""
 
     value: float | None
     discounted: float | None
@@ -77,7 +77,7 @@ class _ValueWatch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainProgress:
-    """How far a run has come, for whoever waits."""
+    """Progress of a run."""
 
     step: int
     total_steps: int
@@ -101,7 +101,7 @@ class _EpisodeSums:
     values: _ValueWatch = field(default_factory=lambda: _ValueWatch(gamma=1.0, scale=1.0))
 
     def add(self, reward: float, info: dict[str, Any]) -> None:
-        """One step, as an environment's `info` tells it."""
+        """One step, by an environment's `info`."""
         self.reward += reward
         self.values.add(reward)
         self.steps += 1
@@ -112,7 +112,7 @@ class _EpisodeSums:
         self.arrivals += int(events is not None and events.arrived)
 
     def row(self, info: dict[str, Any], crashed: bool) -> dict[str, float | int | str | None]:
-        """What metrics.csv says of an episode that ended with this step; `cut` is 1 where its world ended it."""
+        """The row of metrics.csv for an episode that ended with this step; `cut` is 1 where its world ended it."""
         events = info.get("events")
         return {
             "return": self.reward,
@@ -160,7 +160,7 @@ class EventWatch(SeqCallback):
 
 
 def _report_events(report: Callable[..., None], step: int, events: Sequence[Events]) -> None:
-    """Report what a line of events.jsonl tells of a step: of a jam once, of crashes each."""
+    """Report the events of a step for events.jsonl: of a jam once, of crashes each."""
     if jammed := max((each.jam_teleports for each in events), default=0):
         report("jam", step=step, teleported=jammed)
     for each in events:
@@ -201,7 +201,7 @@ class EpisodeMetrics(SeqCallback):
         self._look_greedy()
         self._look_at_starts()
         for seat, info in enumerate(self.locals["infos"]):
-            if info.get("reason") != WORLD_RESTARTED:  # a step that nobody drove
+            if info.get("reason") != WORLD_RESTARTED:  # a step that was not driven
                 self.sums[seat].add(float(self.locals["rewards"][seat]), info)
             if self.locals["dones"][seat]:
                 self._finish(seat, info)
@@ -334,7 +334,7 @@ class StopWhenAsked(SeqCallback):
 class StopRequest:
     """While open, SIGINT and SIGTERM ask for a stop; a second signal stops at once. Only in the main thread.
 
-    Where a launcher ends this process, nobody is there who would want it at once, and a second signal comes of the
+    Where a launcher ends this process, no user waits for its end, and a second signal comes of the
     first one having been sent to all: it, and the launcher's own `WAIT_NO_MORE`, end the waiting for a world alone.
     """
 

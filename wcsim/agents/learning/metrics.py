@@ -28,7 +28,7 @@ KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _KIND = FileKind(what="the log of a run", limit_bytes=1 << 30, error=PolicyError)
-FOLDER: Final = "tensorboard"  # in a run folder
+TENSORBOARD: Final = "tensorboard"  # in a run folder
 _TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})
 _LEFT_OUT: Final = frozenset({"step", "episode"})
 Value = float | int | str | None
@@ -95,7 +95,8 @@ class BoardLog:
         Raises:
             ConfigError: TensorBoard is not installed.
         """
-        self._writer = _writer_class()(str(run / FOLDER), purge_step=None if keep_to_step is None else keep_to_step + 1)
+        purge_step = None if keep_to_step is None else keep_to_step + 1
+        self._writer = _writer_class()(str(run / TENSORBOARD), purge_step=purge_step)
 
     def add(self, row: Mapping[str, Value]) -> None:
         """Write a row of metrics.csv; what is no number is left out."""

@@ -9,7 +9,7 @@ any other one learns from steps drawn one by one, each with its window.
 
 Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
 
-Losses over groups of steps in a row, for networks that carry a state: `agents/replay/groups.py` says what is drawn.
+Losses over groups of steps in a row, for networks that carry a state: see `agents/replay/groups.py` for what is drawn.
 
 Online and target network are each run over the steps before a group, from the stored state and without a gradient, and
 then over the group itself and what its last n-step returns reach.
@@ -276,7 +276,7 @@ class SeqDQN(DQN):
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Keep a step, with the state before it; the states of seats whose episode ended are forgotten.
+        """Store a step, with the state before it; the states of seats whose episode ended are forgotten.
 
         Raises PolicyError for a reward that is not finite: it would spoil every batch that it is drawn in.
         """
@@ -336,7 +336,7 @@ class SeqDQN(DQN):
 
     @property
     def owes_updates(self) -> bool:
-        """Whether updates were put off that are not done yet; a checkpoint says so."""
+        """Whether updates were put off that are not done yet; a checkpoint holds it."""
         return self._due is not None
 
     def owe_updates(self, gradient_steps: int) -> None:

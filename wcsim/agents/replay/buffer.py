@@ -1,10 +1,10 @@
-"""Replay memory for image observations: each frame is kept once, the next observation is the next row.
+"""Replay memory for image observations: each frame is stored once, the next observation is the next row.
 
 Of a window of frames, too, a row keeps the newest alone (`agents/replay/frame_store.py`).
 
 A chain of rows ends where an episode ends (crash, time limit, a world that began again) or where the next step did not
-continue this one (the environment was reset from outside). The observation after the end of a chain is kept beside the
-ring, so that a truncated episode bootstraps from its true last observation. n-step returns never cross an end of a
+continue this one (the environment was reset from outside). The observation after the end of a chain is stored beside
+the ring, so that a truncated episode bootstraps from its true last observation. n-step returns never cross an end of a
 chain; at the newest row, whose successor is not known yet, they are shorter.
 
 What is drawn: single steps, uniformly (`memory` "steps", or "windows" where an observation is a window of frames:
@@ -12,7 +12,7 @@ memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`
 
 How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back.
 
-Images of float32 are kept as their bytes. The image part of a window is its frames one after the other, the newest
+Images of float32 are stored as their bytes. The image part of a window is its frames one after the other, the newest
 last; a frame is all images of one moment.
 """
 
@@ -34,7 +34,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
-from wcsim.agents.replay.frame_store import Folded, WindowStore, folded, unfolded
+from wcsim.agents.replay.frame_store import PACK_ABOVE_BYTES, WindowStore, pack_each, unpack_each
 from wcsim.agents.replay.groups import Groups, SequenceBatch
 from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
 from wcsim.core import seeding
@@ -42,6 +42,7 @@ from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
 
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
+_Folded = U8 | bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,13 +136,13 @@ def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySettings:
-    """What a replay memory is told beside what Stable-Baselines3 tells every one."""
+    """Settings of a replay memory beside those of Stable-Baselines3."""
 
     n_step: int = 1
     gamma: float = 0.99
     precrash_share: float = 0.0  # of a batch from the steps before crashes
     precrash_window: int = 20  # so many of them
-    advice: bool = False  # keep which actions end well, too
+    advice: bool = False  # store which actions end well, too
     memory: Literal["steps", "groups", "windows"] = "steps"
     group_steps: int = 16
     burn_in: int = 8
@@ -156,7 +157,7 @@ class _Chains:
     discounts: F32  # (K,) gamma ** length, the weight of the value after the last step
     terminated: Bool  # (K,) the last step crashed: nothing comes after it
     last: I64  # (K,) absolute index of the last step
-    ended: Bool  # (K,) the observation after the last step is kept beside the ring
+    ended: Bool  # (K,) the observation after the last step is stored beside the ring
 
 
 class FrameReplay(ReplayBuffer):
@@ -211,7 +212,7 @@ class FrameReplay(ReplayBuffer):
         self.pos, self.full = 0, False
         self.ended[:] = False
         self.windows.reset()
-        self.after_end: dict[tuple[int, int], tuple[Folded, F32]] = {}  # by (absolute index, seat)
+        self.after_end: dict[tuple[int, int], tuple[_Folded, F32]] = {}  # by (absolute index, seat)
         self.crashes: deque[tuple[int, int]] = deque()  # (absolute index, seat), oldest first
         self.expected: tuple[U8, F32] | None = None  # the observations that should come next
         if self.advice is not None:
@@ -228,7 +229,7 @@ class FrameReplay(ReplayBuffer):
         done: npt.NDArray[Any],
         infos: list[dict[str, Any]],
     ) -> None:
-        """Keep one step of every seat; `next_obs` holds the terminal observation of a seat that is done.
+        """Store one step of every seat; `next_obs` holds the terminal observation of a seat that is done.
 
         A step that no seat has driven, as its world began again, is left out: the one before leads to its observation.
         """
@@ -255,7 +256,7 @@ class FrameReplay(ReplayBuffer):
         self.terminated[row] = self.ended[row] & ~np.array(timeouts, dtype=bool)
         self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
         for seat in (int(k) for k in np.flatnonzero(self.ended[row])):
-            self._keep_end(self.total, seat)
+            self._store_expected(self.total, seat)
             if self.terminated[row, seat]:
                 self.crashes.append((self.total, seat))
         self.total += 1
@@ -289,7 +290,7 @@ class FrameReplay(ReplayBuffer):
     def draw(self, batch_size: int) -> tuple[I64, I64]:
         """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
 
-        Raises ValueError when fewer than two steps are kept.
+        Raises ValueError when fewer than two steps are stored.
         """
         if self.total < 2:
             raise ValueError(f"replay holds {self.total} steps; expected at least 2: raise learn.learning_starts")
@@ -382,7 +383,7 @@ class FrameReplay(ReplayBuffer):
     def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
         """Images and vectors after the last step of a chain."""
         image, vector = self.after_end[index, int(seat)]
-        return unfolded(image, self.layout.image_bytes), vector
+        return _unfolded(image, self.layout.image_bytes), vector
 
     def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
         """Steps 0..window-1 before crashes, within their episodes and the ring."""
@@ -398,8 +399,8 @@ class FrameReplay(ReplayBuffer):
             return
         row = (self.total - 1) % self.buffer_size
         for seat in np.flatnonzero(~self.ended[row]):
-            kept_images, kept_vectors = self.expected
-            same = np.array_equal(images[seat], kept_images[seat]) and np.array_equal(vectors[seat], kept_vectors[seat])
+            next_images, next_vectors = self.expected
+            same = np.array_equal(images[seat], next_images[seat]) and np.array_equal(vectors[seat], next_vectors[seat])
             if not same:
                 self._end_chain(int(seat))
 
@@ -411,12 +412,16 @@ class FrameReplay(ReplayBuffer):
 
     def _end_chain(self, seat: int) -> None:
         self.ended[(self.total - 1) % self.buffer_size, seat] = True
-        self._keep_end(self.total - 1, seat)
+        self._store_expected(self.total - 1, seat)
 
-    def _keep_end(self, index: int, seat: int) -> None:
+    def _store_expected(self, index: int, seat: int) -> None:
         if self.expected is not None:
             images, vectors = self.expected
-            self.after_end[index, seat] = (folded(images[seat]), vectors[seat].copy())
+            self.store_end(index, seat, images[seat], vectors[seat])
+
+    def store_end(self, index: int, seat: int, image: U8, vector: F32) -> None:
+        """Store images and vectors after the last step of a chain."""
+        self.after_end[index, seat] = (_folded(image), vector.copy())
 
     def _forget(self, index: int) -> None:
         """Drop what belongs to the row that is overwritten now."""
@@ -424,3 +429,13 @@ class FrameReplay(ReplayBuffer):
             self.after_end.pop((index, seat), None)
         while self.crashes and self.crashes[0][0] <= index:
             self.crashes.popleft()
+
+
+def _folded(frame: U8) -> _Folded:
+    """A copy of one frame, or, of a large one, its blob."""
+    return pack_each(frame[None])[0] if len(frame) > PACK_ABOVE_BYTES else frame.copy()
+
+
+def _unfolded(stored: _Folded, size: int) -> U8:
+    """The frame (size,) of which `_folded` made this."""
+    return unpack_each([stored], size)[0] if isinstance(stored, bytes) else stored

@@ -4,7 +4,7 @@ Frames are raw bytes when they are small, and one zstd blob each when they are l
 blob gains nothing (no temporal coding) and would cost random access.
 
 In a blob, smooth pictures are differences between neighbours, then zstd at level 1. A noisy depth picture is a third
-smaller when its holes (zeros: what the camera did not measure) are told apart and what is left is written as
+smaller when its holes (zeros: what the camera did not measure) are packed apart and what is left is written as
 differences of neighbouring bytes; and so is a blob whose parts are packed by themselves, because zstd gives every part
 an entropy code of its own.
 
@@ -24,14 +24,11 @@ import zstandard
 from wcsim.core.reading import unzstd
 from wcsim.types import I64, U8, Bool
 
-_LEVEL: Final = 1
+LEVEL: Final = 1  # of zstd
 _LEAST_MATCH: Final = 7  # bytes; in noise a shorter repetition costs more than it saves
 _HASH_LOG: Final = 12  # a table so small that it is in the cache, though a world was computed in between
 _LENGTHS: Final = struct.Struct("<II")
-_PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
-_CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
-
-Folded = U8 | bytes
+PACK_ABOVE_BYTES = 40_000  # an 80x60 pair of images has 9.6 kB and is not worth the time of packing
 
 
 class _BlobCodec:
@@ -39,7 +36,7 @@ class _BlobCodec:
 
     def __init__(self, size: int, smooth: int) -> None:
         self._size, self._smooth = size, smooth
-        settings = zstandard.ZstdCompressionParameters.from_level(_LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG)
+        settings = zstandard.ZstdCompressionParameters.from_level(LEVEL, min_match=_LEAST_MATCH, hash_log=_HASH_LOG)
         self._pack = zstandard.ZstdCompressor(compression_params=settings)
         self._unpack = zstandard.ZstdDecompressor()
 
@@ -83,7 +80,7 @@ class _FrameStore(Protocol):
     """Frames of the last steps by (absolute index of the step, seat); a frame is a flat uint8 array of `size` bytes."""
 
     def write(self, index: int, seat: int, frame: U8) -> None:
-        """Keep a frame (size,) of the next step."""
+        """Store a frame (size,) of the next step."""
 
     def read(self, index: I64, seats: I64) -> U8:
         """Copies of frames, (K,) and (K,) -> (K, size)."""
@@ -96,7 +93,7 @@ class _RawFrames:
         self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
-        """Keep a frame (size,)."""
+        """Store a frame (size,)."""
         self._frames[index % len(self._frames), seat] = frame
 
     def read(self, index: I64, seats: I64) -> U8:
@@ -112,7 +109,7 @@ class _PackedFrames:
         self._size, self._codec = size, _BlobCodec(size, smooth)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
-        """Keep a frame (size,)."""
+        """Store a frame (size,)."""
         self._blobs[index % len(self._blobs)][seat] = self._codec.pack(frame)
 
     def read(self, index: I64, seats: I64) -> U8:
@@ -127,36 +124,12 @@ class _PackedFrames:
 
 def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _FrameStore:
     """The store in memory that fits frames of `size` bytes, the first `smooth` of depth, of the last `rows` steps."""
-    return _RawFrames(rows, seats, size) if size <= _PACK_ABOVE_BYTES else _PackedFrames(rows, seats, size, smooth)
-
-
-def folded(frame: U8) -> Folded:
-    """A copy of one frame, or, of a large one, its blob."""
-    return pack_each(frame[None])[0] if len(frame) > _PACK_ABOVE_BYTES else frame.copy()
-
-
-def unfolded(kept: Folded, size: int) -> U8:
-    """The frame (size,) of which `folded` made this."""
-    return unpack_each([kept], size)[0] if isinstance(kept, bytes) else kept
-
-
-def pack(frames: U8) -> list[bytes]:
-    """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
-    packer = zstandard.ZstdCompressor(level=_LEVEL)
-    return [packer.compress(frames[k : k + _CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), _CHUNK_FRAMES)]
-
-
-def unpack(blobs: list[bytes], size: int) -> U8:
-    """What `pack` packed, (K, size)."""
-    unpacker = zstandard.ZstdDecompressor()
-    limit = _CHUNK_FRAMES * size
-    parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
-    return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)
+    return _RawFrames(rows, seats, size) if size <= PACK_ABOVE_BYTES else _PackedFrames(rows, seats, size, smooth)
 
 
 def pack_each(frames: U8) -> list[bytes]:
     """Frames (K, size) as a compressed blob each."""
-    packer = zstandard.ZstdCompressor(level=_LEVEL)
+    packer = zstandard.ZstdCompressor(level=LEVEL)
     # Copied: a blob as it comes lies in a block for a frame that cannot be compressed, whose rest is lost.
     return [bytes(memoryview(packer.compress(frame.tobytes()))) for frame in frames]
 
@@ -179,7 +152,7 @@ class WindowStore:
         self._steps = steps
         self.frames: _FrameStore = _frame_store(self._rows, seats, size, smooth)
         self._depth = np.zeros((self._rows, seats), dtype=np.int64)  # steps since the start of the chain
-        self._told = np.zeros((seats, frames * size), dtype=np.uint8)  # the last windows, as they would be read
+        self._last = np.zeros((seats, frames * size), dtype=np.uint8)  # the last windows, as they would be read
         self.reset()
 
     def reset(self) -> None:
@@ -188,24 +161,24 @@ class WindowStore:
         self.whole: dict[tuple[int, int], U8] = {}  # by (absolute index, seat)
 
     def write(self, index: int, windows: U8, fresh: Bool) -> None:
-        """Keep the windows (seats, frames * size) of the next step; `fresh` (seats,) says where a chain begins."""
+        """Store the windows (seats, frames * size) of the next step; `fresh` (seats,) says where a chain begins."""
         self.write_newest(index, windows[:, -self._size :], fresh)
         for seat in range(len(windows)):
-            if not np.array_equal(windows[seat], self._told[seat]):
+            if not np.array_equal(windows[seat], self._last[seat]):
                 self.whole[index, seat] = windows[seat].copy()
 
     def write_newest(self, index: int, frames: U8, fresh: Bool) -> None:
-        """Keep the newest frames (seats, size) of the next step, whose windows follow from the steps before."""
+        """Store the newest frames (seats, size) of the next step, whose windows follow from the steps before."""
         fresh = self._follow(index, fresh)
         for seat, frame in enumerate(frames):
             self.whole.pop((index - self._steps, seat), None)
             self.frames.write(index, seat, frame)
-            told = self._told[seat].reshape(self._window, self._size)
+            last = self._last[seat].reshape(self._window, self._size)
             if fresh[seat]:
-                told[:] = frame
+                last[:] = frame
             else:
-                told[:-1] = told[1:].copy()
-                told[-1] = frame
+                last[:-1] = last[1:].copy()
+                last[-1] = frame
 
     def _follow(self, index: int, fresh: Bool) -> Bool:
         """Note where chains begin at the next step; returns where they do."""

@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import zstandard
 
-from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.frame_store import LEVEL
 from wcsim.agents.replay.groups import Groups
+from wcsim.types import U8
 
 Arrays = dict[str, npt.NDArray[Any]]
 
 _PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
 _SLICE = 512  # steps read at once
+_CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 
 def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
@@ -29,7 +32,7 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     blobs: list[bytes] = []
     for seat in range(replay.n_envs):
         for k in range(0, size, _SLICE):
-            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
+            blobs += _pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
     ends = sorted(replay.after_end)
     end_images = [replay.observation_after_end(*key)[0] for key in ends]
@@ -52,7 +55,7 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
 
 
 def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
-    """Where the window of a step does not follow from the steps that are kept: (absolute index, seat)."""
+    """Where the window of a step does not follow from the stored steps: (absolute index, seat)."""
     first = replay.total - replay.size()
     cut = range(first, min(first + replay.layout.window - 1, replay.total))  # frames of steps that are forgotten
     return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
@@ -72,9 +75,9 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
     }
 
 
-def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
+def check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
-    size = _steps_kept(replay, arrays)
+    size = _stored_steps(replay, arrays)
     arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
     arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
     for name, (shape, kind) in _expected(replay, arrays, size).items():
@@ -88,11 +91,11 @@ def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
         raise ValueError("replay: its frames have other lengths than it says")
 
 
-def _steps_kept(replay: FrameReplay, arrays: Arrays) -> int:
-    told = arrays["total"]
-    if told.dtype != np.int64 or told.shape != (2,):
-        raise ValueError(f"replay has counts {told.dtype} {told.shape}; expected two numbers")
-    total, size = (int(value) for value in told)
+def _stored_steps(replay: FrameReplay, arrays: Arrays) -> int:
+    counts = arrays["total"]
+    if counts.dtype != np.int64 or counts.shape != (2,):
+        raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
+    total, size = (int(value) for value in counts)
     if not 0 <= size <= total or size != min(total, replay.buffer_size):
         raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
     return size
@@ -126,7 +129,7 @@ def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[in
 
 
 def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
-    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`require_fit`).
+    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`check_fit`).
 
     A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
     `alive` is called now and then.
@@ -149,7 +152,7 @@ def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obje
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
-        replay.after_end[int(step), int(seat)] = (frame_store.folded(image), vector)
+        replay.store_end(int(step), int(seat), image, vector)
     for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
         for seat in np.flatnonzero(replay.terminated[rows[k]]):
             replay.crashes.append((total - size + int(k), int(seat)))
@@ -167,7 +170,7 @@ def _restore_frames(
     each = len(blobs) // replay.n_envs  # one seat after the other
     at = 0
     for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
-        frames = np.stack([frame_store.unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
+        frames = np.stack([_unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
         for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
             fresh = replay.episode_step[step % replay.buffer_size] == 0
             replay.windows.write_newest(int(step), frame, fresh)
@@ -175,3 +178,17 @@ def _restore_frames(
         alive()
     if at != len(index):
         raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")
+
+
+def _pack(frames: U8) -> list[bytes]:
+    """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
+    packer = zstandard.ZstdCompressor(level=LEVEL)
+    return [packer.compress(frames[k : k + _CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), _CHUNK_FRAMES)]
+
+
+def _unpack(blobs: list[bytes], size: int) -> U8:
+    """What `_pack` packed, (K, size)."""
+    unpacker = zstandard.ZstdDecompressor()
+    limit = _CHUNK_FRAMES * size
+    parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
+    return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)
