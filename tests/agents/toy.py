@@ -22,8 +22,8 @@ from stable_baselines3.common.logger import configure
 
 from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
 from wcsim.agents.learning.callbacks import TrainingLogs
+from wcsim.agents.learning.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ServerGoneError

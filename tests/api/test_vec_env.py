@@ -135,7 +135,7 @@ def learned(town: Path, envs: int = 2) -> tuple[Any, list[Any]]:
     """A SeqDQN with everything that it has beside SB3's, and its weights."""
     learn = {
         "learning_starts": 20, "batch_size": 8, "replay_frames": 400, "mirror": "true", "aid": "oracle",
-        "total_steps": 120, "phase1_steps": 40, "aid_ahead": 2,
+        "total_steps": 120, "phase1_steps": 40,
     }  # fmt: skip
     words = [f"learn.{key}={value}" for key, value in learn.items()]
     config = load_run_config("dqn", (*LEARNABLE, "env.truth=true", "env.max_steps=15", *words))

@@ -16,7 +16,7 @@ from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing import films
 from tests.support.worlds import dqn_config
 from tests.view.report.results import write_result
-from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile
+from wcsim.agents.learning.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.drive.playing.play_messages import FailedLine

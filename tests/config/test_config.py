@@ -80,7 +80,6 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
         ("world.reaction_s=inf", "reaction_s.* got .inf. s; expected at least 0 and at most 60 s"),
         ("learn.total_steps=10_000_000_000", "total_steps"),
         ("learn.replay_frames=100_000_000", "replay_frames"),
-        ("learn.precrash_window=10_000_000_000", "precrash_window"),
         ("reward.crash=1e300", "crash.*at most 1e.09"),
         ("reward.max_distance=1000", "max_distance"),
         ("env.profile='" + "a" * 20_000 + "'", "profile"),
@@ -208,9 +207,8 @@ def test_few_of_many_faults_are_told():
 
 
 def test_a_batch_that_would_fill_the_memory_is_refused():
-    for key in ("learn.batch_size", "learn.aid_batch"):
-        with pytest.raises(ConfigError, match=r"a batch of 4096 observations.*learn\.batch_size"):
-            load_run_config("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", f"{key}=4096"))
+    with pytest.raises(ConfigError, match=r"a batch of 4096 observations.*learn\.batch_size"):
+        load_run_config("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", "learn.batch_size=4096"))
 
 
 def unbounded(schema, definitions, where=""):

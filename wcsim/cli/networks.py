@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from wcsim.agents.networks.names import NETWORK_NAMES, require_network
+from wcsim.agents.networks.names import NETWORK_NAMES, check_network
 from wcsim.cli.shared.common import OutFile, parse, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit
@@ -32,7 +32,7 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "networks")
     names = some_words("--names", options.names)
     for name in names:
-        require_network(name)
+        check_network(name)
     if not (8 <= options.width <= 2048 and 8 <= options.height <= 2048 and options.runs >= 1):
         raise ConfigError(
             f"--width {options.width}, --height {options.height}, --runs {options.runs}; expected 8 to 2048 pixels "
@@ -40,9 +40,9 @@ def run(words: list[str]) -> int:
         )
     from rich.table import Table
 
-    from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, cost_of  # torch is loaded here
+    from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, measure_cost  # torch is loaded here
 
-    costs = [cost_of(name, options.height, options.width, options.runs) for name in names]
+    costs = [measure_cost(name, options.height, options.width, options.runs) for name in names]
     table = Table("network", "window", "params", "MACs", "MB", "p50 ms", "p99 ms", "ONNX p50 ms", "fits")
     for cost in costs:
         onnx = "-" if cost.onnx_p50_ms is None else f"{cost.onnx_p50_ms:.2f}"

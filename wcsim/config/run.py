@@ -99,14 +99,14 @@ class RunConfig(Model):
                 f"{seen_px}; expected at most {_MAX_CAMERAS_PX} and {MAX_SEEN_PX}: make "
                 "width_px and height_px smaller, or env.window"
             )
-        batch = max(self.learn.batch_size, self.learn.aid_batch, self.danger.batch if self.danger.eye != "map" else 0)
+        batch = max(self.learn.batch_size, self.danger.batch if self.danger.eye != "map" else 0)
         if self.learn.memory == "groups":
             groups = max(1, round(self.learn.batch_size / self.learn.group_steps))
             batch = max(batch, groups * (self.learn.group_steps + self.learn.burn_in + self.learn.n_step))
         if seen_px * batch > _MAX_BATCH_PX:
             raise ValueError(
                 f"a batch of {batch} observations has {seen_px * batch} pixels; expected at most "
-                f"{_MAX_BATCH_PX}: make learn.batch_size, learn.aid_batch or danger.batch smaller, or the pictures"
+                f"{_MAX_BATCH_PX}: make learn.batch_size or danger.batch smaller, or the pictures"
             )
         return self
 

@@ -12,10 +12,16 @@ import pytest
 from tests.agents.learning.test_train import CAMERA, Nervous, config, street
 from tests.agents.toy import ToyStreet, a_run
 from wcsim import errors
-from wcsim.agents.clients.client import StatusPipe, exit_of, learn
+from wcsim.agents.clients.client import (
+    _ProcessGrownError,
+    _ProcessGrowth,
+    _StatusPipe,
+    _Stopwatch,
+    _TimeShares,
+    exit_code,
+    learn,
+)
 from wcsim.agents.clients.client_process import main
-from wcsim.agents.clients.process_growth import ProcessGrownError, ProcessGrowth
-from wcsim.agents.clients.time_shares import Stopped, TimeShares
 from wcsim.agents.learning.callbacks import StopRequest, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
@@ -30,7 +36,7 @@ from wcsim.towns.scenario.overrides import Override
     ("error", "code"),
     [
         (errors.InterruptedRunError, ClientExit.STOPPED),
-        (ProcessGrownError, ClientExit.GROWN),
+        (_ProcessGrownError, ClientExit.GROWN),
         (errors.ConfigError, ClientExit.USER_ERROR),
         (errors.PolicyError, ClientExit.USER_ERROR),
         (errors.DiskFullError, ClientExit.DISK_FULL),
@@ -45,7 +51,7 @@ from wcsim.towns.scenario.overrides import Override
     ],
 )
 def test_how_a_client_ends(error, code):
-    assert exit_of(error("so")) is code
+    assert exit_code(error("so")) is code
 
 
 def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_path, capfd, monkeypatch):
@@ -82,7 +88,7 @@ def told(step, total=100):
 
 def test_status_lines_come_half_a_second_apart_and_in_the_end():
     reads, writes = os.pipe()
-    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares(), ProcessGrowth(LearnConfig()))
+    pipe = _StatusPipe("a", writes, WaitingEnv(), _TimeShares(), _ProcessGrowth(LearnConfig()))
     for step in (1, 2, 3, 100):
         pipe.show(told(step))
     os.close(writes)
@@ -104,7 +110,7 @@ def test_a_client_whose_launcher_died_while_it_began_does_not_begin(tmp_path, mo
 def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
     reads, writes = os.pipe()
     os.close(reads)
-    pipe = StatusPipe("a", writes, WaitingEnv(), TimeShares(), ProcessGrowth(LearnConfig()))
+    pipe = _StatusPipe("a", writes, WaitingEnv(), _TimeShares(), _ProcessGrowth(LearnConfig()))
     with StopRequest() as request:
         signal.raise_signal(signal.SIGTERM)  # as the kernel does when the launcher dies
         pipe.show(told(100))
@@ -115,15 +121,15 @@ def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
 
 def test_a_call_within_a_call_counts_once(monkeypatch):
     clock = count()
-    monkeypatch.setattr("wcsim.agents.clients.time_shares.time.perf_counter", lambda: next(clock))
-    watch = Stopped()
+    monkeypatch.setattr("wcsim.agents.clients.client.time.perf_counter", lambda: next(clock))
+    watch = _Stopwatch()
     inner = watch.around(lambda: next(clock))
     watch.around(lambda: (inner(), inner()))()
     assert (watch.calls, watch.seconds) == (1, 3)
 
 
 def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):
-    shares, seen = TimeShares(), []
+    shares, seen = _TimeShares(), []
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10, train_every=4)
     train(a_run(settings, tmp_path / "run", 3), street, seen.append, progress_every=1, callbacks=(shares,))
     assert shares.learning.calls == pytest.approx(50 / 4, abs=2)
@@ -155,19 +161,19 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
             return self.steps // 30
 
     monkeypatch.setattr("wcsim.agents.clients.client.WheelchairEnv", lambda *town, **options: Seat())
-    monkeypatch.setattr("wcsim.agents.clients.process_growth.SETTLED_STEPS", 5)
+    monkeypatch.setattr("wcsim.agents.clients.client.SETTLED_STEPS", 5)
     memory_mb = count(100, 60)
     monkeypatch.setattr(
-        "wcsim.agents.clients.client.ProcessGrowth", lambda learn: ProcessGrowth(learn, lambda: next(memory_mb))
+        "wcsim.agents.clients.client._ProcessGrowth", lambda learn: _ProcessGrowth(learn, lambda: next(memory_mb))
     )
     few = {"total_steps": 140, "phase1_steps": 20, "learning_starts": 10, "replay_frames": 100}
     settings = config(**few, process_growth_mb=50, checkpoint_every=1000)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="patch", claim="c")
     info = RunInfo(seed=1, town="toy", town_sha256="0" * 64)
     order = ClientSpec(join=join, config_json=settings.model_dump_json(), out=str(tmp_path / "run"), info=info)
-    with pytest.raises(ProcessGrownError, match="grown from 100 to 160 MB") as told:
+    with pytest.raises(_ProcessGrownError, match="grown from 100 to 160 MB") as told:
         learn(order, resume=False)
-    assert exit_of(told.value) is ClientExit.GROWN
+    assert exit_code(told.value) is ClientExit.GROWN
     (kept,) = (path.name for path in (tmp_path / "run" / "checkpoints").glob("step-*"))
     assert kept == "step-00000120"
     learn(order, resume=True)
@@ -189,7 +195,7 @@ def test_a_client_that_loses_its_world_keeps_what_it_has_learned(tmp_path):
 def test_measuring_changes_nothing(tmp_path):
     settings = config(total_steps=60, phase1_steps=20, learning_starts=10)
     train(a_run(settings, tmp_path / "a", 3), street)
-    train(a_run(settings, tmp_path / "b", 3), street, progress_every=1, callbacks=(TimeShares(),))
+    train(a_run(settings, tmp_path / "b", 3), street, progress_every=1, callbacks=(_TimeShares(),))
     a, b = ((tmp_path / name / "policies" / "final" / "weights.safetensors").read_bytes() for name in "ab")
     assert a == b
     assert json.loads((tmp_path / "a" / "manifest.json").read_text())["status"] == "done"

@@ -40,7 +40,7 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
     log.add(state((5.0, 6.0), 2.0))
     log.add(state((7.0, 8.0), 3.0, lives=(7, 9)))  # b was killed, and has learned more since than in the life before
     log.add(state((7.5, 8.0), 0.5, pid=2, lives=(7, 9)))  # the world, too
-    log.keep()
+    log.save()
     times = read_paid_times(tmp_path)
     assert times == log.times
     assert times.clients["a"] == PaidShares(acting_s=1.0, learning_s=7.5, overlap_s=1.0, world_s=2.0, others_s=3.0)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import pytest
 
-from wcsim.agents.clients.process_growth import SETTLED_STEPS, ProcessGrowth
+from wcsim.agents.clients.client import SETTLED_STEPS, _ProcessGrowth
 from wcsim.config import LearnConfig
 
 LEARN = LearnConfig(replay_frames=1000, process_growth_mb=50.0)
@@ -19,10 +19,10 @@ def asked_at(epochs: Iterable[tuple[int, int]], memory_mb: dict[int, float]) -> 
     def mb_now() -> float:
         return next(mb for at, mb in sorted(memory_mb.items(), reverse=True) if at <= now)
 
-    growth = ProcessGrowth(LEARN, mb_now, lambda: asked.append(now))
+    growth = _ProcessGrowth(LEARN, mb_now, lambda: asked.append(now))
     for now, epoch in epochs:
         growth.look(now, epoch)
-    assert bool(growth.told) == bool(asked)
+    assert bool(growth.reason) == bool(asked)
     return asked
 
 

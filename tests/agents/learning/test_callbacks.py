@@ -1,18 +1,116 @@
-from __future__ import annotations
+"""Callbacks: events, and values at the starts of episodes beside the returns that followed."""
 
 from dataclasses import replace
 
-from wcsim.agents.learning.callbacks import report_events
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from tests.agents.chain import LENGTH, Chain
+from tests.agents.toy import logs_in
+from wcsim.agents.learning.callbacks import EpisodeMetrics, _report_events, _ValueWatch
+from wcsim.agents.learning.metrics import read_metrics
+from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.networks import registry
+from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.types import Events
 
+GAMMA = 0.97
 CALM = Events(episode=0, step=1, crashed=False, crash_reason="", truncated=False, arrived=False, gave_up=False)
 
 
 def test_a_jam_is_reported_once_a_step_and_crashes_each_with_their_words():
     told = []
     crash = replace(CALM, crashed=True, crash_reason="collision", crash="was hit by car c", jam_teleports=2)
-    report_events(lambda kind, **values: told.append((kind, values)), 7, (crash, CALM, crash))
+    _report_events(lambda kind, **values: told.append((kind, values)), 7, (crash, CALM, crash))
     fact = ("crash", {"step": 7, "reason": "collision", "told": "was hit by car c"})
     assert told == [("jam", {"step": 7, "teleported": 2}), fact, fact]
-    report_events(lambda kind, **values: told.append(kind), 8, (CALM,))
+    _report_events(lambda kind, **values: told.append(kind), 8, (CALM,))
     assert len(told) == 3
+
+
+def test_returns_are_discounted_and_scaled_as_values_are():
+    watch = _ValueWatch(gamma=0.9, scale=0.05, value=1.0)
+    for reward in (1.0, 0.0, -100.0):
+        watch.add(reward)
+    check = watch.check(ended=True)
+    assert check.discounted == pytest.approx(0.05 * (1.0 - 0.81 * 100.0))
+    assert check.overestimate == pytest.approx(1.0 - check.discounted)
+    assert _ValueWatch(gamma=0.9, scale=1.0).check(ended=True).overestimate is None
+
+
+def test_an_episode_cut_short_counts_only_when_little_was_to_come():
+    watch = _ValueWatch(gamma=0.9, scale=1.0, value=0.0)
+    for steps in range(1, 40):
+        watch.add(1.0)
+        told = watch.check(ended=False).discounted
+        assert (told is not None) == (0.9**steps <= 0.05)
+
+
+class Worthless(Chain):
+    """Every action goes on and nothing is ever paid: whatever value is seen is too much."""
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = 0
+        return self._observe(), {}
+
+    def step(self, action):
+        self.state += 1
+        return self._observe(), 0.0, self.state >= LENGTH, False, {}
+
+
+class MeanOfPlanes(nn.Module):
+    """Which class fills the image."""
+
+    def __init__(self, image_shape, vector_size):
+        super().__init__()
+
+    def forward(self, image, vector):
+        return image.mean(dim=(2, 3))
+
+
+@pytest.fixture(autouse=True)
+def known(monkeypatch):
+    """The network is known here, and in no other test."""
+    monkeypatch.setitem(registry.NETWORKS, "mean-of-planes", MeanOfPlanes)
+
+
+def overestimates(path, double_q, seed):
+    """The column of every episode of a short training on the worthless chain.
+
+    Double Q-learning helps as far as the two networks err independently; here the target's values begin with noise.
+    """
+    spec = NetSpec(network="mean-of-planes", head="plain", prior=FollowPrior(reward_scale=1.0))
+    learner = SeqDQN(
+        SeqQPolicy, Worthless(), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q),
+        seed=seed, gamma=GAMMA, learning_rate=1e-3, buffer_size=2000, learning_starts=50, batch_size=32, tau=0.002,
+        train_freq=1, exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        policy_kwargs={"spec": spec},
+        replay_buffer_kwargs={"settings": ReplaySettings(n_step=1, gamma=GAMMA, seed=seed)},
+    )  # fmt: skip
+    torch.manual_seed(seed)
+    learner.q_net_target.advantage.bias.data += torch.randn(81)  # it errs in a way of its own, and forgets that slowly
+    learner.learn(400, callback=EpisodeMetrics(logs_in(path.parent), 0.0))
+    return [float(row["overestimate"]) for row in read_metrics(path)]
+
+
+@pytest.mark.proof
+def test_without_double_q_values_promise_more_of_what_never_comes(tmp_path):
+    later = {
+        double_q: np.mean([overestimates(tmp_path / f"{double_q}-{seed}.csv", double_q, seed)[20:] for seed in (1, 2)])
+        for double_q in (True, False)
+    }
+    assert later[False] > 1.0  # of nothing
+    assert later[False] > 2.0 * max(later[True], 0.0), later
+
+
+def test_the_column_is_that_of_the_greedy_value_at_the_start(tmp_path):
+    path = tmp_path / "metrics.csv"
+    overestimates(path, True, 1)
+    rows = read_metrics(path)
+    assert {row["length"] for row in rows} == {str(LENGTH)}
+    assert all(float(row["return_start"]) == 0.0 for row in rows)
+    assert all(row["value_start"] == row["overestimate"] for row in rows)

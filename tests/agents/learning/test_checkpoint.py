@@ -16,8 +16,8 @@ from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.learning.checkpoint_file import MODEL, STATE, step_folders
+from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.train import train
-from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.errors import InterruptedRunError, PolicyError
 
@@ -140,7 +140,7 @@ def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
         train(a_run(config(), out, 5), street, stop, progress_every=10)
     newest = step_folders(out / "checkpoints")[-1]
     (newest / STATE).write_text("[" * 100_000)
-    train(a_run(config(), out, 5, resume=True), street, say=told.append)
+    train(a_run(config(), out, 5, resume=True), street, log=told.append)
     assert open_run(out).manifest.status == "done"
     assert [newest.name in line and "not JSON" in line for line in told] == [True]
     assert newest.with_name(f"{newest.name}.damaged").is_dir()
@@ -166,7 +166,7 @@ def test_a_run_without_a_checkpoint_begins_again(tmp_path):
     once, out, told = train(a_run(config(), tmp_path / "once", 5), street), tmp_path / "run", []
     shutil.copytree(once, out)
     shutil.rmtree(out / "checkpoints")
-    train(a_run(config(), out, 5, resume=True), street, say=told.append)
+    train(a_run(config(), out, 5, resume=True), street, log=told.append)
     assert "starts again" in told[0]
     rows = [read_metrics(run / "metrics.csv") for run in (once, out)]
     one, other = ([{k: v for k, v in row.items() if "wall" not in k} for row in some] for some in rows)

@@ -16,7 +16,7 @@ from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
-from wcsim.agents.replay.buffer import layout_of
+from wcsim.agents.replay.buffer import _layout_of
 from wcsim.agents.runs.run_folder import config_of
 from wcsim.config import RunConfig, with_overrides
 from wcsim.errors import InterruptedRunError, PolicyError
@@ -89,7 +89,7 @@ def test_a_network_learns_from_it_goes_on_and_is_loaded(tmp_path: Path, form: st
 
 @pytest.mark.parametrize("form", ["table3", "compact_rgb"])
 def test_replay_gives_back_what_was_stored_to_the_bit(form: str) -> None:
-    layout = layout_of(Formed(form).observation_space)
+    layout = _layout_of(Formed(form).observation_space)
     env = Formed(form)
     seen = [env.reset(seed=n)[0] for n in range(3)]
     batch = {key: np.stack([each[key] for each in seen]) for key in seen[0]}
@@ -102,13 +102,13 @@ def test_replay_gives_back_what_was_stored_to_the_bit(form: str) -> None:
 def test_colours_have_a_window_too() -> None:
     space = windowed_space(observation_space("compact_rgb", 20, 16), 3)
     assert {key: space[key].shape[0] for key in ("seg", "depth", "rgb")} == {"seg": 3, "depth": 3, "rgb": 9}
-    assert layout_of(space).window == 3
+    assert _layout_of(space).window == 3
     env, window = Formed("compact_rgb"), FrameWindow(3)
     frames = [env.reset(seed=n)[0] for n in range(3)]
     seen = [window.add(frame) for frame in frames][-1]
     assert space.contains({**seen, "joystick": seen["joystick"]})
     assert np.array_equal(seen["rgb"][3:6], frames[1]["rgb"]) and np.array_equal(seen["rgb"][6:], frames[2]["rgb"])
     assert np.array_equal(newest(seen, 2)["rgb"], seen["rgb"][3:]) and len(newest(seen, 1)["seg"]) == 1
-    layout = layout_of(space)
+    layout = _layout_of(space)
     row = layout.image_rows({key: value[None] for key, value in seen.items()})
     assert np.array_equal(layout.split(row, np.zeros((1, layout.vector_size), np.float32))["rgb"][0], seen["rgb"])

@@ -8,10 +8,10 @@ import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.evaluation.evaluate import evaluate
+from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
-from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.run_folder import policy_path

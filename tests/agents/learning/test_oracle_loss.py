@@ -12,8 +12,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, toy_camera
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelled, teacher_actions
-from wcsim.agents.learning.seqdqn import mirrored, mirrored_advice
+from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, _teacher_actions, aid_loss, relabelled
+from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.agents.replay.state import replay_arrays, restore_replay
@@ -45,7 +45,7 @@ def safe_rows(*rows):
 
 def test_the_teacher_is_the_safe_action_nearest_to_the_stick():
     safe = safe_rows(np.ones(81, bool), ~AHEAD)
-    assert POINTS[teacher_actions(distances((0, 1), (0, 1)), safe)].tolist() == [[0, 1], [0, 0.25]]
+    assert POINTS[_teacher_actions(distances((0, 1), (0, 1)), safe)].tolist() == [[0, 1], [0, 0.25]]
 
 
 def test_a_moment_in_which_nothing_is_safe_teaches_nothing():
@@ -74,7 +74,7 @@ def test_the_loss_is_zero_when_the_teacher_wins_clearly_and_its_slope_goes_the_r
     assert float(aid_loss(clear, gap, safe, 0.05, 1.0)) == 0.0
     values = torch.zeros(1, 81, requires_grad=True)
     aid_loss(values, gap, safe, 0.05, 1.0).backward()
-    label = int(teacher_actions(gap, safe))
+    label = int(_teacher_actions(gap, safe))
     assert values.grad[0, label] < 0
     assert (values.grad[0, torch.as_tensor(AHEAD)] > 0).all()
 
@@ -201,12 +201,12 @@ def random_batch(count=5):
 
 def test_a_mirror_image_of_a_mirror_image_is_the_first_one():
     batch, swap = random_batch(), torch.as_tensor(ACTIONS.mirror)
-    once = mirrored(batch, swap)
+    once = _mirror_batch(batch, swap)
     assert torch.equal(once.observations["seg"][..., 0], batch.observations["seg"][..., -1])
     assert torch.allclose(once.observations["joystick"], batch.observations["joystick"] * torch.tensor([-1.0, 1.0]))
     assert np.allclose(POINTS[once.actions[:, 0]], POINTS[batch.actions[:, 0]] * [-1, 1])
     assert torch.equal(once.rewards, batch.rewards)
-    twice = mirrored(once, swap)
+    twice = _mirror_batch(once, swap)
     assert torch.equal(twice.actions, batch.actions)
     for part in ("observations", "next_observations"):
         for key, value in getattr(batch, part).items():
@@ -216,7 +216,7 @@ def test_a_mirror_image_of_a_mirror_image_is_the_first_one():
 def test_advice_in_the_mirror():
     left_safe = safe_rows(POINTS[:, 0] < 0)
     batch = AdviceBatch({k: v[:1] for k, v in random_batch().observations.items()}, left_safe)
-    there = mirrored_advice(batch, torch.as_tensor(ACTIONS.mirror))
+    there = _mirror_advice(batch, torch.as_tensor(ACTIONS.mirror))
     assert np.array_equal(there.safe[0].numpy(), POINTS[:, 0] > 0)
 
 

@@ -12,9 +12,9 @@ from tests.agents.toy import ToyStreet, logs_in, toy_camera
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics
+from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
-from wcsim.agents.learning.watching.metrics import read_metrics
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
 from wcsim.config import LearnConfig, RunConfig

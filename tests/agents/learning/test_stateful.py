@@ -12,8 +12,7 @@ from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
-from wcsim.agents.learning.seqdqn import burned_in, group_targets, group_values, sequence_loss
-from wcsim.agents.replay.groups import gather_groups
+from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
 from wcsim.config import LearnConfig, RunConfig, load_run_config
 from wcsim.errors import ConfigError, PolicyError
 
@@ -41,7 +40,7 @@ def trained(steps=120, **learn):
 
 def whole_groups(learner):
     buffer = learner.replay_buffer
-    return gather_groups(buffer, buffer.groups, *buffer.groups.whole(buffer).T)
+    return buffer.groups.gather(buffer, *buffer.groups.whole(buffer).T)
 
 
 # --- the two contracts share their weights ---
@@ -83,7 +82,6 @@ def test_a_carried_state_replaces_the_window():
         ({"mirror": True}, r"learn\.mirror=true with learn\.memory=groups"),
         ({"aid": "oracle"}, r"learn\.aid=oracle with learn\.memory=groups"),
         ({"memory": "windows"}, r"learn\.memory=windows with one image.*env\.window=4"),
-        ({"replay_store": "disk"}, r"learn\.replay_store=disk without a folder"),
     ],
 )
 def test_what_does_not_go_together_is_refused(learn, told):
@@ -146,13 +144,13 @@ def test_burn_in_moves_a_stale_state_towards_the_true_one():
             before = buffer.gather(np.arange(begun, index), np.full(index - begun, seat)).observations
             with torch.no_grad():
                 true = net.unroll({key: value[None] for key, value in before.items()}, net.begin(1))[1]
-            batch = gather_groups(buffer, buffer.groups, np.array([index]), np.array([seat]))
+            batch = buffer.groups.gather(buffer, np.array([index]), np.array([seat]))
             if burn_in == 0:  # the state at the group's start as the old weights made it
                 old = model(learning_starts=10_000, phase1_steps=0).q_net
                 with torch.no_grad():
                     here = old.unroll({key: value[None] for key, value in before.items()}, old.begin(1))[1]
             else:
-                here = burned_in(net, batch)
+                here = _burned_in(net, batch)
             gaps[burn_in].append(float((here - true).abs().mean()))
     assert len(places) > 5
     assert np.mean(gaps[8]) < 0.5 * np.mean(gaps[0])
@@ -214,17 +212,17 @@ def test_targets_by_hand():
         p.data += 0.05 * torch.randn_like(p)
     batch = whole_groups(learner)
     with torch.no_grad():
-        online, target = group_values(learner.q_net, batch), group_values(learner.q_net_target, batch)
+        online, target = _group_values(learner.q_net, batch), _group_values(learner.q_net_target, batch)
     for double_q in (True, False):
-        found = group_targets(online, target, batch, 0.05, double_q)
+        found = _group_targets(online, target, batch, 0.05, double_q)
         for k, t in batch.live.nonzero().tolist()[::7]:
             after = int(batch.after[k, t])
             pick = int((online if double_q else target)[k, after].argmax())
             wanted = 0.05 * float(batch.returns[k, t])
             wanted += (1 - float(batch.terminated[k, t])) * float(batch.discounts[k, t]) * float(target[k, after, pick])
             assert float(found[k, t]) == pytest.approx(wanted, abs=1e-5)
-    state = burned_in(learner.q_net_target, batch)
-    assert not torch.allclose(state, burned_in(learner.q_net, batch))
+    state = _burned_in(learner.q_net_target, batch)
+    assert not torch.allclose(state, _burned_in(learner.q_net, batch))
 
 
 def test_what_is_not_in_a_group_does_not_count():
@@ -234,7 +232,7 @@ def test_what_is_not_in_a_group_does_not_count():
     nets = (learner.q_net, learner.q_net_target)
 
     def loss(batch):
-        return float(sequence_loss(nets, batch, 0.05, True, None)[0].detach())
+        return float(_sequence_loss(nets, batch, 0.05, True, None)[0].detach())
 
     before = loss(batch)
     for change in ("returns", "terminated", "discounts"):
@@ -255,7 +253,7 @@ def test_groups_are_learned_from_in_the_way_that_the_first_phase_is_set_to(phase
     with torch.no_grad():
         plain, whole = (float(learner._drawn_loss(learner.replay_buffer, 16, weight)) for weight in (0.0, 2.0))
         length = batch.live.shape[1]
-        values = group_values(learner.q_net, batch)[:, :length][batch.live]
+        values = _group_values(learner.q_net, batch)[:, :length][batch.live]
         sticks = batch.observations["joystick"][:, :length][batch.live]
     gaps = np.linalg.norm(sticks.numpy()[:, None] - learner.action_points.points, axis=2)
     labels = torch.as_tensor(gaps.argmin(axis=1))

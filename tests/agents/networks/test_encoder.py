@@ -13,7 +13,7 @@ from torch import nn
 
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, group_table
+from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet
 from wcsim.config import RewardConfig
@@ -90,7 +90,7 @@ def test_each_class_is_in_one_group_and_the_planes_say_so():
     ids = [i for group in GROUPS for i in group]
     assert len(ids) == len(set(ids))
     assert set(ids) >= {int(c) for c in ClassId} - {int(ClassId.VOID)}
-    assert group_table("wcsim").shape == (len(GROUPS) + len(WCSIM_GROUPS), 256)
+    assert _group_table("wcsim").shape == (len(GROUPS) + len(WCSIM_GROUPS), 256)
     encoder = ObservationEncoder(space(24, 32))
     one = batch(24, 32, [(0, 0)])
     one["seg"][:] = int(ClassId.PERSON)

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.replay import frame_store
+from wcsim.agents.replay import frame_store, state
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
-from wcsim.agents.replay.frame_store import PackedFrames, RawFrames
+from wcsim.agents.replay.frame_store import _PackedFrames, _RawFrames
 from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.errors import PolicyError
 
@@ -167,7 +167,7 @@ def test_equal_seeds_draw_equally():
 
 def test_frames_are_kept_once():
     buffer, _ = filled([["go"]] * 30)
-    assert isinstance(buffer.windows.frames, RawFrames)
+    assert isinstance(buffer.windows.frames, _RawFrames)
     assert buffer.windows.frames._frames.nbytes == 200 * 2 * H * W
     assert not buffer.after_end
 
@@ -175,8 +175,8 @@ def test_frames_are_kept_once():
 @pytest.mark.parametrize("smooth", [0, 25_000])
 def test_large_frames_are_packed_and_come_back(smooth):
     g = np.random.default_rng(0)
-    store = frame_store.frame_store(5, 2, 50_000, smooth)
-    assert isinstance(store, PackedFrames)
+    store = frame_store._frame_store(5, 2, 50_000, smooth)
+    assert isinstance(store, _PackedFrames)
     frames = g.integers(0, 4, (5, 2, 50_000), dtype=np.uint8)
     for row in range(5):
         for seat in range(2):
@@ -184,7 +184,7 @@ def test_large_frames_are_packed_and_come_back(smooth):
     rows, seats = np.array([4, 0, 3]), np.array([1, 0, 1])
     assert np.array_equal(store.read(rows, seats), frames[rows, seats])
     assert max(len(blob) for row in store._blobs for blob in row) < 20_000
-    assert np.array_equal(frame_store.unpack(frame_store.pack(frames[:, 0]), 50_000), frames[:, 0])
+    assert np.array_equal(state._unpack(state._pack(frames[:, 0]), 50_000), frames[:, 0])
 
 
 @pytest.mark.parametrize("steps", [30, 500])

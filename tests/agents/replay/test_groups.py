@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill, number_of, stack
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
-from wcsim.agents.replay.groups import gather_groups
-from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
+from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 
 PLANS = st.integers(1, 3).flatmap(
     lambda seats: st.lists(
@@ -92,7 +91,7 @@ def test_groups_hold_what_was_driven_and_never_another_episode(plan, length, bur
     if not wanted:
         return
     starts, seats = np.array(sorted(wanted)).T
-    batch = gather_groups(buffer, buffer.groups, starts, seats)
+    batch = buffer.groups.gather(buffer, starts, seats)
     burned = {
         int(k): seen
         for rows_, seen in batch.burn_in
@@ -203,7 +202,7 @@ def test_a_restored_memory_draws_the_same():
     buffer.groups.draw(buffer, 5)
     twin = memory(2, state_size=1)
     kept = replay_arrays(buffer)
-    require_fit(twin, kept)
+    check_fit(twin, kept)
     restore_replay(twin, kept)
     twin.rng.bit_generator.state = buffer.rng.bit_generator.state
     for _ in range(9):
@@ -211,4 +210,4 @@ def test_a_restored_memory_draws_the_same():
         assert all(torch.equal(getattr(a, name), getattr(b, name)) for name in ("states", "live", "actions", "returns"))
     other = memory(2, state_size=2)
     with pytest.raises(ValueError, match="states is float32"):
-        require_fit(other, kept)
+        check_fit(other, kept)

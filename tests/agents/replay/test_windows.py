@@ -22,12 +22,12 @@ from wcsim.agents.evaluation.matrix import open_policy, window_for
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
-from wcsim.agents.learning.seqdqn import mirrored
+from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
-from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
-from wcsim.agents.replay.window_store import WindowStore
+from wcsim.agents.replay.frame_store import WindowStore
+from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import config_of, open_run, policy_path
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, load_run_config
@@ -238,7 +238,7 @@ def test_a_memory_that_holds_nothing_yet_can_be_kept():
     twin = replay(400, seats=2)
     add(twin, [Street(), Street()], ["go", "go"])  # to be forgotten
     arrays = replay_arrays(replay(400, seats=2))
-    require_fit(twin, arrays)
+    check_fit(twin, arrays)
     restore_replay(twin, arrays)
     assert (twin.total, twin.size()) == (0, 0)
     streets = [Street(), Street()]
@@ -260,7 +260,7 @@ def test_a_checkpoint_of_other_windows_is_refused():
     for _ in range(5):
         add(buffer, streets, ["go"])
     with pytest.raises(ValueError, match=r"end_images is uint8 \(0, 36\); expected uint8 \(0, 12\)"):
-        require_fit(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
+        check_fit(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
 
 
 def test_every_image_of_a_window_is_mirrored():
@@ -269,9 +269,9 @@ def test_every_image_of_a_window_is_mirrored():
         add(buffer, streets, ["go"])
     batch = buffer.gather(np.array([3]), np.array([0]))
     batch.observations["seg"] = torch.arange(3 * H * W, dtype=torch.uint8).reshape(1, 3, H, W)
-    out = mirrored(batch, torch.arange(81))
+    out = _mirror_batch(batch, torch.arange(81))
     assert torch.equal(out.observations["seg"], batch.observations["seg"].flip(3))
-    assert torch.equal(mirrored(out, torch.arange(81)).observations["seg"], batch.observations["seg"])
+    assert torch.equal(_mirror_batch(out, torch.arange(81)).observations["seg"], batch.observations["seg"])
 
 
 # --- training, policies, tests ---

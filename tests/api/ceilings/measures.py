@@ -27,7 +27,6 @@ IDEAS: Final[dict[str, tuple[str, ...]]] = {
         "wcsim/server/journal/ledger.py",
         "wcsim/bridge/recording/trace_file.py",
         "wcsim/users/recording/drive_bytes.py",
-        "wcsim/agents/replay/disk_store.py",
     ),
     "meters": (
         "wcsim/supervisor/kpi.py",

@@ -16,7 +16,7 @@ from tests.attack.scenarios.twists import cleared
 from tests.server.journal.test_journal import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces
-from wcsim.agents.learning.watching.metrics import COLUMNS, MetricsFile, read_metrics
+from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.server.journal.journal import Ended, JournalRecord, JournalWriter, iter_journal, journal_digest, read_journal
 from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, read_ledger
 from wcsim.server.journal.records import header_bytes

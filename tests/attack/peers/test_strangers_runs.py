@@ -105,8 +105,8 @@ def test_a_folder_with_a_link_is_not_written_to(tmp_path: Path, hard: bool) -> N
     precious.touch()
     inside = tmp_path / "run" / "deep" / "events.jsonl"
     inside.parent.mkdir(parents=True)
-    (tmp_path / "run" / "replay").touch()
-    (inside.parent / "replay").hardlink_to(tmp_path / "run" / "replay")
+    (tmp_path / "run" / "shared").touch()
+    (inside.parent / "shared").hardlink_to(tmp_path / "run" / "shared")
     with locked(tmp_path / "run"):  # two names in the folder for one file, as checkpoints have
         pass
     if hard:

@@ -15,7 +15,7 @@ from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
 from wcsim.agents.clients.group_run import GroupRun
 from wcsim.agents.evaluation.suite.list_file import write_list
-from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, read_metrics
+from wcsim.agents.learning.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit

@@ -1,27 +1,34 @@
-"""A client that learns on a seat of a running world, and says on the way how far it is."""
+"""A client that learns on a seat of a running world, and reports its progress.
+
+It measures where a learner's time goes: choosing actions, learning, and the rest, which its environment takes.
+
+When its process has grown too far, a fresh one goes on with its work: what allocates for weeks grows a little, whatever
+is done about it. A world is replaced between epochs for that; a client is, too, where an epoch has just begun: its
+episode was cut there anyway.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import shutil
+import signal
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, ParamSpec, TypeVar
 
 from wcsim.agents.clients.clients_folder import has_work
-from wcsim.agents.clients.process_growth import ProcessGrownError, ProcessGrowth
-from wcsim.agents.clients.time_shares import TimeShares
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import with_window
-from wcsim.agents.learning.callbacks import TrainProgress
+from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
-from wcsim.config import RunConfig
+from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
 from wcsim.errors import (
     AccessError,
@@ -37,28 +44,118 @@ from wcsim.errors import (
     WcsimError,
 )
 from wcsim.server.launch.states import ClientExit
-from wcsim.server.specs import ClientSpec, ClientStatus, to_line
+from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
 
-SAY_S = 0.5  # shortest time between two status lines
+STATUS_EVERY_S = 0.5  # shortest time between two status lines
 TIMES = "times.json"
 _LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
+SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
-class StatusPipe:
-    """Says how far a client is, a few times a second; to nobody when there is no pipe."""
+class _ProcessGrownError(InterruptedRunError):
+    """The work is saved, and another process is to go on with it."""
+
+
+class _ProcessGrowth:
+    """Watches the memory of this process, and asks it to end as a launcher would, once, when it has grown too far.
+
+    It has begun when the replay is full, which has a bound of its own (`learn.replay_frames`).
+
+    Args:
+        learn: Of the client.
+        memory_mb: Of this process.
+        end: Asks it to save its work and end.
+    """
 
     def __init__(
-        self, name: str, descriptor: int, env: WheelchairEnv, shares: TimeShares, growth: ProcessGrowth
+        self,
+        learn: LearnConfig,
+        memory_mb: Callable[[], float] = rss_mb,
+        end: Callable[[], object] = lambda: os.kill(os.getpid(), signal.SIGTERM),
+    ) -> None:
+        self._limit_mb, self._full_step = learn.process_growth_mb, learn.replay_frames
+        self._memory_mb, self._end = memory_mb, end
+        self._first_step: int | None = None  # of this life
+        self._epoch = -1
+        self._begun_mb: float | None = None
+        self.reason = ""  # why it was asked to end
+
+    def look(self, step: int, epoch: int) -> None:
+        """To be called every few steps.
+
+        Args:
+            step: Of the run.
+            epoch: Of the world; -1 where it is not known.
+        """
+        self._first_step = step if self._first_step is None else self._first_step
+        if self._begun_mb is None:
+            if step > max(self._first_step + SETTLED_STEPS, self._full_step):
+                self._begun_mb, self._epoch = self._memory_mb(), epoch
+            return
+        if epoch == self._epoch or self.reason:
+            return
+        self._epoch, now_mb = epoch, self._memory_mb()
+        if now_mb - self._begun_mb > self._limit_mb:
+            self.reason = f"its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
+            self._end()
+
+
+@dataclass(slots=True)
+class _Stopwatch:
+    """A stopwatch around calls."""
+
+    seconds: float = 0.0
+    calls: int = 0
+    _open: bool = field(default=False, repr=False)
+
+    def around(self, call: Callable[_P, _R]) -> Callable[_P, _R]:
+        """The same call, measured; one within another counts once."""
+
+        def measured(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+            if self._open:
+                return call(*args, **kwargs)
+            self._open, begun_s = True, time.perf_counter()
+            try:
+                return call(*args, **kwargs)
+            finally:
+                self._open = False
+                self.seconds += time.perf_counter() - begun_s
+                self.calls += 1
+
+        return measured
+
+
+class _TimeShares(SeqCallback):
+    """Measures how long a learner takes for its decisions (`inference`) and for its updates (`learning`)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.inference, self.learning = _Stopwatch(), _Stopwatch()
+
+    def _on_training_start(self) -> None:
+        learner = self.learner
+        setattr(learner, "predict", self.inference.around(learner.predict))  # noqa: B010 - mypy knows methods as fixed
+        setattr(learner.policy, "predict", self.inference.around(learner.policy.predict))  # noqa: B010
+        setattr(learner, "do_updates", self.learning.around(learner.do_updates))  # noqa: B010
+
+
+class _StatusPipe:
+    """Reports the progress of a client, a few times a second, where there is a pipe."""
+
+    def __init__(
+        self, name: str, descriptor: int, env: WheelchairEnv, shares: _TimeShares, growth: _ProcessGrowth
     ) -> None:
         self._name, self._descriptor, self._growth = name, descriptor, growth
         if descriptor >= 0:
             os.set_blocking(descriptor, False)
         self._env, self._shares = env, shares
-        self._said_s = 0.0
+        self._written_s = 0.0
         self.last = ClientStatus(name=name)
 
     def show(self, now: TrainProgress) -> None:
-        """Take in how far the learner is, and say it when it is time, or when that is all."""
+        """Take in the progress, and report it when it is time, or when that is all."""
         self._growth.look(now.step, self._env.epoch)
         waits = self._env.waits
         self.last = ClientStatus(
@@ -76,18 +173,19 @@ class StatusPipe:
             overlap_s=waits.worked_s,
             pid=os.getpid(),
         )
-        if self._descriptor >= 0 and (time.monotonic() - self._said_s >= SAY_S or now.step >= now.total_steps):
-            self._said_s = time.monotonic()
+        is_due = time.monotonic() - self._written_s >= STATUS_EVERY_S or now.step >= now.total_steps
+        if self._descriptor >= 0 and is_due:
+            self._written_s = time.monotonic()
             try:
                 os.write(self._descriptor, to_line(self.last))
-            except BlockingIOError:  # whoever listens is stopped
+            except BlockingIOError:  # the reader is stopped
                 pass
-            except OSError:  # nobody listens any more; the kernel asks for the end itself (`parent.die_with_parent`),
+            except OSError:  # no reader is left; the kernel asks for the end itself (`parent.die_with_parent`),
                 self._descriptor = -1  # and a second request from here would cut the saving short
 
 
 def learn(
-    order: ClientSpec, resume: bool, status_fd: int = -1, say: Callable[[str], object] = lambda text: None
+    order: ClientSpec, resume: bool, status_fd: int = -1, log: Callable[[str], object] = lambda text: None
 ) -> None:
     """Train as ordered, into the run folder.
 
@@ -95,11 +193,11 @@ def learn(
         order: The client.
         resume: Go on from a checkpoint, or begin again when a life before left none.
         status_fd: Where status lines go; -1 for nowhere.
-        say: Told what a person should know.
+        log: Gets messages for the user.
 
     Raises:
         InterruptedRunError: It was asked to end; the work is saved.
-        ProcessGrownError: Another process is to go on.
+        _ProcessGrownError: Another process is to go on.
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
     config = with_window(RunConfig.model_validate_json(order.config_json))
@@ -112,20 +210,20 @@ def learn(
             raise PolicyError(f"{out} holds data but no {MANIFEST}; restore that file, or move the folder away")
         shutil.rmtree(out)
     env = WheelchairEnv(order.info.town, config=config, reward_terms=terms, join=order.join)
-    shares = TimeShares()
-    growth = ProcessGrowth(config.learn)
-    pipe = StatusPipe(order.join.name, status_fd, env, shares, growth)
+    shares = _TimeShares()
+    growth = _ProcessGrowth(config.learn)
+    pipe = _StatusPipe(order.join.name, status_fd, env, shares, growth)
     run = ResolvedRun(config=config, out=out, info=order.info, resume=goes_on)
 
     def alive() -> None:  # else a server that hears nothing gives the seat away
         env.beat(next(beats))
 
-    told: dict[str, Any] = {"alive": alive, "say": say, "wait_no_more": env.wait_no_more}
+    listeners: dict[str, Any] = {"alive": alive, "log": log, "wait_no_more": env.wait_no_more}
     try:
-        train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **told)
+        train(run, lambda: env, pipe.show, progress_every=1, callbacks=(shares,), **listeners)
     except (InterruptedRunError, DiskFullError) as error:
-        if growth.told:  # with or without a last checkpoint, as any other one may fail
-            raise ProcessGrownError(f"{growth.told}; a fresh one goes on") from error
+        if growth.reason:  # with or without a last checkpoint, as any other one may fail
+            raise _ProcessGrownError(f"{growth.reason}; a fresh one goes on") from error
         raise
     finally:
         env.close()
@@ -151,9 +249,9 @@ def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
         files.write_json(out / TIMES, times)
 
 
-def exit_of(error: WcsimError) -> ClientExit:
+def exit_code(error: WcsimError) -> ClientExit:
     """How a client ends that met this error."""
-    if isinstance(error, ProcessGrownError):
+    if isinstance(error, _ProcessGrownError):
         return ClientExit.GROWN
     if isinstance(error, InterruptedRunError):
         return ClientExit.STOPPED

@@ -31,10 +31,10 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--status-fd", type=int, default=-1)
     options = parser.parse_args(words)
-    signal.signal(WAIT_NO_MORE, signal.SIG_IGN)  # before and after it learns it waits for nobody
+    signal.signal(WAIT_NO_MORE, signal.SIG_IGN)  # before and after it learns it waits for no world
     die_with_parent()
-    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE)  # nobody starts its world again
-    if _nobody_reads(options.status_fd):  # the launcher died before it could be watched
+    outlive_parent_by(SAVING_S, ClientExit.SERVER_GONE, WAIT_NO_MORE)  # its world is not started again
+    if _has_no_reader(options.status_fd):  # the launcher died before it could be watched
         return ClientExit.SERVER_GONE
     return _learned(options.order, options.resume, options.status_fd)
 
@@ -43,7 +43,7 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
     try:
         order = read_order(ClientSpec, file)
         from wcsim.agents.clients.client import (  # torch takes its time, and the launcher is watched by now
-            exit_of,
+            exit_code,
             learn,
         )
     except WcsimError as error:
@@ -53,12 +53,12 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
         learn(order, resume, status_fd, last_words)
     except WcsimError as error:
         last_words(f"wcsim: {error}")
-        return exit_of(error)
+        return exit_code(error)
     except Exception as error:
-        told = told_limit(error)
-        if not told:
+        message = told_limit(error)
+        if not message:
             raise
-        last_words(f"wcsim: {told}")
+        last_words(f"wcsim: {message}")
         return ClientExit.DISK_FULL if getattr(error, "errno", None) in NO_ROOM else ClientExit.USER_ERROR
     except KeyboardInterrupt:
         last_words("wcsim: interrupted")
@@ -66,7 +66,7 @@ def _learned(file: Path, resume: bool, status_fd: int) -> int:
     return ClientExit.DONE
 
 
-def _nobody_reads(pipe: int) -> bool:
+def _has_no_reader(pipe: int) -> bool:
     """Whether the other end of a pipe is closed; False where there is none."""
     if pipe < 0:
         return False

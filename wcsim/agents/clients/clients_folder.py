@@ -5,7 +5,7 @@
 - configs/NAME.json: that of each client
 - journal: everything that happened to the world
 - ledgers/NAME.ledger: every frame that a client has seen
-- events.jsonl, logs/: what the processes did and said
+- events.jsonl, logs/: events and messages of the processes
 - NAME/: a run folder of its own for each client, see `agents/runs/run_folder.py`
 - selection/: choice.json says who learns the second phase (`learn.select_by`), beside the test that chose, if one did
 """
@@ -93,8 +93,8 @@ class ClientsFolder:
         except ConfigError as error:
             raise PolicyError(str(error)) from None
 
-    def kept_torn(self) -> list[Path]:
-        """What was cut off the ends of journal and ledgers, and is kept."""
+    def truncated_parts(self) -> list[Path]:
+        """What was cut off the ends of journal and ledgers, and is still there."""
         return sorted([*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")])
 
     def with_status(self, status: Status, steps: int) -> ClientsFolder:
@@ -148,7 +148,7 @@ def _texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
 def open_clients_folder(path: Path) -> ClientsFolder:
     """Open an existing folder. Raises PolicyError when it is none."""
     data = read_json(path, MANIFEST)
-    _require_sealed(path, data)
+    _check_sealed(path, data)
     clients = data.pop("clients", None)
     if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
         raise PolicyError(f"{path} is a run of one client; expected one made with --clients: leave that option out")
@@ -184,7 +184,7 @@ def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) ->
     return folder
 
 
-def _require_sealed(path: Path, data: dict[str, Any]) -> None:
+def _check_sealed(path: Path, data: dict[str, Any]) -> None:
     """Take seal and hashes out of a manifest; one of an older version has none.
 
     Raises:
@@ -198,7 +198,7 @@ def _require_sealed(path: Path, data: dict[str, Any]) -> None:
 
 
 def _ticked(journal: Path) -> bool:
-    """Whether the world of a journal has done a tick, or may have: one that cannot be read is somebody's work too."""
+    """Whether the world of a journal has done a tick, or may have: one that cannot be read counts as work too."""
     if not part_files(journal):
         return False
     try:

@@ -19,7 +19,7 @@ from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, WorldStatus
 
 WAITS = "waits.json"
-KEEP_S = 60.0  # a launcher that is killed loses so much at most
+SAVE_EVERY_S = 60.0  # a launcher that is killed loses so much at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ def _seconds(row: Mapping[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in row.items()}
 
 
-def _shares_of(status: ClientStatus) -> PaidShares:
+def _read_shares(status: ClientStatus) -> PaidShares:
     """A client's own reading of one life."""
     return PaidShares(
         acting_s=status.inference_s,
@@ -87,7 +87,7 @@ def _shares_of(status: ClientStatus) -> PaidShares:
 
 
 class PaidTimesLog:
-    """Adds up what the processes of a launch say, life by life."""
+    """Adds up the status messages of the processes of a launch, life by life."""
 
     def __init__(self, run: Path) -> None:
         """Go on with what a run folder holds. Raises PolicyError when that is damaged."""
@@ -96,7 +96,7 @@ class PaidTimesLog:
         self._sums = dict(known.clients)
         self._waited_s = {who: dict(row) for who, row in known.waited_s.items()}
         self._last: dict[str, tuple[int, PaidShares]] = {}  # process and reading of each client
-        self._kept_s = 0.0
+        self._saved_s = 0.0
         self._world_pid = 0
         self._pairs_s: dict[tuple[str, str], float] = {}  # the same of its world, by who waited and for whom
 
@@ -112,13 +112,13 @@ class PaidTimesLog:
         if state.world is not None and state.world_pid:  # without a process these are a dead world's last words
             self._pairs(state.world_pid, state.world)
 
-    def keep_each(self, now_s: float) -> None:
+    def save_each(self, now_s: float) -> None:
         """Leave it in the run folder when that was done a while ago; `now_s` are seconds since the begin."""
-        if now_s - self._kept_s >= KEEP_S:
-            self._kept_s = now_s
-            self.keep()
+        if now_s - self._saved_s >= SAVE_EVERY_S:
+            self._saved_s = now_s
+            self.save()
 
-    def keep(self) -> None:
+    def save(self) -> None:
         """Leave it in the run folder, unless the disk is full: what is learned is of more weight."""
         times = self.times
         if times.clients:
@@ -128,7 +128,7 @@ class PaidTimesLog:
     def _client(self, client: ClientState) -> None:
         if client.status is None:
             return
-        pid, now = client.status.pid, _shares_of(client.status)
+        pid, now = client.status.pid, _read_shares(client.status)
         last_pid, before = self._last.get(client.name, (pid, PaidShares()))
         if pid != last_pid:  # of another life
             before = PaidShares()
@@ -136,7 +136,7 @@ class PaidTimesLog:
         self._last[client.name] = pid, now
 
     def _pairs(self, pid: int, world: WorldStatus) -> None:
-        """Add what a world tells of waits.
+        """Add the waits that a world reports.
 
         It forgets what those have waited who left, but not for whom the others have: that goes on when they are back.
         """

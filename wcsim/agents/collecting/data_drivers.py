@@ -19,6 +19,7 @@ from wcsim.types import F64, Verdict
 
 _ASTRAY_SIGMA = 0.5  # spread of the offset, in stick units
 _ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
+_RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
 
 
 class Learned(Protocol):
@@ -96,7 +97,7 @@ class DataDriver:
         if self._held <= 0 and rng.random() < settings.astray_share / (mean - (mean - 1) * settings.astray_share):
             self._offset = rng.normal(0.0, _ASTRAY_SIGMA, 2)
             self._held = int(rng.integers(low, high + 1))
-            self._reckless = bool(rng.random() < settings.reckless_share)
+            self._reckless = bool(rng.random() < _RECKLESS_SHARE)
         if self._held <= 0:
             return stick
         wish: F64 = np.clip(stick + self._offset, -1.0, 1.0)

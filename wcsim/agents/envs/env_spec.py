@@ -1,4 +1,4 @@
-"""What all faces of a town share: the configuration, the spaces, and the order for a world.
+"""What all faces of a town share: the configuration, the spaces, the order for a world, and a world's chairs.
 
 A face is a standard interface over the same links: Gymnasium's (`agents/envs/wheelchair_env.py`), PettingZoo's
 (`agents/envs/parallel_env.py`) and that of Stable-Baselines3's vectorised environments (`agents/envs/vec_env.py`).
@@ -6,6 +6,7 @@ A face is a standard interface over the same links: Gymnasium's (`agents/envs/wh
 
 from __future__ import annotations
 
+import copy
 import operator
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,13 +16,16 @@ from typing import Any, TypedDict
 import gymnasium
 import numpy as np
 
+from wcsim.agents.envs.episode_view import Chair, Info
 from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import MAX_INTEGER, shown_value
-from wcsim.errors import ConfigError, meant
+from wcsim.errors import ConfigError, ProtocolError, meant
+from wcsim.server.links.base import WorldLink
+from wcsim.server.links.group import SeatGroup, open_group
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.observation import imu_size, observation_space
+from wcsim.supervisor.observation import Observation, imu_size, observation_space
 from wcsim.supervisor.reward_terms import RewardTerm, is_reward_term
 from wcsim.users.recorded import find_user
 
@@ -110,8 +114,8 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
         ConfigError: The configuration, a reward term, the user's profile or the render mode cannot be used.
         TypeError: There is no such option.
     """
-    _require_known(options, own)
-    _require_terms(options.get("reward_terms", ()))
+    _check_known(options, own)
+    _check_terms(options.get("reward_terms", ()))
     render_mode, resolved = options.get("render_mode"), _resolved(options)
     find_user(resolved.env.profile)
     if render_mode not in (None, *RENDER_MODES):
@@ -124,7 +128,7 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
 
 def _resolved(options: EnvOptions) -> RunConfig:
     """The configuration that was given, or that of the preset, with the overrides laid over it."""
-    config, overrides = options.get("config"), _overrides_of(options)
+    config, overrides = options.get("config"), _given_overrides(options)
     if config is None:
         return load_run_config(options.get("preset", "quick"), overrides)
     if "preset" in options:
@@ -135,15 +139,15 @@ def _resolved(options: EnvOptions) -> RunConfig:
     return with_overrides(config, overrides) if overrides else config
 
 
-def _overrides_of(options: EnvOptions) -> tuple[str, ...]:
+def _given_overrides(options: EnvOptions) -> tuple[str, ...]:
     """Those that were given. Raises ConfigError for one by itself, whose letters would be taken for overrides."""
-    asked = options.get("overrides", ())
-    if isinstance(asked, str):
-        raise ConfigError(f"overrides={shown_value(asked)} is one string; expected several: overrides=[{asked!r}]")
-    return tuple(asked)
+    given = options.get("overrides", ())
+    if isinstance(given, str):
+        raise ConfigError(f"overrides={shown_value(given)} is one string; expected several: overrides=[{given!r}]")
+    return tuple(given)
 
 
-def _require_known(options: Iterable[str], own: Collection[str]) -> None:
+def _check_known(options: Iterable[str], own: Collection[str]) -> None:
     """Raise TypeError, as Python does, for an argument that no environment takes."""
     known = sorted({*EnvOptions.__annotations__, *own})
     for name in options:
@@ -151,7 +155,7 @@ def _require_known(options: Iterable[str], own: Collection[str]) -> None:
             raise TypeError(f"unexpected keyword argument {name!r}; expected {', '.join(known)}{meant(name, known)}")
 
 
-def _require_terms(terms: object) -> None:
+def _check_terms(terms: object) -> None:
     """Raise ConfigError for what is no list of objects with the methods of `RewardTerm`."""
     for term in terms if isinstance(terms, Sequence) else (terms,):
         if not isinstance(terms, Sequence) or isinstance(term, type) or not is_reward_term(term):
@@ -169,7 +173,7 @@ def checked_chairs(chairs: int) -> int:
 
 
 def checked_seed(seed: object) -> int | None:
-    """A seed that somebody gave, or None. Raises ConfigError for one that is no integer from 0 on."""
+    """A given seed, or None. Raises ConfigError for one that is no integer from 0 on."""
     if seed is None:
         return None
     try:
@@ -182,7 +186,7 @@ def checked_seed(seed: object) -> int | None:
 
 
 def drawn_seed() -> int:
-    """A seed from the system, for whoever gave none."""
+    """A seed from the system, where none is given."""
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
 
 
@@ -191,3 +195,51 @@ def _with_colours(config: RunConfig) -> RunConfig:
     eye = config.eye
     drawn = [camera.model_copy(update={"rgb": True}) if camera is eye else camera for camera in config.cameras]
     return config.model_copy(update={"cameras": tuple(drawn)})
+
+
+class Chairs:
+    """The chairs of a world, by seat; the world is made by the first `begin`."""
+
+    def __init__(self, face: Face, count: int, terms: Sequence[RewardTerm] = ()) -> None:
+        """So many chairs, each with a copy of the user's own reward terms, which remember one episode each."""
+        self.face = face
+        self.all = [Chair(face.config, copy.deepcopy(tuple(terms))) for _ in range(count)]
+        self._group: SeatGroup | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether there is a world, and no step of it was interrupted."""
+        return self._group is not None and not any(link.interrupted for link in self._group.links)
+
+    def begin(self, seed: int | None) -> list[tuple[Observation, Info]]:
+        """Begin every chair's first episode in a world made anew; without a seed, with one drawn from the system."""
+        seed = (drawn_seed() if seed is None else seed) % SEED_LIMIT
+        if not self.open:
+            self.close()
+        if self._group is None:
+            self._group = open_group(self.face.order(seed, len(self.all)))
+            frames = self._group.join()
+        else:
+            frames = self._group.begin_again(seed)
+        return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
+
+    def begin_next(self) -> list[tuple[Observation, Info]]:
+        """Begin every chair's next episode where the world is now, without a tick."""
+        if self._group is None or not self.open:
+            return self.begin(None)
+        frames = self._group.respawn()
+        return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
+
+    def link(self, seat: int) -> WorldLink:
+        """The link of a seat. Raises ProtocolError when there is no world."""
+        if self._group is None:
+            raise ProtocolError("step() came before reset(); call reset() first")
+        return self._group.links[seat]
+
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+        group, self._group = self._group, None
+        for chair in self.all:
+            chair.now = None
+        if group is not None:
+            group.close()

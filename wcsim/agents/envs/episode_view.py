@@ -49,7 +49,7 @@ class EpisodeStep(NamedTuple):
         return self.terminated or self.truncated
 
 
-class ChairLink(Protocol):
+class _ChairLink(Protocol):
     """What a chair needs of its link."""
 
     def send(self, tick: int, joystick: Joystick) -> None:
@@ -95,7 +95,7 @@ class Chair:
     def picture(self) -> npt.NDArray[np.uint8] | None:
         """What the camera of networks sees in colours, (H, W, 3) uint8, where colours are drawn; an array of its own.
 
-        Whoever films keeps pictures, and the camera draws into the same buffers again.
+        A film needs pictures for longer, and the camera draws into the same buffers again.
         """
         place = self._config.cameras.index(self._config.eye)
         drawn = None if self.now is None else self.now.sensors.cameras[place].rgb
@@ -126,7 +126,7 @@ class Chair:
         return self.begin(self.now.first)
 
     def checked(self, action: object) -> int:
-        """An action's index, of what a learner said.
+        """An action's index, of what a learner chose.
 
         Raises:
             ProtocolError: No episode is on.
@@ -140,7 +140,7 @@ class Chair:
             raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
         return index
 
-    def send(self, link: ChairLink, action: object) -> None:
+    def send(self, link: _ChairLink, action: object) -> None:
         """Say what to do in this tick; see `checked`."""
         index = self.checked(action)
         if self.now is not None:
@@ -148,7 +148,7 @@ class Chair:
             x, y = self._actions.points[index]
             link.send(self.now.tick, Joystick(float(x), float(y)))
 
-    def receive(self, link: ChairLink) -> EpisodeStep:
+    def receive(self, link: _ChairLink) -> EpisodeStep:
         """What came of the action that was sent. Raises LinkError."""
         before, after = self.now, link.receive()
         if before is None:
@@ -224,9 +224,9 @@ class Chair:
         if got != wanted:
             raise ConfigMismatchError(f"the world's cameras are {got}; expected {wanted}: use its configuration")
         sensors = {name: len(measure.parts) for name, measure in self._config.sensors.measures().items()}
-        said = {reading.name: len(reading.values) for reading in first.sensors.readings}
-        if not sensors.items() <= said.items():
-            raise ConfigMismatchError(f"the world's sensors are {said}; expected {sensors}: use its configuration")
+        given = {reading.name: len(reading.values) for reading in first.sensors.readings}
+        if not sensors.items() <= given.items():
+            raise ConfigMismatchError(f"the world's sensors are {given}; expected {sensors}: use its configuration")
 
 
 def _integer(value: object) -> int | None:

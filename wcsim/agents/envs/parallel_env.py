@@ -13,9 +13,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
+from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep, Info
-from wcsim.agents.envs.episode_views import Chairs
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.supervisor.observation import Observation
@@ -82,7 +81,7 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         """Drive for one tick, with one action of every agent that is left; without one there is nothing to do.
 
         Raises:
-            ProtocolError: An action is missing, not in the set, or of somebody who is not there; nothing has moved.
+            ProtocolError: An action is missing, not in the set, or of an agent that is not there; nothing has moved.
         """
         self._check(actions)
         seats = {agent: self.possible_agents.index(agent) for agent in self.agents}

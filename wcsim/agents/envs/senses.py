@@ -1,4 +1,4 @@
-"""The senses that a policy asks for, turned on in its chair: nobody else's world is another for it."""
+"""The senses that a policy asks for, turned on in its chair; the worlds of other chairs stay as they are."""
 
 from __future__ import annotations
 

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from wcsim.agents.envs.env_spec import EnvOptions, checked_chairs, checked_seed, make_face
+from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.envs.episode_views import Chairs
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.server.links.base import Waits
 from wcsim.supervisor.observation import Observation
@@ -61,13 +60,13 @@ class StreetVecEnv(VecEnv):
         return self._seeds
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Say what every chair does, (N,) indices of actions. Raises BadActionError for one that is not in the set."""
+        """Send every chair's action, (N,) indices. Raises BadActionError for one that is not in the set."""
         if self._waiting:
             raise ProtocolError("step_async() came twice; call step_wait() first")
-        said = list(np.asarray(actions, dtype=object).reshape(-1))
-        if len(said) != self.num_envs:
-            raise ProtocolError(f"{len(said)} actions; expected {self.num_envs}, one for each chair")
-        chosen = [chair.checked(action) for chair, action in zip(self._chairs.all, said, strict=True)]
+        given = list(np.asarray(actions, dtype=object).reshape(-1))
+        if len(given) != self.num_envs:
+            raise ProtocolError(f"{len(given)} actions; expected {self.num_envs}, one for each chair")
+        chosen = [chair.checked(action) for chair, action in zip(self._chairs.all, given, strict=True)]
         for seat, chair in enumerate(self._chairs.all):
             chair.send(self._chairs.link(seat), chosen[seat])
         self._waiting = True

@@ -71,7 +71,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self.metadata = {**self.metadata, "render_fps": self._face.metadata["render_fps"]}
         self._join = join
         self._towns, self._root_seed, self._turn, self._steps = (town, *towns), 0, 0, 0
-        self.on_town: Callable[[str], object] | None = None  # told of each town of several
+        self.on_town: Callable[[str], object] | None = None  # called with each town of several
         self._first_seed = checked_seed(options.get("seed"))
         self._link: WorldLink | None = None
         self._waits_no_more = False
@@ -198,7 +198,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             from wcsim.server.links.socket import open_seat  # ZeroMQ is loaded only for a world of another process
 
             self._link = open_seat(self._join)
-        if self._waits_no_more:  # said before there was a link
+        if self._waits_no_more:  # requested before there was a link
             self._link.wait_no_more()
         try:
             return self._link.join()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from stable_baselines3.common.type_aliases import GymEnv
@@ -95,27 +94,25 @@ def _phase_plan(learn: LearnConfig) -> PhasePlan:
     )
 
 
-def build_model(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None = None) -> SeqDQN:
-    """A fresh learner; with `learn.replay_store=disk` its frames lie in `replay_folder`.
+def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
+    """A fresh learner.
 
     Raises:
-        PolicyError: The network or the observation space does not fit, or the folder is of another replay.
+        PolicyError: The network or the observation space does not fit.
         ConfigError: `learn.mirror` with a camera that sees left and right differently, or a replay beyond the memory,
             or settings of the memory that do not go together.
     """
-    _require_memory(config, replay_folder)
+    _check_memory(config)
     try:
-        return _built(config, env, seed, replay_folder)
+        return _built(config, env, seed)
     except MemoryError:
         frames = config.learn.replay_frames
         raise ConfigError(f"learn.replay_frames={frames} do not fit into memory; expected fewer") from None
 
 
-def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
+def _check_memory(config: RunConfig) -> None:
     """Refuse what the memory of a run cannot do."""
     learn = config.learn
-    if learn.replay_store == "disk" and replay_folder is None:
-        raise ConfigError("learn.replay_store=disk without a folder; expected memory, or a run that has a folder")
     if learn.memory == "windows" and registry.is_windowed(learn.network) and config.env.frames == 1:
         raise ConfigError(
             f"learn.memory=windows with one image in an observation for {learn.network!r}; expected a window: set "
@@ -129,7 +126,7 @@ def _require_memory(config: RunConfig, replay_folder: Path | None) -> None:
         )
 
 
-def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None) -> SeqDQN:
+def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     learn, camera = config.learn, config.eye
     if learn.mirror and not sees_in_a_mirror(camera):
         raise ConfigError(
@@ -148,10 +145,6 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
             epsilon_hold=learn.epsilon_hold,
             mirror=learn.mirror,
             mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
-            aid_batch=learn.aid_batch,
-            aid_share=learn.aid_share,
-            aid_ahead=learn.aid_ahead,
-            aid_margin=learn.aid_margin,
             supervision="cross_entropy" if learn.phase1 == "supervised" else "margin",
             later=learn.updates == "while_waiting",
         ),
@@ -166,7 +159,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int, replay_folder: Path | None
         train_freq=learn.train_every,
         gradient_steps=learn.gradient_steps,
         max_grad_norm=LARGEST_GRADIENT,
-        replay_buffer_kwargs={"settings": _replay_settings(config, seed, replay_folder)},
+        replay_buffer_kwargs={"settings": _replay_settings(learn, seed)},
         policy_kwargs={"spec": _net_spec(config)},
         device=learn.device,
     )
@@ -178,17 +171,14 @@ def _learning_starts(learn: LearnConfig, seats: int) -> int:
     return max(learn.learning_starts, least)
 
 
-def _replay_settings(config: RunConfig, seed: int, folder: Path | None) -> ReplaySettings:
-    learn = config.learn
+def _replay_settings(learn: LearnConfig, seed: int) -> ReplaySettings:
     return ReplaySettings(
         n_step=learn.n_step,
         gamma=learn.gamma,
         precrash_share=learn.precrash_share,
-        precrash_window=learn.precrash_window,
         advice=learn.aid == "oracle",
         memory=learn.memory,
         group_steps=learn.group_steps,
         burn_in=learn.burn_in,
-        folder=folder if learn.replay_store == "disk" else None,
         seed=seed,
     )

@@ -1,4 +1,9 @@
-"""Stable-Baselines3 callbacks of a training run: metrics, checkpoints, progress, interruption."""
+"""Stable-Baselines3 callbacks of a training run: metrics, checkpoints, progress, interruption.
+
+Does a learner promise too much? Values at the starts of episodes are compared with the returns that followed. The
+maximum over noisy values is too high on average, which is why DQN overestimates and Double DQN was made (van Hasselt,
+Guez, Silver 2016). Both numbers are in units of the scaled reward, as the network's values are.
+"""
 
 from __future__ import annotations
 
@@ -9,27 +14,70 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
+from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS, BoardLog, MetricsFile, Value
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS, MetricsFile, Value
-from wcsim.agents.learning.watching.tensorboard import BoardLog
-from wcsim.agents.learning.watching.value_watch import ValueWatch
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.types import Events
 
 GREEDY_EVERY = 5  # steps between two looks at the agent's own choice
+_TAIL: Final = 0.05  # an episode that was cut short says nothing of its return while more than this share is to come
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ValueCheck:
+    """The value at the start of an episode beside its return; None where it is not known."""
+
+    value: float | None
+    discounted: float | None
+
+    @property
+    def overestimate(self) -> float | None:
+        """By how much the value was higher than what followed."""
+        return None if self.value is None or self.discounted is None else self.value - self.discounted
+
+
+@dataclass(slots=True)
+class _ValueWatch:
+    """The discounted return of one episode as it comes in.
+
+    >>> watch = _ValueWatch(gamma=0.5, scale=0.1, value=3.0)
+    >>> for reward in (10.0, 20.0):
+    ...     watch.add(reward)
+    >>> check = watch.check(ended=True)
+    >>> check.value, check.discounted, check.overestimate
+    (3.0, 2.0, 1.0)
+    >>> watch.check(ended=False).discounted is None
+    True
+    """
+
+    gamma: float
+    scale: float  # of rewards
+    value: float | None = None  # of the greedy action at the start
+    _sum: float = 0.0
+    _weight: float = 1.0  # of the next reward
+
+    def add(self, reward: float) -> None:
+        """Take in the reward of a step, unscaled."""
+        self._sum += self._weight * self.scale * reward
+        self._weight *= self.gamma
+
+    def check(self, ended: bool) -> _ValueCheck:
+        """What came of it; `ended` by itself, or cut short by its limit."""
+        whole = ended or self._weight <= _TAIL
+        return _ValueCheck(value=self.value, discounted=self._sum if whole else None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainProgress:
-    """How far a run has come, for whoever waits."""
+    """Progress of a run."""
 
     step: int
     total_steps: int
@@ -50,10 +98,10 @@ class _EpisodeSums:
     progress_m: float = 0.0
     arrivals: int = 0
     greedy: list[float] = field(default_factory=list)
-    values: ValueWatch = field(default_factory=lambda: ValueWatch(gamma=1.0, scale=1.0))
+    values: _ValueWatch = field(default_factory=lambda: _ValueWatch(gamma=1.0, scale=1.0))
 
     def add(self, reward: float, info: dict[str, Any]) -> None:
-        """One step, as an environment's `info` tells it."""
+        """One step, by an environment's `info`."""
         self.reward += reward
         self.values.add(reward)
         self.steps += 1
@@ -64,7 +112,7 @@ class _EpisodeSums:
         self.arrivals += int(events is not None and events.arrived)
 
     def row(self, info: dict[str, Any], crashed: bool) -> dict[str, float | int | str | None]:
-        """What metrics.csv says of an episode that ended with this step; `cut` is 1 where its world ended it."""
+        """The row of metrics.csv for an episode that ended with this step; `cut` is 1 where its world ended it."""
         events = info.get("events")
         return {
             "return": self.reward,
@@ -103,7 +151,7 @@ class EventWatch(SeqCallback):
         self.report = report
 
     def _on_step(self) -> bool:
-        report_events(
+        _report_events(
             self.report,
             self.learner.num_timesteps,
             [info["events"] for info in self.locals["infos"] if info.get("events") is not None],
@@ -111,8 +159,8 @@ class EventWatch(SeqCallback):
         return True
 
 
-def report_events(report: Callable[..., None], step: int, events: Sequence[Events]) -> None:
-    """Report what a line of events.jsonl tells of a step: of a jam once, of crashes each."""
+def _report_events(report: Callable[..., None], step: int, events: Sequence[Events]) -> None:
+    """Report the events of a step for events.jsonl: of a jam once, of crashes each."""
     if jammed := max((each.jam_teleports for each in events), default=0):
         report("jam", step=step, teleported=jammed)
     for each in events:
@@ -153,7 +201,7 @@ class EpisodeMetrics(SeqCallback):
         self._look_greedy()
         self._look_at_starts()
         for seat, info in enumerate(self.locals["infos"]):
-            if info.get("reason") != WORLD_RESTARTED:  # a step that nobody drove
+            if info.get("reason") != WORLD_RESTARTED:  # a step that was not driven
                 self.sums[seat].add(float(self.locals["rewards"][seat]), info)
             if self.locals["dones"][seat]:
                 self._finish(seat, info)
@@ -201,7 +249,7 @@ class EpisodeMetrics(SeqCallback):
             taken = values.gather(1, learner.q_net.choice(values, seen)[:, None])[:, 0]
         for seat in starts:
             value, scale = float(taken[seat]), learner.settings.reward_scale
-            self.sums[seat].values = ValueWatch(gamma=learner.gamma, scale=scale, value=value)
+            self.sums[seat].values = _ValueWatch(gamma=learner.gamma, scale=scale, value=value)
 
     def _finish(self, seat: int, info: dict[str, Any]) -> None:
         sums, learner = self.sums[seat], self.learner
@@ -286,7 +334,7 @@ class StopWhenAsked(SeqCallback):
 class StopRequest:
     """While open, SIGINT and SIGTERM ask for a stop; a second signal stops at once. Only in the main thread.
 
-    Where a launcher ends this process, nobody is there who would want it at once, and a second signal comes of the
+    Where a launcher ends this process, no user waits for its end, and a second signal comes of the
     first one having been sent to all: it, and the launcher's own `WAIT_NO_MORE`, end the waiting for a world alone.
     """
 

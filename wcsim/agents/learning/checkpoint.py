@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save_file
 
 from wcsim.agents.learning.checkpoint_file import (
@@ -38,7 +37,7 @@ from wcsim.agents.learning.checkpoint_file import (
 )
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.state import replay_arrays, require_fit, restore_replay
+from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.core import files
 from wcsim.core.reading import shown
 from wcsim.errors import PolicyError
@@ -106,7 +105,6 @@ def save_checkpoint(
     files.write_folder(target, fill)
     files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
     _drop_old(folder, target)
-    _hold_frames(folder, model)
     return target
 
 
@@ -126,15 +124,15 @@ def _drop_old(folder: Path, newest: Path) -> None:
     """Remove all checkpoints but `newest`, the last ones and one with another replay, and what is half-written."""
     older = step_folders(folder)
     kept = {newest, *older[-KEEP:]}
-    replays = {_file_of(path) for path in kept}
+    replays = {_replay_inode(path) for path in kept}
     if len(replays) == 1:  # a damaged file must not take all of them
-        kept.update([path for path in older if _file_of(path) not in replays][-1:])
+        kept.update([path for path in older if _replay_inode(path) not in replays][-1:])
     for old in (*older, *left_behind(folder)):
         if old not in kept:
             shutil.rmtree(old, ignore_errors=True)
 
 
-def _file_of(checkpoint: Path) -> object:
+def _replay_inode(checkpoint: Path) -> object:
     """Which file a checkpoint has its replay in: linked ones have the same."""
     try:
         return (checkpoint / REPLAY).stat().st_ino
@@ -159,37 +157,20 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             passed.append(passed_over(path, error))
             continue
-        _hold_frames(folder, model)
         return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
     raise _none_sound(folder, passed)
 
 
 def passed_over(path: Path, error: Exception) -> PassedOver:
-    """What is told of a checkpoint that could not be used."""
-    told = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
-    return PassedOver(path=path, reason=shown(told, 300))
+    """The message on a checkpoint that could not be used."""
+    reason = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
+    return PassedOver(path=path, reason=shown(reason, 300))
 
 
 def _none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
     """What is raised where all checkpoints of a run were passed over, or none found."""
     faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
     return PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
-
-
-def _hold_frames(folder: Path, model: SeqDQN) -> None:
-    """Keep the frames on disk that the checkpoints count on, as long as these are there."""
-    memory = _replay(model)
-    if memory.disk is not None:
-        memory.disk.hold(min((n for path in step_folders(folder) for n in _first_frame(path)), default=None))
-
-
-def _first_frame(path: Path) -> list[int]:
-    """The number of the first frame on disk that a checkpoint counts on; none for one that is no such."""
-    try:
-        with safe_open(path / REPLAY, framework="np") as arrays:
-            return [int(arrays.get_tensor("disk")[0])]
-    except (OSError, SafetensorError, IndexError):
-        return []
 
 
 def newest_step(folder: Path) -> int:
@@ -249,8 +230,8 @@ def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive:
     """All of it, or, with an exception, nothing."""
     memory = _replay(model)
     slots = _optimizer_slots(model, arrays)
-    _require_same_arrays(model, arrays)
-    require_fit(memory, replay)
+    _check_same_arrays(model, arrays)
+    check_fit(memory, replay)
     nets = [copy.deepcopy(net.state_dict()) for _, net in _nets(model)]
     optimizer = copy.deepcopy(model.policy.optimizer.state_dict())
     torch_rng, memory_rng = torch.get_rng_state(), memory.rng
@@ -276,7 +257,7 @@ def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive:
     model.num_timesteps, model._n_updates, model._episode_num = state.num_timesteps, state.n_updates, state.episodes
 
 
-def _require_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
+def _check_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
     """Raise PolicyError unless the arrays of the networks have the names, shapes and types that the model's have."""
     expected = {key: value for key, value in _model_arrays(model).items() if not key.startswith("optimizer/")}
     got = {key: value for key, value in arrays.items() if not key.startswith("optimizer/")}

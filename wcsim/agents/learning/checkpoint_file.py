@@ -28,7 +28,7 @@ _GENERATOR = {"counter": (4, 64), "key": (2, 64), "buffer": (4, 64)}  # how many
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class State:
-    """What `state.json` says, checked."""
+    """The checked contents of `state.json`."""
 
     num_timesteps: int
     n_updates: int
@@ -74,7 +74,7 @@ def step_of(path: Path) -> int:
 
 
 def _write_sealed(path: Path, values: Mapping[str, Any]) -> None:
-    """Write what a checkpoint says, with its version and a hash over all of it."""
+    """Write the values of a checkpoint, with its version and a hash over all of it."""
     files.write_sealed_json(path, {"schema_version": SCHEMA, **values})
 
 
@@ -101,7 +101,7 @@ def write_state(folder: Path, values: Mapping[str, Any], replay_sha256: str = ""
 
 
 def read_state(folder: Path) -> State:
-    """The state of a checkpoint whose files are as they were written. Raises PolicyError that says what is not."""
+    """The state of a checkpoint whose files are as they were written. Raises PolicyError with what is not."""
     data, sealed = _read_sealed(folder / STATE, _STATE_KIND, _KEYS)
     state = State(
         num_timesteps=_step_in(folder, data, "num_timesteps"),
@@ -112,7 +112,7 @@ def read_state(folder: Path) -> State:
         extra=_extra(data["extra"]),
         sealed=sealed,
     )
-    _require_hashes(folder, data["sha256"])
+    _check_hashes(folder, data["sha256"])
     return state
 
 
@@ -133,12 +133,12 @@ def _step_in(folder: Path, data: Mapping[str, Any], key: str) -> int:
     return step
 
 
-def _require_hashes(folder: Path, told: Any) -> None:
-    if not isinstance(told, dict) or set(told) != {MODEL, REPLAY}:
-        raise PolicyError(f"{STATE} has hashes of {shown(told)}; expected those of {MODEL} and {REPLAY}")
+def _check_hashes(folder: Path, hashes: Any) -> None:
+    if not isinstance(hashes, dict) or set(hashes) != {MODEL, REPLAY}:
+        raise PolicyError(f"{STATE} has hashes of {shown(hashes)}; expected those of {MODEL} and {REPLAY}")
     for name in (MODEL, REPLAY):
         regular_size(folder / name, _ARRAYS_KIND)
-        if files.sha256(folder / name) != told[name]:
+        if files.sha256(folder / name) != hashes[name]:
             raise PolicyError(f"{name} is damaged")
 
 

@@ -34,7 +34,7 @@ def aid_loss(
     Returns:
         A scalar, 0 when every row has its teacher's action ahead by the margins.
     """
-    label = teacher_actions(distances, safe)[:, None]
+    label = _teacher_actions(distances, safe)[:, None]
     margin = (distances - distances.gather(1, label)).clamp(min=0.0) + MARGIN_OFFSET + unsafe * ~safe
     margin = (scale * margin).scatter(1, label, 0.0)
     behind = functional.relu(values + margin - values.gather(1, label))  # (B, A), 0 at the label
@@ -42,7 +42,7 @@ def aid_loss(
     return ((behind.max(dim=1).values + dense) * safe.any(dim=1)).mean()
 
 
-def teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tensor:
+def _teacher_actions(distances: torch.Tensor, safe: torch.Tensor) -> torch.Tensor:
     """The safe action nearest to the user's joystick, where there is one; (B, A) and (B, A) -> (B,)."""
     return distances.masked_fill(~safe, torch.inf).argmin(dim=1)
 

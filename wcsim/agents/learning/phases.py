@@ -1,12 +1,9 @@
-"""The two phases of learning (Action Driven, then Agent Driven) as a plan in steps, and the callback at the switch."""
+"""The two phases of learning (Action Driven, then Agent Driven) as a plan in steps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-
-from stable_baselines3.common.callbacks import BaseCallback
 
 
 class LearningPhase(IntEnum):
@@ -59,22 +56,3 @@ class PhasePlan:
     def aid_weight(self, step: int) -> float:
         """Weight of the advice from the truth: none in the first phase, which teaches obedience alone."""
         return 0.0 if self.phase(step) is LearningPhase.ACTION_DRIVEN else self.aid
-
-
-class PhaseSwitch(BaseCallback):
-    """Calls `on_switch` once, before the first rollout of the second phase; the first is complete and stored then."""
-
-    def __init__(self, plan: PhasePlan, on_switch: Callable[[], None], done: bool = False) -> None:
-        super().__init__()
-        self.plan = plan
-        self.on_switch = on_switch
-        self.done = done
-
-    def _on_rollout_start(self) -> None:
-        if not self.done and self.plan.phase(self.num_timesteps) is LearningPhase.AGENT_DRIVEN:
-            if self.plan.phase1_steps > 0:
-                self.on_switch()
-            self.done = True  # not before: what fails on a full disk is done when the run goes on
-
-    def _on_step(self) -> bool:
-        return True

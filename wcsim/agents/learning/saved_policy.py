@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,9 @@ from safetensors.torch import save_file
 from wcsim.agents.envs.frame_window import newest, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.encoder import form_of, image_size, vector_keys, vector_size, window_size
+from wcsim.agents.networks.encoder import image_size, observation_form, vector_keys, vector_size, window_size
 from wcsim.agents.networks.names import require_named
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet, spec_to_json
+from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet
 from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
@@ -114,7 +115,7 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     """Load a policy folder.
 
     A network that is not registered is imported only when the caller names it (`network="module:Class"`): a policy from
-    somebody else must not decide which code runs here.
+    another party must not decide which code runs here.
 
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
@@ -142,11 +143,11 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
     return {
         "schema_version": 1,
         "algorithm": "SeqDQN",
-        "net": spec_to_json(spec),
+        "net": asdict(spec),
         "image_hw_px": list(image_size(space)),
         "vector_size": vector_size(space),
         **({"sensors": sensors} if sensors else {}),
-        **({} if (form := form_of(space)) == "compact" else {"observation": form}),
+        **({} if (form := observation_form(space)) == "compact" else {"observation": form}),
         "window": window_size(space),
         "camera": camera.model_dump(mode="json"),
         "reward_scale": model.settings.reward_scale,

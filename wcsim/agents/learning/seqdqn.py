@@ -9,7 +9,7 @@ any other one learns from steps drawn one by one, each with its window.
 
 Batches seen in a mirror: left and right are alike for a chair with its camera in the middle, so data count twice.
 
-Losses over groups of steps in a row, for networks that carry a state: `agents/replay/groups.py` says what is drawn.
+Losses over groups of steps in a row, for networks that carry a state: see `agents/replay/groups.py` for what is drawn.
 
 Online and target network are each run over the steps before a group, from the stored state and without a gradient, and
 then over the group itself and what its last n-step returns reach.
@@ -47,7 +47,7 @@ from wcsim.supervisor.observation import imu_size
 
 
 @torch.no_grad()
-def burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+def _burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
     """The network's state (K, S) where the groups begin."""
     states = batch.states.clone()
     for rows, observations in batch.burn_in:
@@ -55,13 +55,13 @@ def burned_in(net: QNet, batch: SequenceBatch) -> torch.Tensor:
     return states
 
 
-def group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
+def _group_values(net: QNet, batch: SequenceBatch) -> torch.Tensor:
     """Values (K, P, A) of all observations of the groups."""
-    return net.unroll(batch.observations, burned_in(net, batch))[0]
+    return net.unroll(batch.observations, _burned_in(net, batch))[0]
 
 
 @torch.no_grad()
-def group_targets(
+def _group_targets(
     online: torch.Tensor, target: torch.Tensor, batch: SequenceBatch, reward_scale: float, double_q: bool
 ) -> torch.Tensor:
     """Scaled n-step returns plus the discounted value after them, (K, L), from both networks' values (K, P, A)."""
@@ -71,7 +71,7 @@ def group_targets(
     return reward_scale * batch.returns + (1.0 - batch.terminated) * batch.discounts * value
 
 
-def sequence_loss(
+def _sequence_loss(
     nets: tuple[QNet, QNet],
     batch: SequenceBatch,
     reward_scale: float,
@@ -87,10 +87,10 @@ def sequence_loss(
         double_q: The online network chooses the action whose value the target network gives.
         supervised: Added to it: of values (N, A) and the joysticks that they are for, by their key.
     """
-    online = group_values(nets[0], batch)
+    online = _group_values(nets[0], batch)
     with torch.no_grad():
-        target = group_values(nets[1], batch)
-    wanted = group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
+        target = _group_values(nets[1], batch)
+    wanted = _group_targets(online.detach(), target, batch, reward_scale, double_q)[batch.live]
     length = batch.live.shape[1]
     values = online[:, :length][batch.live[:, : online.shape[1]]]  # (N, A)
     chosen = values.gather(1, batch.actions[batch.live][:, None])[:, 0]
@@ -115,7 +115,7 @@ _SIGNS = {
 }
 
 
-def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
+def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs = ()) -> DictReplayBufferSamples:
     """The same batch with left and right exchanged; `actions` (A,) is the mirror map of the action set."""
     return batch._replace(
         observations=_mirrored(batch.observations, actions, signs),
@@ -124,7 +124,7 @@ def mirrored(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: Signs
     )
 
 
-def mirrored_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
+def _mirror_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
     """The same for a batch of the training aid."""
     return AdviceBatch(observations=_mirrored(batch.observations, actions, signs), safe=batch.safe[:, actions])
 
@@ -143,6 +143,10 @@ def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> T
 States = tuple[npt.NDArray[Any], ...]
 EXPLORED_SIGMA: Final = 0.5  # spread of local exploration, in stick units
 RELABELLED: Final = 0.5  # share of a batch of oracle data with a random joystick in the user's place
+AID_BATCH: Final = 32  # steps of oracle data in a batch
+AID_SHARE: Final = 0.3  # of that batch from steps with an action that leads to a crash
+AID_AHEAD: Final = 5  # steps before that in which an action already counts as unsafe
+AID_MARGIN: Final = 6.0  # joystick distance by which an unsafe action must lose to a safe one
 MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
 
 
@@ -157,10 +161,6 @@ class SeqSettings:
     epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
     mirror: bool = False  # batches are mirrored left to right half of the time
     mirror_signs: Signs = ()  # of the sensors of [sensors]
-    aid_batch: int = 32  # this and the following: see LearnConfig
-    aid_share: float = 0.5
-    aid_ahead: int = 0
-    aid_margin: float = 1.0
     supervision: Literal["margin", "cross_entropy"] = "margin"  # the loss towards the user's action
     later: bool = False  # updates are done after the next action was chosen; see `SeqDQN.due_updates`
 
@@ -276,7 +276,7 @@ class SeqDQN(DQN):
         return self.policy.predict(observation, deterministic=True)[0]
 
     def _store_transition(self, replay_buffer: ReplayBuffer, *step: Any) -> None:
-        """Keep a step, with the state before it; the states of seats whose episode ended are forgotten.
+        """Store a step, with the state before it; the states of seats whose episode ended are forgotten.
 
         Raises PolicyError for a reward that is not finite: it would spoil every batch that it is drawn in.
         """
@@ -336,7 +336,7 @@ class SeqDQN(DQN):
 
     @property
     def owes_updates(self) -> bool:
-        """Whether updates were put off that are not done yet; a checkpoint says so."""
+        """Whether updates were put off that are not done yet; a checkpoint holds it."""
         return self._due is not None
 
     def owe_updates(self, gradient_steps: int) -> None:
@@ -376,11 +376,11 @@ class SeqDQN(DQN):
             settings, nets = self.settings, (self.q_net, self.q_net_target)
             supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
             batch = buffer.sample_groups(batch_size)
-            loss, self.max_abs_q = sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
+            loss, self.max_abs_q = _sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
             return loss
         drawn: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
         if self._flips():
-            drawn = mirrored(drawn, self._mirror_map(), self.settings.mirror_signs)
+            drawn = _mirror_batch(drawn, self._mirror_map(), self.settings.mirror_signs)
         return self.loss(drawn, margin)
 
     def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
@@ -423,7 +423,7 @@ class SeqDQN(DQN):
         settings, buffer = self.settings, self.replay_buffer
         advice = None
         if isinstance(buffer, FrameReplay):
-            advice = buffer.sample_advice(settings.aid_batch, settings.aid_share, settings.aid_ahead)
+            advice = buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
             return torch.zeros((), device=self.device)
         seen, points = advice.observations, self.action_points.points
@@ -431,10 +431,10 @@ class SeqDQN(DQN):
         wishes = relabelled(sticks, points, RELABELLED, self.rng)
         advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
         if self._flips():
-            advice = mirrored_advice(advice, self._mirror_map(), self.settings.mirror_signs)
+            advice = _mirror_advice(advice, self._mirror_map(), self.settings.mirror_signs)
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
         values = self.q_net(advice.observations)
-        return aid_loss(values, distances, advice.safe, settings.reward_scale, settings.aid_margin)
+        return aid_loss(values, distances, advice.safe, settings.reward_scale, AID_MARGIN)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

@@ -27,13 +27,11 @@ from wcsim.agents.learning.callbacks import (
     TrainProgress,
 )
 from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
-from wcsim.agents.learning.phases import LearningPhase, PhaseSwitch
+from wcsim.agents.learning.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
+from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.learning.watching.metrics import STEP_COLUMNS, MetricsFile
-from wcsim.agents.learning.watching.tensorboard import BoardLog, require_tensorboard
 from wcsim.agents.networks.device import checked_device, torch_settings
-from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
 from wcsim.core import files, seeding
@@ -53,7 +51,7 @@ def train(
     progress_every: int = PROGRESS_EVERY,
     callbacks: Sequence[BaseCallback] = (),
     alive: Callable[[], object] = lambda: None,
-    say: Callable[[str], object] = lambda text: None,
+    log: Callable[[str], object] = lambda text: None,
     wait_no_more: Callable[[], object] | None = None,
 ) -> Path:
     """Learn both phases and leave a run folder.
@@ -66,7 +64,7 @@ def train(
         progress_every: Steps between two calls of `progress`, at least a rollout's.
         callbacks: Callbacks of Stable-Baselines3, beside wcsim's own.
         alive: Called now and then while something takes long that is no step of the environment.
-        say: Told what a person should know, such as checkpoints that could not be used.
+        log: Gets messages for the user, such as checkpoints that could not be used.
         wait_no_more: Makes a LinkError of waiting for a world, where a launcher ends this process: see `StopRequest`.
 
     Returns:
@@ -79,23 +77,19 @@ def train(
     """
     checked_device(run.config.learn.device)
     if run.config.learn.tensorboard:
-        require_tensorboard()
+        check_tensorboard()
     folder = folder_of(run, with_window)
     with files.locked(folder.path), torch_settings(run.config.learn), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([make_env])
         try:
-            model = build_model(run.config, env, run.info.seed, folder.replay)
+            model = build_model(run.config, env, run.info.seed)
             _learn_meanwhile(model, env)
             request.wait_less = getattr(env.envs[0].unwrapped, "wait_less", request.wait_less)
-            with contextlib.closing(_replay(model)) as memory:
-                for note in () if memory.disk is None else memory.disk.notes:
-                    say(note)
-                    folder.event("replay_torn", reason=note)
-                loaded = _loaded(folder, model, say, alive) if run.resume else None
-                session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
-                session.callbacks.extend(callbacks)
-                with session.logs.board or contextlib.nullcontext():
-                    return session.learn()
+            loaded = _loaded(folder, model, log, alive) if run.resume else None
+            session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
+            session.callbacks.extend(callbacks)
+            with session.logs.board or contextlib.nullcontext():
+                return session.learn()
         finally:
             env.close()
 
@@ -107,21 +101,35 @@ def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
         inner.due_work, model.meanwhile = model.due_updates, True
 
 
-def _replay(model: SeqDQN) -> FrameReplay:
-    if not isinstance(model.replay_buffer, FrameReplay):
-        raise PolicyError("the model has no replay of wcsim's; build it with agents.build.build_model")
-    return model.replay_buffer
-
-
 def _stopped_error(path: Path, step: int, total: int, unsaved: str) -> InterruptedRunError | DiskFullError:
     """What is raised when a run was stopped at a step: `unsaved` says why its last checkpoint is not there."""
-    told = f"stopped after {step} of {total} steps"
+    message = f"stopped after {step} of {total} steps"
     if unsaved:
         return DiskFullError(
-            f"{told}; the policy so far is saved, but the last checkpoint could not be written ({unsaved}): --resume "
-            f"continues from the one before it in {path}, or starts again if there is none; free some disk space"
+            f"{message}; the policy so far is saved, but the last checkpoint could not be written ({unsaved}): "
+            f"--resume continues from the one before it in {path}, or starts again if there is none; free some "
+            "disk space"
         )
-    return InterruptedRunError(f"{told}; {path} holds the policy so far and can be continued with --resume")
+    return InterruptedRunError(f"{message}; {path} holds the policy so far and can be continued with --resume")
+
+
+class _PhaseSwitch(BaseCallback):
+    """Calls `on_switch` once, before the first rollout of the second phase; the first is complete and stored then."""
+
+    def __init__(self, plan: PhasePlan, on_switch: Callable[[], None], done: bool = False) -> None:
+        super().__init__()
+        self.plan = plan
+        self.on_switch = on_switch
+        self.done = done
+
+    def _on_rollout_start(self) -> None:
+        if not self.done and self.plan.phase(self.num_timesteps) is LearningPhase.AGENT_DRIVEN:
+            if self.plan.phase1_steps > 0:
+                self.on_switch()
+            self.done = True  # not before: what fails on a full disk is done when the run goes on
+
+    def _on_step(self) -> bool:
+        return True
 
 
 class _Session:
@@ -154,7 +162,7 @@ class _Session:
         )
         crashes = int(extra.get("crashes", 0))
         self.episodes = EpisodeMetrics(self.logs, time.monotonic(), model._episode_num, crashes)
-        self.switch = PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
+        self.switch = _PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
         self.alarmed = bool(extra.get("q_alarm", False))
         self.unsaved = ""  # why the last checkpoint could not be written
         if extra.get("owes_updates", False):
@@ -238,14 +246,14 @@ class _Session:
         self.run.event("checkpoint" if replay else "weights", step=self.model.num_timesteps)
 
     def _watch_values(self) -> None:
-        """Values beyond all possible returns mean that learning has come apart; say so once."""
+        """Values beyond all possible returns mean that learning has come apart; log that once."""
         reward, learn = self.run.config.reward, self.learn_config
         largest = learn.reward_scale * (reward.crash + max(reward.base, reward.penalty) / (1.0 - learn.gamma))
         if self.model.max_abs_q > Q_ALARM * largest and not self.alarmed:
             self.alarmed = True
             value = self.model.max_abs_q
-            told = value if math.isfinite(value) else str(value)
-            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=told, largest=largest)
+            shown = value if math.isfinite(value) else str(value)
+            self.run.event("q_alarm", step=self.model.num_timesteps, max_abs_q=shown, largest=largest)
 
     def _report(self) -> None:
         if self.progress is not None:
@@ -270,28 +278,26 @@ class _Session:
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
 
 
-def _loaded(
-    run: RunFolder, model: SeqDQN, say: Callable[[str], object], alive: Callable[[], object]
-) -> Loaded | None:
+def _loaded(run: RunFolder, model: SeqDQN, log: Callable[[str], object], alive: Callable[[], object]) -> Loaded | None:
     """The newest sound checkpoint, restored; None for a run that has none yet and begins again."""
     if newest_step(run.checkpoints) < 0:
-        say(f"{run.path} stopped before its first checkpoint; it starts again")
+        log(f"{run.path} stopped before its first checkpoint; it starts again")
         run.event("begin_again")
         return None
     loaded = load_checkpoint(run.checkpoints, model, alive)
-    _tell_loaded(run, loaded, say)
+    _report_loaded(run, loaded, log)
     return loaded
 
 
-def _tell_loaded(run: RunFolder, loaded: Loaded, say: Callable[[str], object]) -> None:
-    """Say what a run goes on from where that is not the newest checkpoint, or an older version's.
+def _report_loaded(run: RunFolder, loaded: Loaded, log: Callable[[str], object]) -> None:
+    """Log what a run goes on from where that is not the newest checkpoint, or an older version's.
 
     What was passed over is set aside: it belongs to work that is done again, with another outcome.
     """
     for item in loaded.passed_over:
         kept = files.set_aside(item.path)
-        say(f"{item.path}: skipped ({item.reason}); continuing from {loaded.path.name}, renamed to {kept.name}")
+        log(f"{item.path}: skipped ({item.reason}); continuing from {loaded.path.name}, renamed to {kept.name}")
         run.event("passed_over", checkpoint=kept.name, reason=item.reason)
     if not loaded.sealed:
-        say(f"{loaded.path}: of an older version; its counters and random states have no hash, so they are not checked")
+        log(f"{loaded.path}: of an older version; its counters and random states have no hash, so they are not checked")
         run.event("unsealed", checkpoint=loaded.path.name)

@@ -44,7 +44,7 @@ class NetworkCost:
         return self.p99_ms <= LIMIT_MS - RESERVE_MS
 
 
-def cost_of(name: str, height_px: int = 240, width_px: int = 320, runs: int = 30) -> NetworkCost:
+def measure_cost(name: str, height_px: int = 240, width_px: int = 320, runs: int = 30) -> NetworkCost:
     """Measure a network on one core of this machine. Raises PolicyError when there is none of that name."""
     window = preferred_window(name)
     image = spaces.Box(0, 255, (window, height_px, width_px), np.uint8)

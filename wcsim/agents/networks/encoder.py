@@ -39,7 +39,7 @@ _CLASSES = {CLASS_KEY, COLOURS_KEY}  # one of which every observation has
 WCSIM_GROUPS: tuple[tuple[int, ...], ...] = ((C.KERB,), (C.LOWERED_KERB, C.CROSSWALK))
 
 
-def group_table(classes: Classes) -> torch.Tensor:
+def _group_table(classes: Classes) -> torch.Tensor:
     """One row per group: (G, 256) bool, true where a class id belongs to the group."""
     groups = GROUPS + (WCSIM_GROUPS if classes == "wcsim" else ())
     table = torch.zeros(len(groups), 256, dtype=torch.bool)
@@ -63,11 +63,11 @@ class ObservationEncoder(BaseFeaturesExtractor):
         stateful: bool = False,
     ) -> None:
         if stateful:
-            _require_state(observation_space, network)
+            _check_state(observation_space, network)
         height, width = image_size(observation_space)
         numbers = vector_size(observation_space)
-        table = group_table(classes)
-        self.form = form_of(observation_space)
+        table = _group_table(classes)
+        self.form = observation_form(observation_space)
         count = {"compact": len(table) + 1, "compact_rgb": len(table) + 4, "table3": 4}[self.form]
         shape = registry.input_shape(network, window_size(observation_space), (count, height, width))
         body = registry.build(network, shape, numbers)
@@ -135,7 +135,7 @@ def vector_size(space: spaces.Space[object], keys: tuple[str, ...] = ()) -> int:
 def image_size(space: spaces.Space[object]) -> tuple[int, int]:
     """(H, W) of the observation's images. Raises PolicyError when the space is none of wcsim's."""
     space = _known(space)
-    dtype = np.float32 if form_of(space) == "table3" else np.uint8
+    dtype = np.float32 if observation_form(space) == "table3" else np.uint8
     for key in (COLOURS_KEY if COLOURS_KEY in space.spaces else CLASS_KEY, DEPTH_KEY):
         box = _box(space, key)
         if box.dtype != dtype or len(box.shape) != 3 or box.shape[0] < 1:
@@ -151,7 +151,7 @@ def window_size(space: spaces.Space[object]) -> int:
     return int(_box(_known(space), DEPTH_KEY).shape[0])
 
 
-def form_of(space: spaces.Space[object]) -> Form:
+def observation_form(space: spaces.Space[object]) -> Form:
     """Which form of `env.observation` a space is of. Raises PolicyError when it is of none."""
     keys = _known(space).spaces
     return "table3" if CLASS_KEY not in keys else "compact_rgb" if RGB_KEY in keys else "compact"
@@ -171,7 +171,7 @@ def _box(space: spaces.Dict, key: str) -> spaces.Box:
     return box
 
 
-def _require_state(space: spaces.Space[object], network: str) -> None:
+def _check_state(space: spaces.Space[object], network: str) -> None:
     if not registry.carries_state(network):
         raise PolicyError(f"network {network!r} carries no state; expected one with `unroll` (see networks.registry)")
     if window_size(space) != 1:

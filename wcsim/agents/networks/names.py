@@ -1,4 +1,4 @@
-"""The names of wcsim's own networks, for whoever must not load torch; `agents/networks/registry.py` has the classes."""
+"""The names of wcsim's own networks, without loading torch; `agents/networks/registry.py` has the classes."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ def client_name(network: str) -> str:
 
 
 def is_own(name: str) -> bool:
-    """Whether a network is somebody's own class, `module:Class`."""
+    """Whether a network is a user's own class, `module:Class`."""
     return ":" in name
 
 
-def require_network(name: str) -> None:
+def check_network(name: str) -> None:
     """Refuse what is no network before torch is loaded for it; the class itself is looked at by `find_network`.
 
     Raises:
         PolicyError: There is no such name, module or class; importing the module of `module:Class` runs its code.
     """
-    registry = sys.modules.get("wcsim.agents.networks.registry")  # whoever gave names of their own to it has loaded it
+    registry = sys.modules.get("wcsim.agents.networks.registry")  # a caller that registered own names has loaded it
     if is_own(name):
         find_class(name, "network")
     elif name not in NETWORK_NAMES and not (registry is not None and registry.is_registered(name)):
@@ -49,7 +49,7 @@ def unknown_network(name: str, known: tuple[str, ...]) -> PolicyError:
 
 
 def require_named(where: str, name: str, named: str | None) -> None:
-    """Refuse a policy with somebody's own network that its user has not named: loading it runs its code.
+    """Refuse a policy with a user's own network that its user has not named: loading it runs its code.
 
     Args:
         where: The policy, as its user calls it.

@@ -20,7 +20,7 @@ def can_export() -> bool:
     return find_spec("onnx") is not None and find_spec("onnxruntime") is not None
 
 
-def require_onnx() -> None:
+def check_onnx() -> None:
     """Raise PolicyError where the extra `onnx` is not installed."""
     if not can_export():
         raise PolicyError("exporting needs ONNX, which is not installed: pip install 'wcsim[onnx]'")
@@ -51,7 +51,7 @@ def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[s
         PolicyError: ONNX is not installed, or the network cannot be expressed in it.
     """
     held = io.BytesIO()
-    require_onnx()
+    check_onnx()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # tracing warns of every shape that is a Python number

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy.typing as npt
@@ -177,9 +177,9 @@ class SeqQPolicy(DQNPolicy):
         space, actions = self.observation_space, self.action_space
         if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
             raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
-        return self._net_of(space, actions).to(self.device)
+        return self._make_net(space, actions).to(self.device)
 
-    def _net_of(self, space: spaces.Dict, actions: spaces.Discrete) -> QNet:
+    def _make_net(self, space: spaces.Dict, actions: spaces.Discrete) -> QNet:
         return QNet(space, actions, self.spec)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
@@ -190,8 +190,3 @@ class SeqQPolicy(DQNPolicy):
             "spec": self.spec,
             "optimizer_kwargs": self.optimizer_kwargs,
         }
-
-
-def spec_to_json(spec: NetSpec) -> dict[str, Any]:
-    """The specification as plain values for policy.json."""
-    return asdict(spec)

@@ -28,10 +28,8 @@ from typing import Any
 
 from torch import nn
 
-from wcsim.agents.networks.convolutional import PatchNet
+from wcsim.agents.networks.convolutional import Conv3dNet, ConvLstmNet, Figure6Net, PatchNet
 from wcsim.agents.networks.names import NETWORK_NAMES, unknown_network
-from wcsim.agents.networks.recurrent import Figure6Net
-from wcsim.agents.networks.spatiotemporal import Conv3dNet, ConvLstmNet
 from wcsim.core.plugins import find_class
 from wcsim.errors import PolicyError
 

@@ -1,4 +1,4 @@
-"""Weights of a policy from bytes that somebody else may have written: what is checked is what is loaded."""
+"""Weights of a policy from bytes that may come from others: what is checked is what is loaded."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
             f"{shown(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
             "the file was damaged or replaced; copy the whole policy folder again"
         )
-    _require_same(path, _told(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
+    _check_same(path, _read_header(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
     return data
 
 
@@ -63,7 +63,7 @@ def checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch
         tensors = load(data)
     except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
         raise PolicyError(f"{shown(path)} is not a safetensors file: {shown(error)}") from None
-    _require_same(
+    _check_same(
         path,
         {name: _facts(tensor) for name, tensor in tensors.items()},
         {name: _facts(tensor) for name, tensor in wanted.items()},
@@ -77,7 +77,7 @@ def _facts(tensor: torch.Tensor) -> str:
     return f"{_DTYPES.get(tensor.dtype, tensor.dtype)} {list(tensor.shape)}"
 
 
-def _told(path: Path, data: bytes) -> dict[str, str]:
+def _read_header(path: Path, data: bytes) -> dict[str, str]:
     """What the header of a safetensors file says of its tensors."""
     size = int.from_bytes(data[:_LENGTH_BYTES], "little")
     head = data[_LENGTH_BYTES : _LENGTH_BYTES + min(size, _MAX_HEADER_BYTES)]
@@ -95,7 +95,7 @@ def _fact(entry: Any) -> str:
     return f"{entry.get('dtype')} {entry.get('shape')}" if isinstance(entry, dict) else type(entry).__name__
 
 
-def _require_same(path: Path, got: Mapping[str, str], wanted: Mapping[str, str]) -> None:
+def _check_same(path: Path, got: Mapping[str, str], wanted: Mapping[str, str]) -> None:
     odd = sorted(name for name in wanted.keys() | got.keys() if wanted.get(name) != got.get(name))
     if odd:
         first = odd[0]

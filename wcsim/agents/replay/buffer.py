@@ -1,19 +1,18 @@
-"""Replay memory for image observations: each frame is kept once, the next observation is the next row.
+"""Replay memory for image observations: each frame is stored once, the next observation is the next row.
 
-Of a window of frames, too, a row keeps the newest alone (`agents/replay/window_store.py`).
+Of a window of frames, too, a row keeps the newest alone (`agents/replay/frame_store.py`).
 
 A chain of rows ends where an episode ends (crash, time limit, a world that began again) or where the next step did not
-continue this one (the environment was reset from outside). The observation after the end of a chain is kept beside the
-ring, so that a truncated episode bootstraps from its true last observation. n-step returns never cross an end of a
+continue this one (the environment was reset from outside). The observation after the end of a chain is stored beside
+the ring, so that a truncated episode bootstraps from its true last observation. n-step returns never cross an end of a
 chain; at the newest row, whose successor is not known yet, they are shorter.
 
 What is drawn: single steps, uniformly (`memory` "steps", or "windows" where an observation is a window of frames:
-memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`: memory (a)). Frames lie in memory or,
-with a `folder`, on disk (`agents/replay/disk_store.py`).
+memory (b) of the paper), or groups of steps in a row (`agents/replay/groups.py`: memory (a)).
 
 How one observation is cut into a flat image part (bytes) and a flat vector part (float32), and back.
 
-Images of float32 are kept as their bytes. The image part of a window is its frames one after the other, the newest
+Images of float32 are stored as their bytes. The image part of a window is its frames one after the other, the newest
 last; a frame is all images of one moment.
 """
 
@@ -22,7 +21,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -36,20 +34,19 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
-from wcsim.agents.replay.disk_store import DiskFrames
-from wcsim.agents.replay.frame_store import Folded, folded, frame_store, unfolded
-from wcsim.agents.replay.groups import Groups, SequenceBatch, gather_groups
+from wcsim.agents.replay.frame_store import PACK_ABOVE_BYTES, WindowStore, pack_each, unpack_each
+from wcsim.agents.replay.groups import Groups, SequenceBatch
 from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
-from wcsim.agents.replay.window_store import OpenStore, WindowStore
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
 
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
+_Folded = U8 | bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ObservationLayout:
+class _ObservationLayout:
     """Which keys of an observation are images and which are vectors (float32), with their shapes, by name."""
 
     images: Shapes
@@ -105,7 +102,7 @@ class ObservationLayout:
         return np.uint8 if self.item_bytes == 1 else np.float32
 
 
-def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
+def _layout_of(space: spaces.Space[Any]) -> _ObservationLayout:
     """The layout of an observation space.
 
     Raises:
@@ -123,7 +120,7 @@ def layout_of(space: spaces.Space[Any]) -> ObservationLayout:
     sizes = {space[key].dtype.itemsize for key, _ in images} or {1}  # type: ignore[union-attr]
     if len(sizes) > 1:
         raise PolicyError(f"images of {space} are of uint8 and float32; expected one kind: see env.observation")
-    return ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
+    return _ObservationLayout(images=tuple(images), vectors=tuple(vectors), item_bytes=sizes.pop())
 
 
 def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt.NDArray[Any]]:
@@ -139,29 +136,28 @@ def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySettings:
-    """What a replay memory is told beside what Stable-Baselines3 tells every one."""
+    """Settings of a replay memory beside those of Stable-Baselines3."""
 
     n_step: int = 1
     gamma: float = 0.99
     precrash_share: float = 0.0  # of a batch from the steps before crashes
     precrash_window: int = 20  # so many of them
-    advice: bool = False  # keep which actions end well, too
+    advice: bool = False  # store which actions end well, too
     memory: Literal["steps", "groups", "windows"] = "steps"
     group_steps: int = 16
     burn_in: int = 8
-    folder: Path | None = None  # of the frames, which are in memory without one
     seed: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chains:
+class _Chains:
     """n-step chains from K start rows."""
 
     returns: F32  # (K,) discounted rewards up to and including the last step
     discounts: F32  # (K,) gamma ** length, the weight of the value after the last step
     terminated: Bool  # (K,) the last step crashed: nothing comes after it
     last: I64  # (K,) absolute index of the last step
-    ended: Bool  # (K,) the observation after the last step is kept beside the ring
+    ended: Bool  # (K,) the observation after the last step is stored beside the ring
 
 
 class FrameReplay(ReplayBuffer):
@@ -189,12 +185,12 @@ class FrameReplay(ReplayBuffer):
         self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, least)
         self.n_step, self.gamma = settings.n_step, settings.gamma
         self.precrash_share, self.precrash_window = settings.precrash_share, settings.precrash_window
-        self.layout = layout_of(observation_space)
+        self.layout = _layout_of(observation_space)
         self.rng = seeding.generator(settings.seed, "agent", "replay")
         self.groups: Groups | None = None
         if settings.memory == "groups":
             self.groups = Groups(settings.group_steps, settings.burn_in)
-        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._store(settings))
+        self.windows = WindowStore(rows, n_envs, self.layout.window, self.layout.frame_bytes, self._smooth_bytes())
         self.vectors = np.zeros((rows, n_envs, self.layout.vector_size), dtype=np.float32)
         self.actions = np.zeros((rows, n_envs), dtype=np.int64)
         self.rewards = np.zeros((rows, n_envs), dtype=np.float32)
@@ -205,32 +201,18 @@ class FrameReplay(ReplayBuffer):
         self.advice = AdviceRing(rows, n_envs, count) if settings.advice else None
         self.reset()
 
-    def _store(self, settings: ReplaySettings) -> OpenStore:
-        folder = settings.folder
+    def _smooth_bytes(self) -> int:
+        """How many bytes at a frame's beginning are of depth."""
         first, shape = self.layout.images[0] if self.layout.images else ("", ())
-        smooth = int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
-        if folder is None:
-            return lambda steps, seats, size: frame_store(steps, seats, size, smooth)
-        layout = "; ".join(f"{key} {shape}" for key, shape in self.layout.images)
-        return lambda steps, seats, size: DiskFrames(folder, steps, seats, size, layout, smooth)
-
-    @property
-    def disk(self) -> DiskFrames | None:
-        """The frames, where they are on disk."""
-        return self.windows.frames if isinstance(self.windows.frames, DiskFrames) else None
-
-    def close(self) -> None:
-        """Close the files, where frames are on disk."""
-        if self.disk is not None:
-            self.disk.close()
+        return int(np.prod(shape)) // self.layout.window if first == DEPTH_KEY and self.layout.item_bytes == 1 else 0
 
     def reset(self) -> None:
-        """Forget everything; frames on disk stay until others are written in their place."""
+        """Forget everything."""
         self.total = 0  # steps added per seat, ever
         self.pos, self.full = 0, False
         self.ended[:] = False
         self.windows.reset()
-        self.after_end: dict[tuple[int, int], tuple[Folded, F32]] = {}  # by (absolute index, seat)
+        self.after_end: dict[tuple[int, int], tuple[_Folded, F32]] = {}  # by (absolute index, seat)
         self.crashes: deque[tuple[int, int]] = deque()  # (absolute index, seat), oldest first
         self.expected: tuple[U8, F32] | None = None  # the observations that should come next
         if self.advice is not None:
@@ -247,7 +229,7 @@ class FrameReplay(ReplayBuffer):
         done: npt.NDArray[Any],
         infos: list[dict[str, Any]],
     ) -> None:
-        """Keep one step of every seat; `next_obs` holds the terminal observation of a seat that is done.
+        """Store one step of every seat; `next_obs` holds the terminal observation of a seat that is done.
 
         A step that no seat has driven, as its world began again, is left out: the one before leads to its observation.
         """
@@ -274,7 +256,7 @@ class FrameReplay(ReplayBuffer):
         self.terminated[row] = self.ended[row] & ~np.array(timeouts, dtype=bool)
         self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
         for seat in (int(k) for k in np.flatnonzero(self.ended[row])):
-            self._keep_end(self.total, seat)
+            self._store_expected(self.total, seat)
             if self.terminated[row, seat]:
                 self.crashes.append((self.total, seat))
         self.total += 1
@@ -303,12 +285,12 @@ class FrameReplay(ReplayBuffer):
         if self.groups is None:
             raise ValueError("replay holds single steps; build it with memory='groups'")
         drawn = self.groups.draw(self, max(1, round(batch_size / self.groups.length)))
-        return gather_groups(self, self.groups, *drawn)
+        return self.groups.gather(self, *drawn)
 
     def draw(self, batch_size: int) -> tuple[I64, I64]:
         """Start rows (absolute) and seats of a batch, a share of them from the steps before crashes.
 
-        Raises ValueError when fewer than two steps are kept.
+        Raises ValueError when fewer than two steps are stored.
         """
         if self.total < 2:
             raise ValueError(f"replay holds {self.total} steps; expected at least 2: raise learn.learning_starts")
@@ -368,7 +350,7 @@ class FrameReplay(ReplayBuffer):
             safe = np.where(both.any(axis=1, keepdims=True), both, safe)
         return safe
 
-    def chains(self, starts: I64, seats: I64) -> Chains:
+    def chains(self, starts: I64, seats: I64) -> _Chains:
         """Follow each start for up to n steps, to the end of its chain or the newest row whose successor is known."""
         returns = np.zeros(len(starts), dtype=np.float64)
         discounts = np.ones(len(starts), dtype=np.float64)
@@ -383,7 +365,7 @@ class FrameReplay(ReplayBuffer):
             last = np.where(alive, index, last)
             alive &= ~self.ended[rows, seats]
         at = last % self.buffer_size
-        return Chains(
+        return _Chains(
             returns=returns.astype(np.float32),
             discounts=discounts.astype(np.float32),
             terminated=self.terminated[at, seats],
@@ -391,7 +373,7 @@ class FrameReplay(ReplayBuffer):
             ended=self.ended[at, seats],
         )
 
-    def _after(self, chains: Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
+    def _after(self, chains: _Chains, seats: I64) -> dict[str, npt.NDArray[Any]]:
         rows = (chains.last + 1) % self.buffer_size
         images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
         for k in np.flatnonzero(chains.ended):
@@ -401,7 +383,7 @@ class FrameReplay(ReplayBuffer):
     def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
         """Images and vectors after the last step of a chain."""
         image, vector = self.after_end[index, int(seat)]
-        return unfolded(image, self.layout.image_bytes), vector
+        return _unfolded(image, self.layout.image_bytes), vector
 
     def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
         """Steps 0..window-1 before crashes, within their episodes and the ring."""
@@ -417,8 +399,8 @@ class FrameReplay(ReplayBuffer):
             return
         row = (self.total - 1) % self.buffer_size
         for seat in np.flatnonzero(~self.ended[row]):
-            kept_images, kept_vectors = self.expected
-            same = np.array_equal(images[seat], kept_images[seat]) and np.array_equal(vectors[seat], kept_vectors[seat])
+            next_images, next_vectors = self.expected
+            same = np.array_equal(images[seat], next_images[seat]) and np.array_equal(vectors[seat], next_vectors[seat])
             if not same:
                 self._end_chain(int(seat))
 
@@ -430,12 +412,16 @@ class FrameReplay(ReplayBuffer):
 
     def _end_chain(self, seat: int) -> None:
         self.ended[(self.total - 1) % self.buffer_size, seat] = True
-        self._keep_end(self.total - 1, seat)
+        self._store_expected(self.total - 1, seat)
 
-    def _keep_end(self, index: int, seat: int) -> None:
+    def _store_expected(self, index: int, seat: int) -> None:
         if self.expected is not None:
             images, vectors = self.expected
-            self.after_end[index, seat] = (folded(images[seat]), vectors[seat].copy())
+            self.store_end(index, seat, images[seat], vectors[seat])
+
+    def store_end(self, index: int, seat: int, image: U8, vector: F32) -> None:
+        """Store images and vectors after the last step of a chain."""
+        self.after_end[index, seat] = (_folded(image), vector.copy())
 
     def _forget(self, index: int) -> None:
         """Drop what belongs to the row that is overwritten now."""
@@ -443,3 +429,13 @@ class FrameReplay(ReplayBuffer):
             self.after_end.pop((index, seat), None)
         while self.crashes and self.crashes[0][0] <= index:
             self.crashes.popleft()
+
+
+def _folded(frame: U8) -> _Folded:
+    """A copy of one frame, or, of a large one, its blob."""
+    return pack_each(frame[None])[0] if len(frame) > PACK_ABOVE_BYTES else frame.copy()
+
+
+def _unfolded(stored: _Folded, size: int) -> U8:
+    """The frame (size,) of which `_folded` made this."""
+    return unpack_each([stored], size)[0] if isinstance(stored, bytes) else stored

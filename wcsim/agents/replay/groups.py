@@ -91,6 +91,30 @@ class Groups:
         kept = known & self._reaches_back(memory, index, seats)
         return np.stack([index[kept], seats[kept]], axis=1)
 
+    def gather(self, memory: FrameReplay, index: I64, seats: I64) -> SequenceBatch:
+        """The groups that begin at these steps, with what comes after them and before them."""
+        live = np.arange(self.length) < self.lengths(memory, index, seats)[:, None]
+        steps = index[:, None] + np.minimum(np.arange(self.length), live.sum(axis=1, keepdims=True) - 1)
+        every = np.broadcast_to(seats[:, None], steps.shape)
+        chains = memory.chains(steps.reshape(-1), every.reshape(-1))
+        shaped = {
+            name: getattr(chains, name).reshape(steps.shape) for name in ("returns", "discounts", "terminated", "last")
+        }
+        after = shaped["last"] + 1 - index[:, None]
+        states, burned = self.stored(memory, index, seats)
+        to_torch = memory.to_torch
+        return SequenceBatch(
+            observations=_observations(memory, index, seats, after.max(axis=1)),
+            states=to_torch(states, copy=False),
+            burn_in=_burn_ins(memory, index, seats, burned),
+            live=to_torch(live, copy=False),
+            actions=to_torch(memory.actions[steps % memory.buffer_size, every], copy=False),
+            returns=to_torch(shaped["returns"], copy=False),
+            discounts=to_torch(shaped["discounts"], copy=False),
+            terminated=to_torch(shaped["terminated"].astype(np.float32), copy=False),
+            after=to_torch(after, copy=False),
+        )
+
     def lengths(self, memory: FrameReplay, index: I64, seats: I64) -> I64:
         """How many steps the groups that begin there have so far, (K,)."""
         steps = index[:, None] + np.arange(self.length)
@@ -117,31 +141,6 @@ class Groups:
         first = memory.total - memory.size()
         here = index >= first
         return here & (index - self._burned(memory, np.where(here, index, first), seats) >= first)
-
-
-def gather_groups(memory: FrameReplay, groups: Groups, index: I64, seats: I64) -> SequenceBatch:
-    """The groups that begin at these steps, with what comes after them and before them."""
-    live = np.arange(groups.length) < groups.lengths(memory, index, seats)[:, None]
-    steps = index[:, None] + np.minimum(np.arange(groups.length), live.sum(axis=1, keepdims=True) - 1)
-    every = np.broadcast_to(seats[:, None], steps.shape)
-    chains = memory.chains(steps.reshape(-1), every.reshape(-1))
-    shaped = {
-        name: getattr(chains, name).reshape(steps.shape) for name in ("returns", "discounts", "terminated", "last")
-    }
-    after = shaped["last"] + 1 - index[:, None]
-    states, burned = groups.stored(memory, index, seats)
-    to_torch = memory.to_torch
-    return SequenceBatch(
-        observations=_observations(memory, index, seats, after.max(axis=1)),
-        states=to_torch(states, copy=False),
-        burn_in=_burn_ins(memory, index, seats, burned),
-        live=to_torch(live, copy=False),
-        actions=to_torch(memory.actions[steps % memory.buffer_size, every], copy=False),
-        returns=to_torch(shaped["returns"], copy=False),
-        discounts=to_torch(shaped["discounts"], copy=False),
-        terminated=to_torch(shaped["terminated"].astype(np.float32), copy=False),
-        after=to_torch(after, copy=False),
-    )
 
 
 def _observations(memory: FrameReplay, index: I64, seats: I64, last: I64) -> Tensors:

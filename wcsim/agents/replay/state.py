@@ -7,16 +7,18 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import zstandard
 
-from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.disk_store import DiskFrames
+from wcsim.agents.replay.frame_store import LEVEL
 from wcsim.agents.replay.groups import Groups
+from wcsim.types import U8
 
 Arrays = dict[str, npt.NDArray[Any]]
 
 _PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
 _SLICE = 512  # steps read at once
+_CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 
 def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
@@ -28,9 +30,9 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     index = first + np.arange(size)
     rows = index % replay.buffer_size
     blobs: list[bytes] = []
-    for seat in range(replay.n_envs if replay.disk is None else 0):
+    for seat in range(replay.n_envs):
         for k in range(0, size, _SLICE):
-            blobs += frame_store.pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
+            blobs += _pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
     ends = sorted(replay.after_end)
     end_images = [replay.observation_after_end(*key)[0] for key in ends]
@@ -38,9 +40,6 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
     if replay.advice is not None:
         arrays.update(replay.advice.arrays(rows))
     arrays.update(_group_arrays(replay))
-    if replay.disk is not None:  # the frames stay where they are
-        replay.disk.sync()
-        arrays["disk"] = np.array(_on_disk(replay.disk, replay.total, size, replay.n_envs), np.int64)
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
     arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
     arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
@@ -56,7 +55,7 @@ def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: Non
 
 
 def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
-    """Where the window of a step does not follow from the steps that are kept: (absolute index, seat)."""
+    """Where the window of a step does not follow from the stored steps: (absolute index, seat)."""
     first = replay.total - replay.size()
     cut = range(first, min(first + replay.layout.window - 1, replay.total))  # frames of steps that are forgotten
     return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
@@ -76,19 +75,9 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
     }
 
 
-def _on_disk(disk: DiskFrames, total: int, size: int, seats: int) -> list[int]:
-    """The first of the frames on disk that a memory of these steps needs, the one after its last, and their seal."""
-    first, stop = (total - size) * seats, total * seats
-    return [first, stop, disk.seal(first, stop)]
-
-
-def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
-    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type.
-
-    Raises PolicyError when its frames are on disk and not all there.
-    """
-    size = _steps_kept(replay, arrays)
-    _require_frames(replay, arrays, size)
+def check_fit(replay: FrameReplay, arrays: Arrays) -> None:
+    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
+    size = _stored_steps(replay, arrays)
     arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
     arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
     for name, (shape, kind) in _expected(replay, arrays, size).items():
@@ -102,21 +91,11 @@ def require_fit(replay: FrameReplay, arrays: Arrays) -> None:
         raise ValueError("replay: its frames have other lengths than it says")
 
 
-def _require_frames(replay: FrameReplay, arrays: Arrays, size: int) -> None:
-    if ("disk" in arrays) != (replay.disk is not None):
-        kept, wanted = ("disk", "memory") if "disk" in arrays else ("memory", "disk")
-        raise ValueError(f"replay: its frames were kept with learn.replay_store={kept}; this is {wanted}")
-    if replay.disk is not None:
-        total = int(arrays["total"][0])
-        if arrays["disk"].tolist() != _on_disk(replay.disk, total, size, replay.n_envs):
-            raise ValueError("replay: the frames on disk are not those that it was saved with")
-
-
-def _steps_kept(replay: FrameReplay, arrays: Arrays) -> int:
-    told = arrays["total"]
-    if told.dtype != np.int64 or told.shape != (2,):
-        raise ValueError(f"replay has counts {told.dtype} {told.shape}; expected two numbers")
-    total, size = (int(value) for value in told)
+def _stored_steps(replay: FrameReplay, arrays: Arrays) -> int:
+    counts = arrays["total"]
+    if counts.dtype != np.int64 or counts.shape != (2,):
+        raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
+    total, size = (int(value) for value in counts)
     if not 0 <= size <= total or size != min(total, replay.buffer_size):
         raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
     return size
@@ -150,7 +129,7 @@ def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[in
 
 
 def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
-    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`require_fit`).
+    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`check_fit`).
 
     A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
     `alive` is called now and then.
@@ -169,15 +148,11 @@ def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obje
     if replay.groups is not None:
         keys = map(tuple, arrays["state_at"].tolist())
         replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
-    if replay.disk is None:
-        _restore_frames(replay, arrays, index, alive)
-    else:
-        replay.disk.cut(total * replay.n_envs)
-        replay.windows.attach(total - size, replay.episode_step[rows] == 0)
+    _restore_frames(replay, arrays, index, alive)
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
-        replay.after_end[int(step), int(seat)] = (frame_store.folded(image), vector)
+        replay.store_end(int(step), int(seat), image, vector)
     for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
         for seat in np.flatnonzero(replay.terminated[rows[k]]):
             replay.crashes.append((total - size + int(k), int(seat)))
@@ -195,7 +170,7 @@ def _restore_frames(
     each = len(blobs) // replay.n_envs  # one seat after the other
     at = 0
     for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
-        frames = np.stack([frame_store.unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
+        frames = np.stack([_unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
         for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
             fresh = replay.episode_step[step % replay.buffer_size] == 0
             replay.windows.write_newest(int(step), frame, fresh)
@@ -203,3 +178,17 @@ def _restore_frames(
         alive()
     if at != len(index):
         raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")
+
+
+def _pack(frames: U8) -> list[bytes]:
+    """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
+    packer = zstandard.ZstdCompressor(level=LEVEL)
+    return [packer.compress(frames[k : k + _CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), _CHUNK_FRAMES)]
+
+
+def _unpack(blobs: list[bytes], size: int) -> U8:
+    """What `_pack` packed, (K, size)."""
+    unpacker = zstandard.ZstdDecompressor()
+    limit = _CHUNK_FRAMES * size
+    parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
+    return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)

@@ -8,7 +8,6 @@
 - events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
 - checkpoints/: step-00005000/ ..., LATEST
 - learned_data.json: the segments of other data folders that are learned from, in rounds
-- replay/: frames that the checkpoints count on, with learn.replay_store=disk
 - policies/: phase1/, final/
 """
 
@@ -42,7 +41,7 @@ from wcsim.towns.scenario.overrides import Override
 MANIFEST, CONFIG, EVENTS = "manifest.json", "config.json", "events.jsonl"
 METRICS, STEPS = "metrics.csv", "steps.csv"
 PLANT = "plant.toml"
-_CHECKPOINTS, _POLICIES, _REPLAY = "checkpoints", "policies", "replay"
+_CHECKPOINTS, _POLICIES = "checkpoints", "policies"
 STAGES = ("phase1", "final")
 _LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
@@ -99,11 +98,6 @@ class RunFolder:
     def checkpoints(self) -> Path:
         """Where checkpoints are."""
         return self.path / _CHECKPOINTS
-
-    @property
-    def replay(self) -> Path:
-        """Where the frames of the replay memory are, when they are on disk."""
-        return self.path / _REPLAY
 
     def policy(self, stage: str) -> Path:
         """Where the policy of a stage ("phase1" or "final") is, whether it exists or not."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wcsim.agents.evaluation.suite.named_policy import is_own_class, is_plain
-from wcsim.agents.networks.names import is_own, require_named, require_network
+from wcsim.agents.networks.names import check_network, is_own, require_named
 from wcsim.agents.policy_api import VETO, without_veto
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import policy_path
@@ -39,7 +39,7 @@ def require_driver(name: str, network: str) -> None:
     require_policy(name, network)
     if not network:
         return
-    require_network(network)
+    check_network(network)
     if is_plain(name) or network_of(name) != network:
         raise PolicyError(f"--network {shown(network, 80)}: {shown(name)} does not use it; leave it out")
 

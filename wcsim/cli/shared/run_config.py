@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from wcsim.agents.networks.names import is_own, require_network
+from wcsim.agents.networks.names import check_network, is_own
 from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
@@ -284,7 +284,7 @@ def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> 
         HookError: The step hook is none.
     """
     if network:
-        require_network(network)
+        check_network(network)
     for name in rewards:
         find_reward_term(name)
     if hook:

@@ -17,8 +17,8 @@ from wcsim.agents.clients.clients_folder import (
 )
 from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, client_plan, world_order
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
-from wcsim.agents.learning.extend import extend
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
+from wcsim.agents.runs.resumed_folder import extend
 from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
@@ -89,12 +89,12 @@ def train_clients(
         terms = WorldTerms(expected=len(left), lease_s=options.lease, recovery=options.recovery)
         order = world_order(run, town.address, folder, place, terms)
         rate, paid = TickRate(), PaidTimesLog(folder.path)
-        held.callback(paid.keep)
+        held.callback(paid.save)
         with LiveTable() as table:
 
             def show(state: LaunchState) -> None:
                 paid.add(state)
-                paid.keep_each(state.elapsed_s)
+                paid.save_each(state.elapsed_s)
                 if rate.add(state):
                     note = how_it_learns(run.clients[0].config)
                     notes, told = () if run.resume else (note,), run.info.overrides
@@ -288,7 +288,7 @@ def _told(
         raise ConfigError(outcome.message)
     report = report_of(folder, run.info.seed, *seen)
     print_report(stdout_console(), report)
-    for kept in folder.kept_torn():
+    for kept in folder.truncated_parts():
         print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
     if json is not None:
         write_json(json, report.as_json())

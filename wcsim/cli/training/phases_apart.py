@@ -16,7 +16,7 @@ from rich.table import Table
 
 from wcsim.agents.clients.clients_folder import CHOICE, KPI1, SELECTION, read_choice
 from wcsim.agents.clients.group_run import Client, GroupRun
-from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS
+from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.networks.names import is_own
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json

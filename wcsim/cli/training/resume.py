@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from wcsim.agents.learning.extend import extend
 from wcsim.agents.runs.own_code import own_classes, require_own
+from wcsim.agents.runs.resumed_folder import extend
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
 from wcsim.cli.shared.common import some_words
 from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
@@ -206,4 +206,3 @@ def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
 def _another(path: Path, what: str, said: str, own: object = None) -> PolicyError:
     its = "" if own is None else f" ({own})"
     return PolicyError(f"{said}: {path} was made with another {what}{its}; resume with the same one, or leave it out")
-

@@ -292,9 +292,7 @@ def train_in(
     notes = (note,) if note else ()
     with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(run.out):
         place = beside(bar.console)
-        announce = _once(
-            lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True)
-        )
+        announce = _once(lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True))
 
         def show(now: TrainProgress) -> None:
             announce()
@@ -311,7 +309,7 @@ def train_in(
         def say(text: str) -> None:
             print(f"wcsim: {text}", file=sys.stderr)
 
-        return train(run, make_env, show, say=say)
+        return train(run, make_env, show, log=say)
 
 
 def _once(call: Callable[[], None]) -> Callable[[], None]:

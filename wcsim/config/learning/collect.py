@@ -36,4 +36,3 @@ class CollectConfig(Model):
     )
     network_share: Share = 0.75  # Share of episodes that the network drives, once there is one.
     astray_share: Share = 0.33  # Share of time with a random offset on the stick.
-    reckless_share: Share = 0.4  # Share of these offsets that are executed as they are.

@@ -46,7 +46,6 @@ class LearnConfig(Model):
     process_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == PROCESS_GROWTH_MB)] = (
         PROCESS_GROWTH_MB  # Memory in MB, beyond a full replay, after which a client's process is restarted.
     )
-    replay_store: Literal["memory", "disk"] = "memory"  # Where the frames are stored. disk: in the run folder.
     memory: Literal["steps", "groups", "windows"] = "steps"  # What the replay samples (docs/replay.md).
     group_steps: Annotated[int, Field(ge=1, le=1_000)] = 16  # Consecutive steps in a group.
     burn_in: Annotated[int, Field(ge=0, le=1_000)] = (
@@ -65,7 +64,6 @@ class LearnConfig(Model):
     margin: NotNegative = 1.0  # Weight of the margin loss towards the user's action.
     margin_fade: Share = 0.25  # Share of the second phase in which that loss fades to zero.
     precrash_share: Share = 0.25  # Share of a batch taken from steps before crashes.
-    precrash_window: Annotated[int, Field(ge=1, le=10**6)] = 20  # Steps before a crash that count for it.
     exploration: Literal["local", "uniform"] = "local"  # Explore near the user's stick, or any action.
     epsilon_start: Share = 0.2  # Share of explored steps at the start of the second phase.
     epsilon_end: Share = 0.05  # Share of explored steps at its end.
@@ -74,10 +72,6 @@ class LearnConfig(Model):
         "none"  # Whether training also uses safe actions from the oracle. Not in the paper.
     )
     aid_weight: NotNegative = 1.0  # Weight of the oracle's loss in the second phase.
-    aid_batch: Annotated[int, Field(ge=1, le=4096)] = 32  # Steps of oracle data in a batch.
-    aid_margin: NotNegative = 1.0  # Joystick distance by which an unsafe action must lose to a safe one.
-    aid_share: Share = 0.5  # Share of that batch from steps with an action that leads to a crash.
-    aid_ahead: Annotated[int, Field(ge=0, le=50)] = 0  # Steps before that in which an action already counts as unsafe.
     mirror: bool = False  # Whether half of the batches are mirrored left to right.
     tensorboard: Annotated[bool, Field(exclude_if=lambda on: not on)] = (
         False  # Whether to write TensorBoard scalars, if it is installed.

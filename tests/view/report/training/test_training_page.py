@@ -6,7 +6,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.clients_folder import create_clients_folder
-from wcsim.agents.learning.watching.metrics import COLUMNS, STEP_COLUMNS, MetricsFile
+from wcsim.agents.learning.metrics import COLUMNS, STEP_COLUMNS, MetricsFile
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main

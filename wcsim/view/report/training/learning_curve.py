@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
-from wcsim.agents.learning.watching.metrics import KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
+from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
 from wcsim.core.reading import is_file, shown_value

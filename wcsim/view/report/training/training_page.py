@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.learning.watching.metrics import KPI1_STEPS
+from wcsim.agents.learning.metrics import KPI1_STEPS
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure

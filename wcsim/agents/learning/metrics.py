@@ -1,4 +1,7 @@
-"""The logs of Q-learning: metrics.csv with a row for each episode, steps.csv with a row for each 100 steps."""
+"""The logs of Q-learning: metrics.csv with a row for each episode, steps.csv with a row for each 100 steps.
+
+The rows of metrics.csv go to TensorBoard too, where it is installed and requested (`learn.tensorboard`).
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,12 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
 
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_text, shown
-from wcsim.errors import DiskFullError, PolicyError
+from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 COLUMNS = (
     "step", "episode", "phase", "return", "length", "kpi1", "kpi1_greedy", "crashed", "crash_reason", "speed_mps",
@@ -23,6 +28,9 @@ KPI1_STEPS = 20 * ROW_STEPS  # steps that a mean of KPI 1 goes over
 STEP_COLUMNS = ("step", "phase", "kpi1_greedy", "elapsed_s_wall")
 _STEP = re.compile(r"[0-9]{1,15}", re.ASCII)
 _KIND = FileKind(what="the log of a run", limit_bytes=1 << 30, error=PolicyError)
+TENSORBOARD: Final = "tensorboard"  # in a run folder
+_TRAINS: Final = frozenset({"epsilon", "margin_weight", "loss", "max_abs_q", "updates"})
+_LEFT_OUT: Final = frozenset({"step", "episode"})
 Value = float | int | str | None
 
 
@@ -76,3 +84,52 @@ def _line(values: Iterable[object]) -> str:
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerow(values)
     return out.getvalue()
+
+
+class BoardLog:
+    """Writes each number of a row as a scalar, `episode/NAME` or `train/NAME`, at the row's step; close it."""
+
+    def __init__(self, run: Path, keep_to_step: int | None = None) -> None:
+        """Begin in a run folder, or go on there: what is after `keep_to_step` belongs to work that was lost.
+
+        Raises:
+            ConfigError: TensorBoard is not installed.
+        """
+        purge_step = None if keep_to_step is None else keep_to_step + 1
+        self._writer = _writer_class()(str(run / TENSORBOARD), purge_step=purge_step)
+
+    def add(self, row: Mapping[str, Value]) -> None:
+        """Write a row of metrics.csv; what is no number is left out."""
+        step = int(row["step"] or 0)
+        for name, value in row.items():
+            if isinstance(value, int | float) and name not in _LEFT_OUT:
+                self._writer.add_scalar(f"{'train' if name in _TRAINS else 'episode'}/{name}", value, step)
+        self._writer.flush()
+
+    def close(self) -> None:
+        """End the files."""
+        self._writer.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def check_tensorboard() -> None:
+    """Raise ConfigError when TensorBoard is not installed."""
+    _writer_class()
+
+
+def _writer_class() -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise ConfigError(
+            "learn.tensorboard=true needs a package that is not installed: python -m pip install "
+            "tensorboard, or leave it out: metrics.csv holds the same numbers"
+        ) from None
+    return SummaryWriter
