@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from wcsim.chair_check import kerbs
-from wcsim.chair_check.compare import changes
-from wcsim.chair_check.row import Row, Setup, Trial, measured
-from wcsim.chair_check.rows.kerb import RUN_UP_M
-from wcsim.chair_check.rows.table import table, too_fast, trials
+from wcsim.chair_check.kerbs import RUN_UP_M
+from wcsim.chair_check.row import Row, Setup, Trial, changes, measured
+from wcsim.chair_check.table import table, too_fast, trials
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import ConfigError, PhysicsError
@@ -46,7 +45,7 @@ def test_a_plant_declares_what_it_does_at_the_highest_kerb_that_counts_as_lowere
     setup = Setup(chair=ChairConfig(plant=plant), hz=240)
     declared = plant_spec(setup.chair).climbs
     for rises_m, run_up_m in ((declared.standstill_m, 0.0), (declared.run_up_m, RUN_UP_M)):
-        assert kerbs.climbs(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
+        assert kerbs.kerb_climbed(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
     assert KERB_STEP_M in declared.run_up_m, "the street counts on it"
 
 
