@@ -12,19 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.bridge import mirror
-from wcsim.bridge.mirror_check import MirrorCheck
+from wcsim.bridge.mirror import MirrorCheck
 from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.reaction.attention import AttentionModel, street_habits
 from wcsim.bridge.reaction.commands import Blocked, ChairInStreet, on_level
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
-from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.bridge.sumo.session import SumoSession
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
-from wcsim.physics.engine import Engine
+from wcsim.physics.engine import Engine, StreetBodies
 from wcsim.physics.kinematic_bodies import BodyPool
-from wcsim.physics.street_bodies import StreetBodies
 from wcsim.types import F64, ActorState, Ground, SignalState
 from wcsim.types.street import FLAT
 

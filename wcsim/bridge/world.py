@@ -18,24 +18,22 @@ import numpy as np
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
 from wcsim.bridge.ego.ego import XY, Ego
-from wcsim.bridge.ego.ego_slots import EgoSlots
-from wcsim.bridge.ego.hooked import hook_chair
+from wcsim.bridge.ego.ego_slots import EgoSlots, hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import in_street
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
-from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import refuse_second_world
-from wcsim.bridge.sumo.town_session import open_session, sumo_seed, warm_up, warmup_s
+from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
 from wcsim.config import RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
+from wcsim.physics.engine import StreetBodies
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.street_bodies import StreetBodies
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street

@@ -21,7 +21,7 @@ Progress = Callable[[str], None]
 _MAKERS: Final = (mass_trials, driving_trials, ramp_trials, kerb_trials)
 
 
-def trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
+def _trials(setup: Setup, only: Sequence[str] = ()) -> tuple[Trial, ...]:
     """The trials of a plant whose names begin with one of some words; all if none.
 
     Raises ConfigError or PhysicsError for a plant that cannot be.
@@ -57,7 +57,7 @@ def table(setup: Setup, only: Sequence[str] = (), workers: int = 1, progress: Pr
         ConfigError: The plant is unknown, its file is wrong, or no row begins so.
         PhysicsError: A trial gave no number.
     """
-    chosen = trials(setup, only)
+    chosen = _trials(setup, only)
     if not chosen:
         fast = too_fast(setup, only)
         what = (

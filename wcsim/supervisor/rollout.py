@@ -35,7 +35,7 @@ _MIDDLE, _HALF_L, _HALF_W = range(3)
 
 
 @exact_kernel
-def set_margins(x: float, y: float, yaw: float, hull: F64, people: F64) -> None:
+def _set_people_margins(x: float, y: float, yaw: float, hull: F64, people: F64) -> None:
     """Everybody gets a small margin, except those who stand within it already: they would forbid every move."""
     for i in range(len(people)):
         gap_m = _person_gap(x, y, yaw, hull, people[i])
@@ -199,8 +199,8 @@ def roll_out(
     Returns:
         (K,) float64.
     """
-    _set_margins(state, hull, actors)
-    set_margins(state[0], state[1], state[2], hull, people)
+    _set_actor_margins(state, hull, actors)
+    _set_people_margins(state[0], state[1], state[2], hull, people)
     start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
@@ -376,7 +376,7 @@ def _touches(
 
 
 @exact_kernel
-def _set_margins(state: F64, hull: F64, actors: F64) -> None:
+def _set_actor_margins(state: F64, hull: F64, actors: F64) -> None:
     """Others get a small margin, except those who stand within it already: they would forbid every move."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
     cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin

@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wcsim.bridge.ego.contact_ahead import meets_edge
-from wcsim.bridge.ego.crossing_button import CrossingButton
-from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
-from wcsim.bridge.ego.kerb_drop import fell
+from wcsim.bridge.ego.crossing_watch import CrossingButton, CrossingWatch, OnRoad
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
 from wcsim.bridge.ego.start_place import TakenNear, heading_rad, is_clear, require_in_town
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
@@ -30,6 +28,7 @@ from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.wheel_track import fell
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.fault import crash_words

@@ -24,7 +24,7 @@ NOTHING: F64 = np.zeros((0, 4))
 
 
 @exact_kernel
-def label_pieces(solid: Bool, labels: I32) -> int:
+def _label_pieces(solid: Bool, labels: I32) -> int:
     """Number what hangs together in an image, corners too, from 1 on; one more than the last.
 
     As OpenCV's connectedComponents, in its order (by squares of two cells), which a world would load for this alone.
@@ -110,7 +110,7 @@ class ObstacleWatch:
     def _numbered(self, solid: Bool, row0: int, col0: int) -> F64:
         """The number of the thing that each solid cell belongs to, as an image; -1 where nothing stands."""
         labels = np.zeros(solid.shape, np.int32)
-        count = label_pieces(solid, labels)
+        count = _label_pieces(solid, labels)
         numbers = np.full(solid.shape, -1.0)
         for label in range(1, count):
             cells = np.argwhere(labels == label)

@@ -19,7 +19,7 @@ from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairI
 from wcsim.bridge.reaction.conflict import lands_on, look_m
 from wcsim.bridge.reaction.driver_model import DriverPlan, WaitingTimes, braking, command, considered, perceive, waited
 from wcsim.bridge.reaction.swept_path import Brakes, OnLane, Roads, Tube, way_ahead
-from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.physics.renderer.kernels import InstanceArrays
+from wcsim.physics.renderer.kernels import InstanceArrays, place_models, put_round
 from wcsim.physics.renderer.models.catalog import Template, template_of
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
-from wcsim.physics.renderer.placing import place_models, put_round
 from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Outline, PlantState
 
 U32 = npt.NDArray[np.uint32]
@@ -78,8 +77,8 @@ def actor_instances(actors: Sequence[ActorState]) -> Instances:
     walks = template == Template.PEDESTRIAN
     speed_mps = np.hypot(v_W_mps[:, 0], v_W_mps[:, 1])
     stride_m = _STRIDE * scale_m[walks, 2]
-    template[walks] += gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks], stride_m)
-    template[walks] += POSTURES * figures(scale_m[walks, 2], seed[walks])
+    template[walks] += _gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks], stride_m)
+    template[walks] += POSTURES * _figures(scale_m[walks, 2], seed[walks])
     return Instances(
         template=template,
         p_W_m=p_W_m,
@@ -151,7 +150,7 @@ def rotation_quaternion(yaw_rad: float, pitch_rad: float, roll_rad: float) -> li
     ]
 
 
-def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F64) -> I32:
+def _gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F64) -> I32:
     """Phase (n,) in 0..3 of each walker's step, 4 for who stands.
 
     It comes from the place (n, 3) alone: one snapshot always gives one picture. The distance walked is read off along
@@ -163,7 +162,7 @@ def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F
     return np.where(speed_mps < _WALKING_MPS, STANDING, steps % GAIT_PHASES).astype(np.int32)
 
 
-def figures(height_m: F64, seed: U32) -> I32:
+def _figures(height_m: F64, seed: U32) -> I32:
     """Which figure (n,) of `templates.FIGURES` each person is: a child, or one of two kinds of grown-ups."""
     return np.where(height_m < _CHILD_BELOW_M, 2, (seed >> 13) & 1).astype(np.int32)
 

@@ -85,7 +85,7 @@ def speed_mps(axle_mps: float, wheels_mps: float) -> float:
 
 
 @exact_kernel
-def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
+def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
     """The speeds that a joystick position asks for: forward in m/s, turn to the left in rad/s.
 
     The position is pulled to the unit disc first. The faster of reference speed and speed asked for limits the turn;
@@ -102,7 +102,7 @@ def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, f
 
 
 @exact_kernel
-def motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
+def _motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
     """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
     return float(setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD]))
 
@@ -169,7 +169,7 @@ def step(
         Target speeds in rad/s and torque limits in Nm of the motors: left, right, left, right.
     """
     _damped(state, x, y, setting)
-    v_wanted, w_wanted = target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
+    v_wanted, w_wanted = _target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
     idle = v_wanted == 0.0 and w_wanted == 0.0
     state[V_REF_MPS], state[A_REF_MPS2] = follow_speed(
         state[V_REF_MPS], state[A_REF_MPS2], v_wanted, setting, setting[_DT_S]
@@ -190,6 +190,6 @@ def step(
     return (
         left,
         right,
-        motor_torque_Nm(left_radps, setting) * _steered(ahead, left - left_radps),
-        motor_torque_Nm(right_radps, setting) * _steered(-ahead, right - right_radps),
+        _motor_torque_Nm(left_radps, setting) * _steered(ahead, left - left_radps),
+        _motor_torque_Nm(right_radps, setting) * _steered(-ahead, right - right_radps),
     )

@@ -22,11 +22,17 @@ from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.registry import SensorSet
 from wcsim.physics.wheelchair import drive_controller
-from wcsim.physics.wheelchair.contacts import ContactLog, ContactPoint
-from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, SUSPECT_N, Motion, coast, is_ghost
+from wcsim.physics.wheelchair.contacts import (
+    MOST_IN_A_ROW,
+    SUSPECT_N,
+    ContactLog,
+    ContactPoint,
+    Motion,
+    coast,
+    is_ghost,
+)
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
-from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body
-from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body, urdf
 from wcsim.physics.wheelchair.wheel_track import WheelTrack
 from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
 
@@ -389,4 +395,3 @@ class Wheelchair:
             yaw_rate_radps=self._w_W_radps[2],
         )
         self._engine.tag(self.body_id, tag)
-
