@@ -70,6 +70,7 @@ class ReactingTraffic:
     def move(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
         """Carry the people's steps aside on by a tick, and make those of `read` the actors of now."""
         self.before = {actor.id: actor for actor in self.actors}
+        # The offsets first: `_take` shows people where these put them.
         self._people.update(self._level(near), self.chairs)
         self._take(near, places_W_m)
 
@@ -98,6 +99,7 @@ class ReactingTraffic:
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
         """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        # The swing-out first: the pieces of a vehicle follow the way on which its front is shown.
         return self._articulation.bent(self._wide_turns.shown(near, self._sumo.pilot))
 
     def _take(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:

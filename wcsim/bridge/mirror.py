@@ -40,6 +40,7 @@ def on_ground(actors: tuple[ActorState, ...], grid: Ground) -> tuple[ActorState,
     if not actors:
         return ()
     relief = grid.around(actors[0].p_W_m).relief
+    # Without hills one height for each actor will do, and no arrays are made.
     if relief is FLAT:
         return tuple(_put(actor, grid) for actor in actors)
     here_W_m = np.array([actor.p_W_m for actor in actors])
@@ -119,10 +120,12 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     start = old if old is not None else replace(new, p_W_m=new.p_W_m - dt_s * new.v_W_mps)
     v_W_mps = (new.p_W_m - start.p_W_m) / dt_s
     speed_mps = max(math.hypot(*start.v_W_mps.tolist()), math.hypot(*new.v_W_mps.tolist()))
-    if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:  # its body would sweep what lies between
+    # It jumped: with a velocity its body would sweep what lies between.
+    if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
     # A person's body is round; turning it would only bend the way that the velocity leads.
     turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap(new.yaw_rad - start.yaw_rad)
+    # Turned at once, as SUMO did it: with a turn rate its ends would sweep through a chair.
     if abs(turned_rad) > _SNAP_RAD:
         start, turned_rad = replace(start, yaw_rad=new.yaw_rad), 0.0
     if new.pitch_rad != start.pitch_rad:  # a body keeps its pitch through a tick
@@ -154,6 +157,7 @@ class MirrorCheck:
         if self._pool.placed == self._placed:
             raise PhysicsError("the mirror was not updated in this tick; expected one update a tick: call pool.place()")
         self._placed = self._pool.placed
+        # In turn, so that every body is measured within four ticks at a quarter of the cost.
         self._turn = (self._turn + 1) % EVERY
         _check_mirror(self._pool, actors, self._turn, EVERY)
 
@@ -181,6 +185,7 @@ def _check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, 
         px, py, pz = actor.p_W_m.tolist()
         error_m = math.hypot(x - px, y - py, z - pz)
         askew = actor.kind not in UPRIGHT and abs(frames.wrap(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
+        # Written so that a distance that is not a number fails, too.
         if askew or not error_m <= _TOLERANCE_M:
             raise PhysicsError(
                 f"actor {actor.id!r} is at {actor.p_W_m.round(3)}, yaw {actor.yaw_rad:.3f}, its body {error_m:.3f} m "

@@ -75,6 +75,7 @@ class _TileLoader:
             for key in under:
                 laid.lay(key, partial(self._tiles.mesh, key))
             if len(laid.keys) > MOST_TILES:
+                # Sorted: the ids of bodies must not depend on the order of a set.
                 for key in sorted(laid.keys.difference(self._tiles.near(places_W_m, ENGINE_KEEP_M))):
                     laid.lift(key)
             if not drawn:
@@ -266,7 +267,7 @@ class World(Closing):
     def go_blind(self) -> None:
         """Draw no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
         self._blind = True
-        self._rig.shut_eyes()
+        self._rig.freeze_pictures()
 
     def drop_step_limits(self) -> None:
         """Let no episode end by its steps any more: for who asks how a street goes on."""
@@ -279,6 +280,7 @@ class World(Closing):
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
+            # All chairs before each step and all after it: none is driven by what another one did in the same step.
             for _ in range(round(self.config.world.tick_s / engine.step_s)):
                 for seat in self.seats:
                     seat.chair.before_step()
@@ -292,8 +294,10 @@ class World(Closing):
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
+        # Users look while the pictures are drawn: neither changes what the other one sees.
         scenes = self._shoot(self.seats, out, first=False, meanwhile=self._users_look)
         clients = tuple(self._client(seat, scenes[seat.index]) for seat in self.seats)
+        # New episodes come last: what ends an episode is seen in the street as it was then.
         over = {c.seat for c in clients if c.events.crashed or c.events.truncated}
         ended = tuple(seat for seat in self.seats if seat.index in over)
         first = {client.seat: client for client in self._open_episodes(ended, out)}
@@ -426,6 +430,7 @@ class World(Closing):
             signals=self._open.traffic.signals,
             clients=clients,
         )
+        # Put in last, as the hash is taken of all the rest.
         return replace(bare, state_hash=state_hash(bare))
 
     @property

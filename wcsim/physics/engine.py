@@ -46,10 +46,12 @@ def _tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
         faces: Vertex indices (F, 3).
     """
     used, local = np.unique(faces, return_inverse=True)
+    # A cell of a grid is one vertex: no search for neighbours, and no chain of close points that become one.
     keys = np.rint(vertices_m[used] / WELD_M).astype(np.int64)
     _, first, weld = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     welded = weld.reshape(-1)[local.reshape(faces.shape)]
     points = vertices_m[used][first]
+    # Measured after the welding, which itself makes triangles flat.
     keep = _height_m(points, welded) >= _MIN_HEIGHT_M
     return _compact(points, welded[keep])
 
@@ -62,6 +64,7 @@ def _split(soup: _Soup) -> Iterator[_Soup]:
         return
     centre = soup.vertices_m[soup.faces].mean(axis=1)
     axis = int(np.argmax(np.ptp(centre, axis=0)))
+    # Stable: faces with the same centre fall into the same half on every machine.
     order = np.argsort(centre[:, axis], kind="stable")
     half = len(order) // 2
     for part in (order[:half], order[half:]):
@@ -152,7 +155,7 @@ class Engine:
     """
 
     def __init__(self, step_s: float, solver_iterations: int = 50) -> None:
-        _require_sane(step_s)
+        _check_step(step_s)
         if solver_iterations < 1:
             raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")
         client = pybullet.connect(pybullet.DIRECT)
@@ -168,6 +171,7 @@ class Engine:
         pybullet.setTimeStep(step_s, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             numSolverIterations=solver_iterations,
+            # Bullet sorts its pairs of bodies, so that one history always gives the contacts in one order.
             deterministicOverlappingPairs=1,
             contactBreakingThreshold=_CONTACT_BREAKING_M,
             enableFileCaching=0,
@@ -196,7 +200,7 @@ class Engine:
     def set_step(self, step_s: float) -> None:
         """Step so far from now on; wheelchairs must be told as well. Raises PhysicsError for a step out of bounds."""
         if step_s != self._step_s:
-            _require_sane(step_s)
+            _check_step(step_s)
             self._step_s = step_s
             pybullet.setTimeStep(step_s, physicsClientId=self.client)
 
@@ -215,6 +219,7 @@ class Engine:
         face_role = role_by_class[mesh.face_class]
         return tuple(
             self._laid(self._street_shape(soup), role)
+            # Role by role, so that the bodies of a mesh get their ids in the same order in every run.
             for number, role in enumerate(Role)
             for soup in _street_parts(vertices, faces[face_role == number])
         )
@@ -333,7 +338,7 @@ def role_of_class(class_id: int) -> Role:
     return _ROLE_OF_CLASS.get(class_id, Role.STATIC)
 
 
-def _require_sane(step_s: float) -> None:
+def _check_step(step_s: float) -> None:
     if not 1 / 1000 <= step_s <= 1 / 100:
         raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
 

@@ -100,6 +100,7 @@ def _runs_into_any_way(
                 or (back_mps != 0.0 and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, back_mps))
             ):
                 return True
+            # A person who stands has no slower pace to try.
             if one[PAHEAD_MPS] == 0.0:
                 break
     return False
@@ -216,7 +217,8 @@ def roll_out(
         if len(near):
             let_go_s = _let_go(state, waiting, commands[k], limits, hull, near, tick_s)
             first_s[k] = min(first_s[k], let_go_s)
-        if first_s[k] <= len(waiting) * STEP_S:  # before any command begins
+        # It goes wrong before any command begins, so it does with every one of them.
+        if first_s[k] <= len(waiting) * STEP_S:
             first_s[:] = first_s[k]
             break
     return first_s
@@ -287,6 +289,7 @@ def _one(
     now = np.empty(len(wheels), np.int64)
     waits = len(waiting)
     for i in range(waits + _most_steps(limits)):
+        # A hair less: rounding of the product must not add a step.
         held = (i - waits) * STEP_S < HOLD_S - 1e-9
         if not held and v == 0.0 and abs(w) < 1e-3:
             break
@@ -333,6 +336,7 @@ def _moved(
     v_before, yaw_before = v, yaw
     v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
     yaw += w * STEP_S
+    # Mean speed along the mean heading: with those of one end the way would err by the first order of the step.
     way = 0.5 * (v_before + v) * STEP_S
     x += way * math.cos(0.5 * (yaw_before + yaw))
     y += way * math.sin(0.5 * (yaw_before + yaw))

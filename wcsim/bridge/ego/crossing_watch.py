@@ -182,5 +182,6 @@ class CrossingButton:
             return None
         if not self._pressed and abs(speed_mps) > STANDS_MPS:
             self._since_s = time_s
+        # Times are sums of ticks: without the hair rounding could put the press off by a tick.
         self._pressed = self._pressed or time_s - self._since_s >= self._after_s - 1e-6
         return GreenRequest(tls_id=here.tls_id, links=here.tls_links) if self._pressed else None

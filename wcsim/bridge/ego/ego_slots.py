@@ -43,7 +43,7 @@ class EgoSlots:
 
     def at(self, number: int) -> Ego:
         """The seat of this number. Raises ProtocolError when it is free or not there."""
-        self._require(number)
+        self._check(number)
         seat = self._find(number)
         if seat is None:
             raise ProtocolError(f"seat {number} is free; expected one of {[seat.index for seat in self.present]}")
@@ -63,7 +63,7 @@ class EgoSlots:
             ProtocolError: the seat is taken or not there.
             ConfigError: the spec holds something that cannot be used.
         """
-        self._require(number)
+        self._check(number)
         if self._find(number) is not None:
             raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
         seat = self._seat(number, spec)
@@ -96,7 +96,7 @@ class EgoSlots:
     def _free(self) -> list[int]:
         return [number for number in range(len(self._begun)) if self._find(number) is None]
 
-    def _require(self, number: int) -> None:
+    def _check(self, number: int) -> None:
         if not 0 <= number < len(self._begun):
             raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")
 

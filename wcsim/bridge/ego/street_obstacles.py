@@ -103,6 +103,7 @@ class ObstacleWatch:
         points, things = points[near], numbers[rows[near], cols[near]]
         along_m = route.arc_m[piece][gap_m[near].argmin(axis=1)]
         _, keep = np.unique(np.floor(points / THIN_M).astype(np.int64), axis=0, return_index=True)
+        # In the order of the way, as `on_way` bisects it; stable, so that ties stay in the order of the squares.
         keep = keep[np.argsort(along_m[keep], kind="stable")]
         found = np.c_[points[keep], np.full(len(keep), 0.1), things[keep]]
         return along_m[keep].tolist(), np.asarray(found, np.float64)
@@ -117,6 +118,7 @@ class ObstacleWatch:
             squares = (cells + np.array([row0, col0])) // KEY_CELLS
             keys = {(int(row), int(col)) for row, col in np.unique(squares, axis=0)}
             known = [self._numbers[key] for key in keys if key in self._numbers]
+            # Parts that turn out to hang together take the smallest number: it was given first.
             number = min(known, default=self._next)
             self._next += not known
             self._numbers.update(dict.fromkeys(keys, number))

@@ -54,6 +54,7 @@ def _first_touching_poses(
     out[:] = -1
     low, high = 0.0, 0.0
     moving = chair[6] ** 2 + chair[7] ** 2 > 0.01
+    # A chair that moves may be anywhere on its way when the body arrives: four places stand for that way.
     views = 4 if moving else 1
     missing = len(gaps_m)
     reach = long + wide + gaps_m[-1] + chair[4] + chair[5] + abs(left_m) + 2.0 * long * abs(skew)
@@ -68,6 +69,7 @@ def _first_touching_poses(
         for view in range(views):
             ahead_s = until_s * view / 3.0
             cx, cy = chair[0] + chair[6] * ahead_s, chair[1] + chair[7] * ahead_s
+            # From the widest gap down: a body that is clear with this one is clear with every smaller one.
             for j in range(len(gaps_m) - 1, -1, -1):
                 if out[j] >= 0:
                     continue
@@ -135,6 +137,7 @@ def room_beside(touch: SweptOverlap, width_m: float, lane_width_m: float) -> tup
     if right_room >= width_m + ROOM_M:
         gap_m = min(WIDEST_M, right_room - width_m - EDGE_M)
         places.append(touch.right_m - gap_m - 0.5 * width_m)
+    # The sort is stable: of two places equally near the one left of the chair is first.
     return tuple(sorted(places, key=abs))
 
 
@@ -199,6 +202,7 @@ class ConflictCheck:
         body = 0.5 * long_m, 0.5 * width_m, left_m, 0.0 if straight else self.skew
         span = max(0, self.now), last
         careful = _first_touches(self.tube.poses, span, body, gaps_m, self.row, pace, SOONER_S)
+        # With time to spare only while there is room to stop: a vehicle that cannot may be gone in time.
         if self._stands or self._can_stop(careful.at[1]):
             return careful
         return _first_touches(self.tube.poses, span, body, gaps_m, self.row, pace)

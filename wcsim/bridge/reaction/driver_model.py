@@ -153,6 +153,7 @@ def considered(before: DriverPlan, it: _Encounter, roads: Roads, impatient: bool
         could_pass=before.could_pass or passing.possible or steering.resumed,
         toward=before.toward if steering.lane_index is None else (it.here.edge_id, steering.lane_index),
     )
+    # Through a narrow gap it goes straight on: a body that moves over turns in it.
     return plan if narrow_mps is None else plan._replace(lane_index=None, aside_m=0.0)
 
 

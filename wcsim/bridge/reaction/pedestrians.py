@@ -170,6 +170,7 @@ def _ways_round(blocks: Sequence[_Block], now_m: float) -> Iterable[float]:
         for m in (0.0, now_m, *ends)
         if abs(m) <= FURTHEST_M and not any(block.blocks(m) or block.parts(now_m, m) for block in blocks)
     }
+    # Of ways that cost the same the one further to the right is first: it is the smaller number.
     return sorted(free, key=lambda m: (_cost(m, now_m), m))
 
 
@@ -234,6 +235,7 @@ class PedestrianAvoidance:
         if not (crowd or self._standing_s):
             return ()
         for walker in crowd:
+            # As fast as SUMO drives them: the velocity that is shown has the step aside in it.
             walker.speed_mps = self._speeds.get(walker.id, walker.speed_mps)
         boxes = self._boxes(chairs, self._tick_s)
         vehicles = vehicles_near(actors, crowd) if self._offsets else []
@@ -266,9 +268,10 @@ class PedestrianAvoidance:
         self._bare, self._speeds = bare, {walker.id: walker.speed_mps for walker in crowd}
         for walker in crowd:
             self._stay_clear(walker, boxes, crowd, vehicles)
+        # The nearer to a chair, the earlier: the others see where these have gone. The id decides between equals.
         for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):
-            wish_m = self._wish(walker, boxes, crowd, vehicles)
-            self._move(walker, wish_m, boxes, crowd, vehicles)
+            desired_m = self._desired_left_m(walker, boxes, crowd, vehicles)
+            self._move(walker, desired_m, boxes, crowd, vehicles)
         self._offsets = {walker.id: (walker.ox, walker.oy) for walker in crowd if walker.aside}
         self._places = {walker.id: walker.at for walker in crowd}
         self._seen = {actor.id for actor in actors}
@@ -309,7 +312,7 @@ class PedestrianAvoidance:
         crowd: Sequence[Walker],
         vehicles: Sequence[Vehicle],
     ) -> bool:
-        if any(gap_to_box(*at, *box) < walker.radius_m for box in _heeded(chairs, walker)):
+        if any(gap_to_box(*at, *box) < walker.radius_m for box in _noticed_boxes(chairs, walker)):
             return True
         if walker.aside and any(
             gap_to_box(*at, *vehicle.box) < walker.radius_m for vehicle in near(vehicles, *at) if not vehicle.moves
@@ -331,8 +334,9 @@ class PedestrianAvoidance:
         x, y = walker.at
         reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
         nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
-        for box in _heeded(chairs, walker):
+        for box in _noticed_boxes(chairs, walker):
             gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
+            # Only a step that leads nearer is held up: who is too near already may walk away.
             if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
                 side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
                 if _block_around(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
@@ -352,7 +356,7 @@ class PedestrianAvoidance:
         )
         return VEHICLE if hits else None
 
-    def _wish(
+    def _desired_left_m(
         self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> float:
         """How far left of its line this person would like to be now."""
@@ -389,7 +393,7 @@ class PedestrianAvoidance:
             _block_around(
                 walker.x, walker.y, walker.cos, walker.sin, box, walker.radius_m + gap_m, walker.radius_m + BEHIND_M
             )
-            for box in _heeded(chairs, walker)
+            for box in _noticed_boxes(chairs, walker)
         ]
         return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
 
@@ -399,6 +403,7 @@ class PedestrianAvoidance:
         for other in crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
                 continue
+            # The one nearer to a chair goes first, so of two people one makes room and never both.
             if (other.chair_m, other.id) > (walker.chair_m, walker.id) and other.id not in self._standing_s:
                 continue
             along = walker.cos * other.cos + walker.sin * other.sin
@@ -431,16 +436,16 @@ class PedestrianAvoidance:
     def _move(
         self,
         walker: Walker,
-        wish_m: float,
+        desired_m: float,
         chairs: Sequence[_Chair],
         crowd: Sequence[Walker],
         vehicles: Sequence[Vehicle],
     ) -> None:
         """One tick's step of the offset, unless it leads too near to somebody or off the walkable ground."""
-        wx, wy = -wish_m * walker.sin - walker.ox, wish_m * walker.cos - walker.oy
+        wx, wy = -desired_m * walker.sin - walker.ox, desired_m * walker.cos - walker.oy
         length_m = math.hypot(wx, wy)
         if length_m < 1e-9:
-            if not wish_m:
+            if not desired_m:
                 walker.ox = walker.oy = 0.0
             return
         share = min(1.0, SIDESTEP_MPS * self._tick_s / length_m)
@@ -453,9 +458,10 @@ class PedestrianAvoidance:
         if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
             return
         walker.ox, walker.oy = (
-            (-wish_m * walker.sin, wish_m * walker.cos) if share >= 1.0 else (nx - walker.x, ny - walker.y)
+            (-desired_m * walker.sin, desired_m * walker.cos) if share >= 1.0 else (nx - walker.x, ny - walker.y)
         )
-        if share >= 1.0 and not wish_m:
+        # Exactly nothing: a rest of rounding would keep this person aside for ever.
+        if share >= 1.0 and not desired_m:
             walker.ox = walker.oy = 0.0
 
     def _crowded(
@@ -506,7 +512,7 @@ class PedestrianAvoidance:
         return replace(actor, p_W_m=np.array([x + ox, y + oy, z]), deflect_m=left_m)
 
 
-def _heeded(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
+def _noticed_boxes(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
     """The chairs that this person notices."""
     return [chair.box for chair in chairs if chair.people.looks(walker.id)]
 

@@ -152,6 +152,7 @@ def _cheapest(off_m2: F64, now_m: F64, lag: int, held: int) -> F64:
     for place in range(held):
         cost[place, states != first[place]] = np.inf
     chosen = (_path(cost, held) - _STATES) * SIDE_STEP_M
+    # To the bit what was driven, which need not be a whole number of steps.
     chosen[:held] = now_m[:held]
     return chosen
 
@@ -167,6 +168,7 @@ def _path(cost: F64, held: int) -> F64:
         for state in range(states):
             best, step = total[state], 0
             for side in (-1, 1):
+                # Strictly cheaper: at a tie the line goes on as it is.
                 if 0 <= state + side < states and total[state + side] + STEER_COST < best:
                     best, step = total[state + side] + STEER_COST, side
             if place < held and best == np.inf:  # what was driven is what it was, however steep
@@ -286,8 +288,10 @@ class SwingOut:
         old = self._driven.get(actor.id)
         front_W_m = _front(actor)
         speed_mps = float(np.linalg.norm(actor.v_W_mps))
+        # A vehicle that stands stays where it is shown, to the bit.
         if old is not None and np.array_equal(front_W_m, old.front_W_m):
             return replace(old, speed_mps=speed_mps)
+        # After a jump of SUMO what it drove before says nothing of where it is.
         if old is not None and math.dist(front_W_m, old.front_W_m) > speed_mps * self._tick_s + JUMP_M:
             old = None
         way, aside_m, left = self._aside(actor, roads, old)

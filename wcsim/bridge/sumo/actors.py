@@ -161,10 +161,12 @@ class ActorReader:
         """
         if not len(near_W_m):
             return ()
+        # Other places, a jump, or a second question in one step: the lists of who is due are used up or wrong.
         elsewhere = moved(near_W_m, self._from_W_m, _MOVED_M) or radius_m != self._within_m
         if elsewhere or self._unsure or self._asked_at == self._step:
             self._due, self._unsure = {}, False
         self._from_W_m, self._within_m, self._asked_at = near_W_m.copy(), radius_m, self._step
+        # People first: "p:" comes before "v:", so the two sorted parts are sorted as a whole.
         people = self._found("p:", self._api.person, near_W_m, radius_m)
         return self._states(people, "p:") + self._states(self._found("v:", self._api.vehicle, near_W_m, radius_m), "v:")
 
@@ -186,6 +188,7 @@ class ActorReader:
         asked = [name for step in [step for step in due if step <= self._step] for name in due.pop(step)]
         (first_x, first_y), *others = chairs
         found, soon, closing_m, place_of = [], [], self._closing_m[kind], domain.getPosition3D
+        # A name may stand in the lists of two steps: it is asked for once, in the order of the steps.
         for name in dict.fromkeys(asked):
             try:
                 x, y, z = place_of(name)

@@ -137,19 +137,21 @@ class SumoSession(Closing):
 
         `chairs` are those before the step; they are asked for only where there is a hook.
         """
-        told = () if self._hook is None else chairs()
+        hook_chairs = () if self._hook is None else chairs()
         if self._hook is not None:
-            self._hook.before_step(self.time_s(), told)
+            self._hook.before_step(self.time_s(), hook_chairs)
         self._guarded(libsumo.simulationStep)
         if self._hook is not None:
-            self._hook.after_step(self.time_s(), told)
+            self._hook.after_step(self.time_s(), hook_chairs)
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
+        # After a jump an actor may be nearer than its speed allows: the reader looks at all of them again.
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
         self._teleports = len(jammed)
         pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
+        # SUMO lists a collision in every step that it lasts: only new pairs count.
         self._collisions = len(pairs - self._colliding)
         self._colliding = pairs
         self._so_far = (self._so_far[0] + self._teleports, self._so_far[1] + self._collisions)
@@ -159,7 +161,8 @@ class SumoSession(Closing):
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
-        self._guarded(libsumo.simulationStep)  # a drain step: libsumo can crash when it is loaded over pending commands
+        # A drain step: libsumo can crash when it is loaded over pending commands.
+        self._guarded(libsumo.simulationStep)
         self._options = replace(self._options, seed=seed)
         self._reader.forget()
         self.pilot.forget()
@@ -191,7 +194,7 @@ class SumoSession(Closing):
         self._reader.forget_actor(actor_id)
 
     def collisions(self) -> int:
-        """Collisions among SUMO's own vehicles and persons that began in the last step, each told once."""
+        """Collisions among SUMO's own vehicles and persons that began in the last step, each counted once."""
         return self._collisions
 
     def mishaps(self) -> tuple[int, int]:

@@ -45,6 +45,7 @@ def _towards_green(program: Program, now: int, links: Sequence[int]) -> int | No
     if program[now].shows.frees(links):
         return None
     first_of = {now: now}
+    # Breadth first: the first phase found that frees them all is the one fewest phases away.
     open_phases = deque([now])
     while open_phases:
         here = open_phases.popleft()
@@ -74,6 +75,7 @@ class SignalControl:
 
         Of several requests to one light the first is heard, until it has green.
         """
+        # Reversed, so that the first of several requests to one light is the one that stays.
         for tls_id, request in {request.tls_id: request for request in reversed(requests)}.items():
             try:
                 self._ask(tls_id, request.links)

@@ -67,6 +67,7 @@ def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ())
 
 def actor_instances(actors: Sequence[ActorState]) -> Instances:
     """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint and a tram has one."""
+    # A checksum and not `hash`, which differs from process to process.
     seed = np.array([zlib.crc32(a.whole_id.encode()) for a in actors], np.uint32)
     p_W_m, v_W_mps = _rows([actor.p_W_m for actor in actors]), _rows([actor.v_W_mps for actor in actors])
     yaw_rad = np.array([actor.yaw_rad for actor in actors], np.float64)
@@ -100,6 +101,7 @@ def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
         template=np.full(len(chairs), Template.WHEELCHAIR, np.int32),
         p_W_m=np.array(places, np.float64).reshape(-1, 3),
         yaw_rad=np.array([math.atan2(R[1, 0], R[0, 0]) for R in turns], np.float64),
+        # Rounding may leave a sine a hair beyond 1.
         pitch_rad=np.array([math.asin(min(1.0, max(-1.0, R[2, 0]))) for R in turns], np.float64),
         roll_rad=np.array([math.atan2(R[2, 1], R[2, 2]) for R in turns], np.float64),
         scale_m=np.array(sizes_m, np.float64).reshape(-1, 3),

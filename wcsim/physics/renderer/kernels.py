@@ -121,26 +121,18 @@ class Target(NamedTuple):
 
 @kernel
 def _fill(
-    x0: float,
-    y0: float,
-    w0: float,
-    x1: float,
-    y1: float,
-    w1: float,
-    x2: float,
-    y2: float,
-    w2: float,
-    class_id: int,
-    word: Word,
-    out: Target,
-) -> None:
+    x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
+    class_id: int, word: Word, out: Target,
+) -> None:  # fmt: skip
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
     if not _on_screen(x0, y0, x1, y1, x2, y2, width, height):
         return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    # A triangle seen edge-on covers no pixel, and its slopes would be infinite.
     if abs(area) < 1e-12:
         return
+    # On the screen 1/z is linear, which z is not: it is stepped along a span by additions.
     slope_x = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
     slope_y = ((w2 - w0) * (x1 - x0) - (w1 - w0) * (x2 - x0)) / area
     origin = w0 - slope_x * x0 - slope_y * y0
@@ -150,6 +142,7 @@ def _fill(
         x0, y0, x2, y2 = x2, y2, x0, y0
     if y2 < y1:
         x1, y1, x2, y2 = x2, y2, x1, y1
+    # Half-open rows and spans: a pixel on an edge that two triangles share belongs to one of them, never to both.
     first_row = max(0, int(np.ceil(y0 - 0.5)))
     last_row = min(height - 1, int(np.ceil(y2 - 0.5)) - 1)
     long_edge = (x2 - x0) / (y2 - y0)
@@ -158,6 +151,7 @@ def _fill(
     step = np.float32(slope_x)
     class_byte, face_word = np.uint8(class_id), np.uint32(word)
     painted = out.words.shape[0] > 0
+    # A pixel changes only for what is strictly nearer: of equal depths the first drawn stays.
     for row in range(first_row, last_row + 1):
         y = row + 0.5
         xa = x0 + (y - y0) * long_edge
@@ -335,6 +329,7 @@ def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
     r0, r1, r2, r3 = view.T_CW[0, 0], view.T_CW[0, 1], view.T_CW[0, 2], view.T_CW[0, 3]
     d0, d1, d2, d3 = view.T_CW[1, 0], view.T_CW[1, 1], view.T_CW[1, 2], view.T_CW[1, 3]
     kx, ky = 0.5 * width / view.focal_px, 0.5 * height / view.focal_px
+    # Lengths of the normals of the view's side planes: radii are multiplied by them, distances never divided.
     grow_x, grow_y = np.sqrt(1.0 + kx * kx), np.sqrt(1.0 + ky * ky)
     near, far = view.near_m, view.range_m
     for i in range(len(balls)):
@@ -352,6 +347,7 @@ def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
 @kernel
 def _near_first(depth: F32, range_m: float, order: I32) -> int:
     """Write the numbers of what is not OUT into `order`, near ones first to 1/BUCKETS of the range; how many."""
+    # A counting sort keeps the numbers' order within a bucket, and with it who is drawn first at equal depth.
     starts = np.zeros(BUCKETS + 1, np.int32)
     scale = BUCKETS / range_m
     for i in range(len(depth)):
@@ -417,6 +413,7 @@ def draw(
         else:
             t = actors.template[i - chunks]
             size = max(size, models.vertices_of[t + 1] - models.vertices_of[t])
+    # One workspace, large enough for everything in view: no memory is claimed while drawing.
     p, screen = np.empty((size, 3), np.float32), np.empty((3, size))
     T_CM = np.empty((3, 4))
     for k in range(count):
@@ -435,6 +432,7 @@ def draw(
         away = 0.0
         for row in range(3):
             away += (T_CM[row, 3] + 0.5 * T_CM[row, 2]) ** 2
+        # From inside, or where the near plane cuts it open, a model's back faces can be seen, too.
         solid = np.sqrt(away) > _half_diagonal(T) + 2.0 * view.near_m
         seed, lamps = actors.colour_seed[i], actors.lamps[i]
         number = i if numbered else -1

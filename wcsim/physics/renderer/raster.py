@@ -64,7 +64,8 @@ class RasterRenderer:
         actors = instances.placed
         if shown is None:
             shown = np.ones(len(instances), np.bool_)
-        if out.instance is not None:  # a word holds a row or a colour: who wants both has it drawn twice
+        # A word holds a row or a colour: for both, everything is drawn twice.
+        if out.instance is not None:
             kernels.draw(self._street, self._models, actors, shown, view, self._cull, True, target)
             _write_instances(words, out.class_id, out.instance)
         if out.instance is None or out.rgb is not None:
@@ -141,6 +142,7 @@ def _draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
     for chunk in range(len(depth)):
         size = max(size, marks.chunk_vertices[chunk + 1] - marks.chunk_vertices[chunk])
     p, screen = np.empty((size, 3), np.float32), np.empty((3, size))
+    # Copies of depth and classes are tested and written: marks change colours alone.
     beside = Target(np.float32(1.0) / out.inverse_z, np.empty_like(out.class_id), out.words)
     for chunk in range(len(depth)):
         if depth[chunk] > OUT:

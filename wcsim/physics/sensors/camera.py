@@ -289,6 +289,7 @@ class CameraRig:
             if not self._repeats(index, shutter, scene.tick)
         }
         shots = self._shots(scenes, due)
+        # Only the rasteriser draws from threads, as it lets go of the GIL.
         self._threads.run([shot.take for shot in shots if isinstance(shot.renderer, RasterRenderer)], meanwhile)
         for shot in shots:
             if not isinstance(shot.renderer, RasterRenderer):  # PyBullet's draws one picture at a time
@@ -299,7 +300,7 @@ class CameraRig:
             pairs = enumerate(self._shutters[seat])
             self._taken[seat] = (scene, tuple([_last(shutter, scene.buffers, index) for index, shutter in pairs]))
 
-    def shut_eyes(self) -> None:
+    def freeze_pictures(self) -> None:
         """Repeat the last picture of every camera from now on."""
         self._shut = True
 
@@ -319,6 +320,7 @@ class CameraRig:
             return False
         if self._shut:
             return True
+        # A key of its own beside those of the noise: losing a picture does not change any other one.
         camera, lost = self.cameras[index], child(child(shutter.key, _LOST), tick) / 2.0**64
         return tick - shutter.last.taken_tick < camera.every_ticks or lost < camera.lost_share
 

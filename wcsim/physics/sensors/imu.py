@@ -214,6 +214,7 @@ class Imu(Sensor):
         """Stand still as it is turned: no velocity, quiet filters, a tick of no samples."""
         self._rotation = motion.rotation
         self._state = np.zeros(STATE)
+        # The filters have settled on gravity: from zero they would ring at the start of every episode.
         self._state[3:6] = self._state[6:9] = self._felt_mps2 * np.array(self._rotation[6:9])
         self._tilt.reset()
         self._rows: list[float] = []
@@ -295,6 +296,7 @@ class _Errors:
         drawn = np.zeros(_DRAWS)
         if noise_key is not None:
             drawn = normals(noise_key, _DRAWS)
+            # The exact step of the process for any tick: its spread stays the same however long ticks are.
             kept = math.exp(-tick_s / self._tau_s)
             self._drifted = kept * self._drifted + math.sqrt(1.0 - kept * kept) * self._drift * drawn[6:12]
             error = self._bias + self._drifted

@@ -140,10 +140,12 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
     for row in range(height):
         if row % noise.patch_px == 0:
             for k in range(patches):
+                # One word serves a patch in all its rows: a stereo matcher loses patches, not single pixels.
                 lost[k] = _word(patch_key, row * width + k)
         v = (np.float32(row) + HALF - HALF * np.float32(height)) * per_focal
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         leftmost = np.float32(2.0 * width)
+        # From the right: what hides a pixel from the right imager stands to its right in this picture.
         for i in range(width - 1, -1, -1):
             z, q = depth_m[row, i], inverse[row, i]
             at = np.float32(i) - shift * q

@@ -56,6 +56,7 @@ class ContactLog:
         self._impulse_Ns[key] = self._impulse_Ns.get(key, 0.0) + impulse_Ns
         if body not in self._tags:
             self._tags[body] = tag
+            # By body and actor: a pooled body may be another actor's by now.
             before = self._cause_before.get((body, tag.actor_id))
             self._cause[body] = before[0] if before else _cause_of(tag, touch)
 
@@ -72,6 +73,7 @@ class ContactLog:
             for (body, part), impulse in self._impulse_Ns.items()
         ]
         kept = {key: (cause, ticks - 1) for key, (cause, ticks) in self._cause_before.items() if ticks > 1}
+        # Whoever touched in this tick counts anew; for the others the time apart runs on.
         now = {(body, tag.actor_id): (self._cause[body], self._kept_ticks) for body, tag in self._tags.items()}
         self._cause_before = {**kept, **now}
         self._impulse_Ns.clear()
@@ -108,6 +110,7 @@ def _cause_of(tag: BodyTag, touch: ContactPoint) -> Cause:
         return "other" if math.hypot(vx, vy) > math.hypot(cx, cy) else "own"
     other = vx * nx + vy * ny + tag.v_W_mps[2] * nz
     own = -(cx * nx + cy * ny + cz * nz)
+    # A tie is the chair's own: the other one did not come faster.
     return "other" if other > own else "own"
 
 

@@ -208,6 +208,7 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
     count = pybullet.getNumJoints(number, physicsClientId=client)
     links = {pybullet.getJointInfo(number, i, physicsClientId=client)[1].decode(): i for i in range(count)}
     order = {name: _JOINT_ORDER.index(_part(name)) for name in links if _part(name) in _JOINT_ORDER}
+    # Drive wheels first, then arms: `Wheelchair` takes their states by place.
     joints = sorted(order, key=lambda name: (order[name], links[name]))
     arms = [name for name in joints if _part(name) == "arm"]
     body = ChairBody(

@@ -92,6 +92,7 @@ def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
         ground: The street from above.
     """
     sank = np.zeros(p_W_m.shape[:2], np.bool_)
+    # Heights of the raster are looked up only where a wheel sank, which is hardly ever.
     if not _sank(p_W_m, speed_mps, round(WITHIN_S / SAMPLE_S), sank):
         return False
     return bool((sank & _after_edge(ground.raised_at(p_W_m))).any())
@@ -103,6 +104,7 @@ def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
     found = False
     for at in range(len(speed_mps)):
         for before in range(max(0, at - window), at):
+            # The speed before the drop counts: after a fall the chair may stand.
             if speed_mps[before] > FASTER_MPS:
                 for wheel in range(p_W_m.shape[1]):
                     if p_W_m[before, wheel, 2] - p_W_m[at, wheel, 2] > KERB_STEP_M:
