@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.chart import Line, Panel, chart
 from wcsim.bridge.world import World, as_users_wish
-from wcsim.chair_check.yard import plane_street, step_street
+from wcsim.chair_check.rig import plane_street, step_street
 from wcsim.config import CameraConfig, CameraNoiseConfig, ChairConfig, ImuConfig, RunConfig
 from wcsim.core import seeding
 from wcsim.physics.engine import Engine

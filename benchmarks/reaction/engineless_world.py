@@ -13,8 +13,7 @@ import numpy as np
 from wcsim.bridge.epoch import ReactingTraffic
 from wcsim.bridge.reaction.attention import street_habits
 from wcsim.bridge.reaction.commands import ROADWAY, ActorCommand, Blocked, ChairInStreet, is_person
-from wcsim.bridge.sumo.session import SumoOptions, SumoSession
-from wcsim.bridge.sumo.town_session import warm_up
+from wcsim.bridge.sumo.session import SumoOptions, SumoSession, warm_up
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
 from wcsim.core.closing import Closing

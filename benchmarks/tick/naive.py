@@ -18,7 +18,7 @@ from wcsim.physics.bullet import pybullet
 from wcsim.physics.renderer.tiny_renderer import projection_matrix, view_matrix
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_of
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.plant_body import urdf
 from wcsim.types import F32, F64, I32, ActorState, StreetMesh
 
 
@@ -47,9 +47,7 @@ class NaiveLoop:
         names = {pybullet.getJointInfo(self.chairs[0], i, physicsClientId=self.client)[1].decode(): i for i in joints}
         self.wheels = (names["wheel_l"], names["wheel_r"])
 
-    def tick(
-        self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]
-    ) -> list[tuple[F32, I32]]:
+    def tick(self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]) -> list[tuple[F32, I32]]:
         """One tick; for each chair depth in metres and body numbers, both (H, W)."""
         for actor in actors:
             if actor.id not in self.actors:

@@ -11,7 +11,7 @@ from tests.physics.rig import actor
 from tests.support.worlds import follow, open_world
 from tests.support.yardstick import multiple
 from wcsim.bridge import mirror
-from wcsim.bridge.mirror_check import EVERY, MirrorCheck, check_mirror
+from wcsim.bridge.mirror import EVERY, MirrorCheck, _check_mirror
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
@@ -54,7 +54,7 @@ def test_a_tick_without_an_update_raises_even_when_the_body_coasts_on(engine):
     guard.check((moved(one, 1.0),))
     for _ in range(24):
         engine.step()
-    check_mirror(pool, (moved(one, 2.0),))  # its place alone says nothing
+    _check_mirror(pool, (moved(one, 2.0),))  # its place alone says nothing
     with pytest.raises(PhysicsError, match="not updated"):
         guard.check((moved(one, 2.0),))
 
@@ -77,9 +77,9 @@ def test_a_centimetre_or_a_small_turn_is_too_much(engine, dx, turn):
     pool = BodyPool(engine)
     one = actor("v:a", 0.0, 0.0)
     tick(engine, pool, (one,), (one,))
-    check_mirror(pool, (moved(one, 0.009),))
+    _check_mirror(pool, (moved(one, 0.009),))
     with pytest.raises(PhysicsError, match="v:a"):
-        check_mirror(pool, (moved(one, dx, turn),))
+        _check_mirror(pool, (moved(one, dx, turn),))
 
 
 def test_ghosts_and_missing_bodies_are_named(engine):
@@ -87,7 +87,7 @@ def test_ghosts_and_missing_bodies_are_named(engine):
     here, gone, new = (actor(name, x, 0.0) for name, x in (("v:here", 0.0), ("v:gone", 9.0), ("v:new", 18.0)))
     tick(engine, pool, (here, gone), (here, gone))
     with pytest.raises(PhysicsError, match=r"without an actor \['v:gone'\].*without a body \['v:new'\]"):
-        check_mirror(pool, (here, new))
+        _check_mirror(pool, (here, new))
 
 
 def test_a_world_that_forgets_its_mirror_stops(corner, monkeypatch):
@@ -104,9 +104,8 @@ def test_it_costs_next_to_nothing(engine):
     actors = tuple(actor(f"v:{k:03}", 7.0 * k, 0.0) for k in range(60))
     pool.place(mirror.moves({}, actors, 0.1))
 
-
     def one_round():
         for turn in range(EVERY):
-            check_mirror(pool, actors, turn, EVERY)
+            _check_mirror(pool, actors, turn, EVERY)
 
     assert multiple(one_round) / EVERY < 0.6  # about 0.1, for 60 actors

@@ -11,7 +11,7 @@ from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.recording.fcd import write_fcd
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.recording.trace_file import read_trace
-from wcsim.bridge.town_run import TRACE, RecordOrder, as_recorded, check_mirrored, record_town
+from wcsim.bridge.town_run import TRACE, RecordOrder, _check_mirrored, as_recorded, record_town
 from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.scenario.town import find_town
@@ -35,13 +35,13 @@ def actor(name: str, x_m: float, piece: int = 0) -> ActorState:
 def test_ghosts_and_missing_actors_are_told_from_who_is_only_near_the_border():
     chairs, near, border, far = np.zeros((1, 2)), actor("v:near", 10.0), actor("v:border", 49.0), actor("v:far", 80.0)
     everyone = (near, border, far)
-    check_mirrored((near,), everyone, chairs, 50.0)
-    check_mirrored((near, border, actor("v:near~1", 6.0, piece=1)), everyone, chairs, 50.0)
+    _check_mirrored((near,), everyone, chairs, 50.0)
+    _check_mirrored((near, border, actor("v:near~1", 6.0, piece=1)), everyone, chairs, 50.0)
     with pytest.raises(SumoError, match=r"not in SUMO: v:ghost; in SUMO but not mirrored: none"):
-        check_mirrored((near, actor("v:ghost", 3.0)), everyone, chairs, 50.0)
+        _check_mirrored((near, actor("v:ghost", 3.0)), everyone, chairs, 50.0)
     with pytest.raises(SumoError, match=r"not in SUMO: none; in SUMO but not mirrored: v:near"):
-        check_mirrored((), everyone, chairs, 50.0)
-    check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
+        _check_mirrored((), everyone, chairs, 50.0)
+    _check_mirrored((), everyone, np.zeros((0, 2)), 50.0)  # no chair sees anybody
 
 
 def test_a_tram_near_a_chair_is_recorded_in_all_its_pieces_and_is_one_vehicle_of_floating_car_data(tmp_path):

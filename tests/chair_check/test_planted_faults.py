@@ -4,7 +4,7 @@ import pytest
 
 from tests.physics.wheelchair.plant_faults import FAULTS
 from wcsim.chair_check.row import Setup
-from wcsim.chair_check.rows.table import table
+from wcsim.chair_check.table import table
 from wcsim.config import ChairConfig
 
 QUICK = ("wrong gravity", "damping left on")

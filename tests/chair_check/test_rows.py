@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from wcsim.chair_check import kerbs
-from wcsim.chair_check.compare import changes
-from wcsim.chair_check.row import Row, Setup, Trial, measured
-from wcsim.chair_check.rows.kerb import RUN_UP_M
-from wcsim.chair_check.rows.table import table, too_fast, trials
+from wcsim.chair_check.kerbs import RUN_UP_M
+from wcsim.chair_check.row import Row, Setup, Trial, changes, measured
+from wcsim.chair_check.table import _trials, table, too_fast
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import ConfigError, PhysicsError
@@ -33,7 +32,7 @@ def test_some_rows_are_as_expected(plant):
 
 @pytest.mark.parametrize("plant", PLANTS)
 def test_the_table_asks_what_it_must(plant):
-    names = {trial.name for trial in trials(Setup(chair=ChairConfig(plant=plant), hz=240))}
+    names = {trial.name for trial in _trials(Setup(chair=ChairConfig(plant=plant), hz=240))}
     assert {"straight_drift_10m", "stopping_10kmh", "kerb_120mm_standstill", "event_wall_6kmh"} <= names
     assert {"tip_rear_com_50cm", "tip_lateral_com_60cm", "falls_off_30cm_at_25deg", "cross_slope_10deg"} <= names
     assert ("tip_rear_no_antitips_com_50cm" in names) == (plant == "rwd")
@@ -46,7 +45,7 @@ def test_a_plant_declares_what_it_does_at_the_highest_kerb_that_counts_as_lowere
     setup = Setup(chair=ChairConfig(plant=plant), hz=240)
     declared = plant_spec(setup.chair).climbs
     for rises_m, run_up_m in ((declared.standstill_m, 0.0), (declared.run_up_m, RUN_UP_M)):
-        assert kerbs.climbs(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
+        assert kerbs.kerb_climbed(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
     assert KERB_STEP_M in declared.run_up_m, "the street counts on it"
 
 
@@ -77,7 +76,7 @@ SLOW = Setup(chair=ChairConfig(plant=FWD, v_max_mps=1.2), hz=120)
 def test_rows_that_are_too_fast_for_a_plant_are_left_out():
     assert too_fast(SLOW) == ("cruise_road", "stopping_10kmh")
     assert too_fast(SLOW, ("stopping_6",)) == too_fast(Setup(chair=ChairConfig(), hz=120)) == ()
-    names = {trial.name for trial in trials(SLOW, ("cruise", "stopping", "pulling"))}
+    names = {trial.name for trial in _trials(SLOW, ("cruise", "stopping", "pulling"))}
     assert names == {"cruise_indoor", "cruise_pavement", "stopping_6kmh", "pulling_400N"}
     with pytest.raises(ConfigError, match="stopping_10kmh: faster than the plant"):
         table(SLOW, ("stopping_10",))
@@ -93,7 +92,7 @@ def test_the_chairs_own_settings_are_driven():
 
 @pytest.mark.parametrize(("plant", "judged"), [("rwd", True), ("mwd", True), (FWD, False)])
 def test_rows_of_another_kind_of_chair_judge_no_other(plant, judged):
-    found = trials(Setup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
+    found = _trials(Setup(chair=ChairConfig(plant=plant), hz=120), ("peak", "falls_off", "kerb", "event"))
     assert {trial.judged for trial in found if trial.bound in ("rwd, mwd", "trial")} == {judged}
     assert all(trial.judged for trial in found if trial.bound not in ("rwd, mwd", "trial"))
     words = {"name": "x", "unit": "", "bound": "trial", "low": 1.0, "high": 1.0, "method": "", "source": ""}
@@ -110,7 +109,7 @@ def test_a_chair_too_weak_to_hold_its_heading_is_told_so(tmp_path):
 
 
 def test_front_antitips_are_taken_off_to_the_front():
-    names = {trial.name for trial in trials(SLOW, ("tip",))}
+    names = {trial.name for trial in _trials(SLOW, ("tip",))}
     assert "tip_forward_no_antitips_com_50cm" in names and "tip_rear_no_antitips_com_50cm" not in names
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from wcsim.chair_check.declared import FORWARD_DOWN, LEFT_DOWN, REAR_DOWN, com_m, stand, worst_swivel_rad
+from wcsim.chair_check.declared import FORWARD_DOWN, LEFT_DOWN, REAR_DOWN, _com_m, stand, worst_swivel_rad
 from wcsim.chair_check.static_balance import Beam, Foot, Stand, SupportSpring, loads_N, rigid_tip_rad, tip_rad, uphill
 from wcsim.config import ChairConfig
 from wcsim.errors import PhysicsError
@@ -101,8 +101,8 @@ def test_forward_the_tip_line_of_the_rear_wheel_drive_is_that_of_its_trailing_ca
 
 def test_turned_casters_move_the_centre_of_mass_and_the_tip_line():
     spec = plant_spec(ChairConfig())
-    assert com_m(spec)[0] == spec.mass.com_x_m
-    assert com_m(spec, math.pi)[0] > spec.mass.com_x_m
+    assert _com_m(spec)[0] == spec.mass.com_x_m
+    assert _com_m(spec, math.pi)[0] > spec.mass.com_x_m
     ahead = tip_rad(stand(spec, math.pi), FORWARD_DOWN)
     assert ahead > tip_rad(stand(spec), FORWARD_DOWN) + 0.1
     inwards = worst_swivel_rad(spec, LEFT_DOWN)

@@ -19,7 +19,7 @@ from wcsim.core.jit import exact_kernel
 CODE = """
 import json, sys
 import numpy as np
-from wcsim.physics.wheelchair.drive_controller import target
+from wcsim.physics.wheelchair.drive_controller import _target as target
 sys.stdin.readline()
 target(1.0, 0.0, 1.0, np.linspace(0.5, 2.0, 40))
 print(json.dumps([sum(target.stats.cache_hits.values()), sum(target.stats.cache_misses.values())]))

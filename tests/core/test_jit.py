@@ -19,7 +19,7 @@ import pytest
 from numba.extending import is_jitted
 
 import wcsim
-from wcsim.bridge.reaction import overlap
+from wcsim.bridge.reaction import conflict
 from wcsim.core import boxes, jit, joystick
 from wcsim.core.files import KERNELS
 from wcsim.core.jit import exact_kernel, frozen_digest
@@ -29,8 +29,8 @@ ROOT = Path(wcsim.__file__).parent
 CODE = f"""
 import json
 import numpy as np
-from {drive_controller.__name__} import target
-from {overlap.__name__} import _touches
+from {drive_controller.__name__} import _target as target
+from {conflict.__name__} import _touches
 here, chair = np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([0.0, 0.0, 1.0, 0.0, 0.5, 0.5])
 turn = target(1.0, 0.0, 1.0, np.linspace(0.5, 2.0, 40))[1]
 apart = _touches(here, 0, 0.0, 0.0, 0.5, 0.5, chair, 9.0, 0.0)

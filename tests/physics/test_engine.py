@@ -8,7 +8,7 @@ from tests.physics.rig import flat_street, mesh, rig, step_street
 from tests.support.samples import KERB_M, strip_street
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics.engine import Engine, Role, _tidy, split
+from wcsim.physics.engine import Engine, Role, _split, _tidy
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.types import ClassId
 
@@ -37,7 +37,7 @@ def test_a_mesh_over_the_limits_is_cut_into_few_pieces(monkeypatch):
     vertices = np.concatenate([np.c_[xs, 0 * xs, 0 * xs], np.c_[xs, 0 * xs + 1, 0 * xs]])
     k = np.arange(count)
     faces = np.concatenate([np.c_[k, k + 1, k + count + 1], np.c_[k + 1, k + count + 2, k + count + 1]])
-    parts = list(split(_tidy(vertices, faces)))
+    parts = list(_split(_tidy(vertices, faces)))
     assert len(parts) == 8 and max(len(part.faces) for part in parts) <= 100
     assert sum(len(part.faces) for part in parts) == 2 * count
     sides = [np.diff(part.vertices_m[part.faces], axis=1) for part in parts]

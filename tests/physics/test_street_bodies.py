@@ -12,8 +12,7 @@ import pytest
 from tests.physics.rig import flat_street, tiled_street
 from tests.support.samples import strip_street
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.physics.engine import Engine
-from wcsim.physics.street_bodies import StreetBodies
+from wcsim.physics.engine import Engine, StreetBodies
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import Joystick, StreetMesh
 

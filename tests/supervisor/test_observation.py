@@ -14,10 +14,10 @@ from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import (
     ObservationSpec,
+    _imu_vector,
     decode_depth,
     encode_depth,
     imu_size,
-    imu_vector,
     observation_space,
     observe,
 )
@@ -130,7 +130,7 @@ def test_folding_leaves_only_classes_of_cityscapes():
 
 def test_imu_is_scaled_and_held():
     np.testing.assert_allclose(
-        imu_vector(imu((4.0, -400.0, 9.81), math.pi / 2, -math.pi / 4)), [0.1, -1.0, 0.24525, 0.5, -0.5], atol=1e-6
+        _imu_vector(imu((4.0, -400.0, 9.81), math.pi / 2, -math.pi / 4)), [0.1, -1.0, 0.24525, 0.5, -0.5], atol=1e-6
     )
 
 
@@ -139,11 +139,11 @@ def test_imu_is_scaled_and_held():
 )
 def test_turn_rates_and_heading_can_be_seen_too(gyro, yaw, size):
     felt = replace(imu(), gyro_radps=np.array([0.4, -0.8, 99.0]), yaw_rad=math.pi / 6)
-    got = imu_vector(felt, gyro, yaw)
+    got = _imu_vector(felt, gyro, yaw)
     assert got.shape == (size,) == (imu_size(gyro, yaw),)
     expected = [0.1, -0.2, 1.0] * gyro + [0.5, math.sqrt(0.75)] * yaw
     np.testing.assert_allclose(got[5:], expected, atol=1e-6)
-    np.testing.assert_array_equal(got[:5], imu_vector(imu()))
+    np.testing.assert_array_equal(got[:5], _imu_vector(imu()))
 
 
 def test_unknown_camera_and_form_are_named():

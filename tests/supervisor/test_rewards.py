@@ -11,14 +11,14 @@ from tests.support.plants import plant_state
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.rewards import (
-    accel_term,
+    _accel_term,
+    _crash_term,
+    _intensity,
+    _joystick_terms,
+    _tilt_term,
     crash_reason,
-    crash_term,
-    intensity,
     joystick_distance,
-    joystick_terms,
     reward,
-    tilt_term,
 )
 from wcsim.types import Contact, Events, ImuFrame
 
@@ -73,7 +73,7 @@ def contact(kind, part, impulse=1.0) -> Contact:
     ],
 )
 def test_joystick_rows(distance, base, joystick):
-    got = joystick_terms(distance, C)
+    got = _joystick_terms(distance, C)
     assert got == (base, pytest.approx(joystick, abs=1e-9))
 
 
@@ -90,7 +90,7 @@ def test_joystick_rows(distance, base, joystick):
     ],
 )
 def test_acceleration_rows(peak, penalty):
-    assert accel_term(np.array(peak, float), C) == pytest.approx(penalty)
+    assert _accel_term(np.array(peak, float), C) == pytest.approx(penalty)
 
 
 @pytest.mark.parametrize(
@@ -98,28 +98,28 @@ def test_acceleration_rows(peak, penalty):
     [(5, 20, 0), (12.5, 0, -1), (-12.5, 0, -1), (20, 0, -2), (0, 25, -1), (0, -30, -2), (20, 30, -4), (4.9, 19.9, 0)],
 )
 def test_tilt_rows(roll, pitch, penalty):
-    assert tilt_term(math.radians(roll), math.radians(pitch), C) == pytest.approx(penalty, abs=1e-12)
+    assert _tilt_term(math.radians(roll), math.radians(pitch), C) == pytest.approx(penalty, abs=1e-12)
 
 
 def test_a_crash_costs_100_once_and_the_terms_add_up():
     terms = reward(1.0884, imu(peak=(50, 50, 50)), plant(50, 50), events(crashed=True), C)
     assert terms.crash == -100.0
     assert terms.total == pytest.approx(0.0 - 1.0 - 6.0 - 4.0 - 100.0)
-    assert crash_term(False, C) == 0.0
+    assert _crash_term(False, C) == 0.0
     assert reward(0.1, imu(), plant(), events(), C).total == 1.0
 
 
 @given(finite, finite)
 def test_intensity_is_bounded_and_monotone(a, b):
-    low, high = sorted((intensity(a, 20.0, 40.0), intensity(b, 20.0, 40.0)))
+    low, high = sorted((_intensity(a, 20.0, 40.0), _intensity(b, 20.0, 40.0)))
     assert 0.0 <= low <= high <= 1.0
-    assert (intensity(a, 20.0, 40.0) <= intensity(b, 20.0, 40.0)) or a > b
+    assert (_intensity(a, 20.0, 40.0) <= _intensity(b, 20.0, 40.0)) or a > b
 
 
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0))
 def test_reward_never_grows_with_distance(a, b):
     near, far = sorted((a, b))
-    assert sum(joystick_terms(near, C)) >= sum(joystick_terms(far, C)) >= -2.0
+    assert sum(_joystick_terms(near, C)) >= sum(_joystick_terms(far, C)) >= -2.0
 
 
 @given(st.lists(st.floats(-200, 200), min_size=3, max_size=3), st.floats(-180, 180), st.floats(-90, 90), st.booleans())
@@ -139,7 +139,7 @@ def test_joystick_distance_ends_at_the_window(a, b, c, d):
 
 def test_empty_window_is_refused():
     with pytest.raises(ConfigError, match="low < high"):
-        intensity(1.0, 40.0, 20.0)
+        _intensity(1.0, 40.0, 20.0)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import libsumo
 import numpy as np
 
 from wcsim.bridge import mirror
-from wcsim.bridge.mirror_check import check_mirror
+from wcsim.bridge.mirror import _check_mirror
 from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.physics.engine import Engine
@@ -117,7 +117,7 @@ class MirrorLoop:
         self.pool.place(mirror.moves(before, self.actors, 0.1))
         for _ in range(self.substeps):
             self.engine.step()
-        check_mirror(self.pool, self.actors)
+        _check_mirror(self.pool, self.actors)
         return self.actors
 
 

@@ -12,19 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.bridge import mirror
-from wcsim.bridge.mirror_check import MirrorCheck
+from wcsim.bridge.mirror import MirrorCheck
 from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.reaction.attention import AttentionModel, street_habits
 from wcsim.bridge.reaction.commands import Blocked, ChairInStreet, on_level
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
-from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.bridge.sumo.session import SumoSession
 from wcsim.config import RunConfig, WorldConfig
 from wcsim.core import seeding
-from wcsim.physics.engine import Engine
+from wcsim.physics.engine import Engine, StreetBodies
 from wcsim.physics.kinematic_bodies import BodyPool
-from wcsim.physics.street_bodies import StreetBodies
 from wcsim.types import F64, ActorState, Ground, SignalState
 from wcsim.types.street import FLAT
 
@@ -71,6 +70,7 @@ class ReactingTraffic:
     def move(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:
         """Carry the people's steps aside on by a tick, and make those of `read` the actors of now."""
         self.before = {actor.id: actor for actor in self.actors}
+        # The offsets first: `_take` shows people where these put them.
         self._people.update(self._level(near), self.chairs)
         self._take(near, places_W_m)
 
@@ -99,6 +99,7 @@ class ReactingTraffic:
 
     def _shown(self, near: tuple[ActorState, ...]) -> tuple[ActorState, ...]:
         """The same actors with long vehicles as they take a bend: wide of it, and each in its rigid pieces."""
+        # The swing-out first: the pieces of a vehicle follow the way on which its front is shown.
         return self._articulation.bent(self._wide_turns.shown(near, self._sumo.pilot))
 
     def _take(self, near: tuple[ActorState, ...], places_W_m: F64) -> None:

@@ -1,19 +1,25 @@
-"""How SUMO's actors become bodies: the pose of tick n, and the velocity that carries them to n + 1.
+"""How SUMO's actors become bodies, and the guard that checks it: the pose of tick n, and the velocity to n + 1.
 
 A mass-0 body with a velocity is integrated through the substeps by the engine itself; without one, a car that hits a
 chair sinks half a metre into it before it is noticed.
+
+`MirrorCheck` compares PyBullet's bodies after every tick with where SUMO (and the deflection) put the actors. It fails
+loudly: a body that froze, a ghost that stayed, an update that was skipped would otherwise teach a network that the
+street is not what it sees.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from wcsim.bridge.reaction.wide_turns import MOST_M
 from wcsim.core import frames
-from wcsim.physics.kinematic_bodies import BodyMove
+from wcsim.errors import PhysicsError
+from wcsim.physics.kinematic_bodies import UPRIGHT, BodyMove, BodyPool
 from wcsim.types import F64, ActorKind, ActorState, Ground, Relief
 from wcsim.types.street import FLAT
 
@@ -34,6 +40,7 @@ def on_ground(actors: tuple[ActorState, ...], grid: Ground) -> tuple[ActorState,
     if not actors:
         return ()
     relief = grid.around(actors[0].p_W_m).relief
+    # Without hills one height for each actor will do, and no arrays are made.
     if relief is FLAT:
         return tuple(_put(actor, grid) for actor in actors)
     here_W_m = np.array([actor.p_W_m for actor in actors])
@@ -113,12 +120,75 @@ def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     start = old if old is not None else replace(new, p_W_m=new.p_W_m - dt_s * new.v_W_mps)
     v_W_mps = (new.p_W_m - start.p_W_m) / dt_s
     speed_mps = max(math.hypot(*start.v_W_mps.tolist()), math.hypot(*new.v_W_mps.tolist()))
-    if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:  # its body would sweep what lies between
+    # It jumped: with a velocity its body would sweep what lies between.
+    if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:
         return BodyMove(actor=new, v_W_mps=np.zeros(3), yaw_rate_radps=0.0)
     # A person's body is round; turning it would only bend the way that the velocity leads.
     turned_rad = 0.0 if new.kind is ActorKind.PEDESTRIAN else frames.wrap(new.yaw_rad - start.yaw_rad)
+    # Turned at once, as SUMO did it: with a turn rate its ends would sweep through a chair.
     if abs(turned_rad) > _SNAP_RAD:
         start, turned_rad = replace(start, yaw_rad=new.yaw_rad), 0.0
     if new.pitch_rad != start.pitch_rad:  # a body keeps its pitch through a tick
         start = replace(start, pitch_rad=new.pitch_rad)
     return BodyMove(actor=start, v_W_mps=v_W_mps, yaw_rate_radps=turned_rad / dt_s, dt_s=dt_s)
+
+
+_TOLERANCE_M = 0.01
+_TOLERANCE_RAD = 0.02
+FURTHEST_M = MOST_M + _TOLERANCE_M  # that a vehicle is shown beside SUMO's place: as far as it may swing out
+EVERY = 4  # one body in four is measured each tick, in turn; the set of bodies is compared every tick
+
+
+class MirrorCheck:
+    """Checks one body pool, tick after tick."""
+
+    def __init__(self, pool: BodyPool) -> None:
+        self._pool = pool
+        self._placed = pool.placed
+        self._turn = 0
+
+    def check(self, actors: Sequence[ActorState]) -> None:
+        """Compare the bodies with the actors of now; call it once a tick, after the substeps.
+
+        Raises:
+            PhysicsError: The pool was not updated since the last check, holds others than the actors, or a body is
+                further than 1 cm from its actor, or turned by more than 0.02 rad against it.
+        """
+        if self._pool.placed == self._placed:
+            raise PhysicsError("the mirror was not updated in this tick; expected one update a tick: call pool.place()")
+        self._placed = self._pool.placed
+        # In turn, so that every body is measured within four ticks at a quarter of the cost.
+        self._turn = (self._turn + 1) % EVERY
+        _check_mirror(self._pool, actors, self._turn, EVERY)
+
+
+def _check_mirror(pool: BodyPool, actors: Sequence[ActorState], first: int = 0, every: int = 1) -> None:
+    """Compare the set of bodies with the actors, and the places of every `every`-th one from `first` on.
+
+    Raises:
+        PhysicsError: They differ, a place by more than 1 cm, a heading by more than 0.02 rad; or a vehicle is further
+            from SUMO's own place than any swings out.
+    """
+    names, bodies = {actor.id for actor in actors}, pool.names()
+    if bodies != names:
+        raise PhysicsError(
+            f"the mirror holds {len(bodies)} bodies for {len(names)} actors: without an actor "
+            f"{sorted(bodies - names)}, without a body {sorted(names - bodies)}; expected one body for each actor"
+        )
+    for actor in actors[first::every]:
+        if actor.kind not in UPRIGHT and not abs(actor.deflect_m) <= FURTHEST_M:
+            raise PhysicsError(
+                f"vehicle {actor.id!r} is mirrored {actor.deflect_m:.3f} m beside SUMO's place; expected at most "
+                f"{FURTHEST_M} m: its swing-out is wrong"
+            )
+        x, y, z, yaw_rad = pool.pose(actor.id)
+        px, py, pz = actor.p_W_m.tolist()
+        error_m = math.hypot(x - px, y - py, z - pz)
+        askew = actor.kind not in UPRIGHT and abs(frames.wrap(yaw_rad - actor.yaw_rad)) > _TOLERANCE_RAD
+        # Written so that a distance that is not a number fails, too.
+        if askew or not error_m <= _TOLERANCE_M:
+            raise PhysicsError(
+                f"actor {actor.id!r} is at {actor.p_W_m.round(3)}, yaw {actor.yaw_rad:.3f}, its body {error_m:.3f} m "
+                f"away at ({x:.3f}, {y:.3f}, {z:.3f}), yaw {yaw_rad:.3f}; expected at most {_TOLERANCE_M} m and "
+                f"{_TOLERANCE_RAD} rad: the mirror missed an update"
+            )

@@ -14,9 +14,8 @@ import numpy as np
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of, state_hash
-from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import refuse_second_world
-from wcsim.bridge.sumo.town_session import open_session, warm_up, warmup_s
+from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.core.closing import Closing
@@ -194,7 +193,7 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
         everyone = world.everyone()
         places_W_m = np.array([c.plant.p_WB_m[:2] for c in after.clients]).reshape(-1, 2)
         if not any(client.first is not None for client in after.clients):  # a chair that was moved sees others now
-            check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
+            _check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
         writer.append(record_of(after, commands, as_recorded(after, everyone)))
         meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
         meter.add_chairs(after.clients, after.time_s)
@@ -226,7 +225,7 @@ def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[Acto
     return [_rounded(piece) for actor in everyone for piece in shown.get(actor.id, (actor,))]
 
 
-def check_mirrored(
+def _check_mirrored(
     mirrored: Sequence[ActorState], everyone: Sequence[ActorState], chairs_W_m: F64, radius_m: float
 ) -> None:
     """Compare who is mirrored with who SUMO has near the chairs (n, 2).

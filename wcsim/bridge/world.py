@@ -18,24 +18,22 @@ import numpy as np
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
 from wcsim.bridge.ego.ego import XY, Ego
-from wcsim.bridge.ego.ego_slots import EgoSlots
-from wcsim.bridge.ego.hooked import hook_chair
+from wcsim.bridge.ego.ego_slots import EgoSlots, hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import in_street
 from wcsim.bridge.recording.trace import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
-from wcsim.bridge.sumo.run_place import RunPlace
-from wcsim.bridge.sumo.session import refuse_second_world
-from wcsim.bridge.sumo.town_session import open_session, sumo_seed, warm_up, warmup_s
+from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.session import open_session, refuse_second_world, sumo_seed, warm_up, warmup_s
 from wcsim.config import RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink
+from wcsim.physics.engine import StreetBodies
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.street_bodies import StreetBodies
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
@@ -77,6 +75,7 @@ class _TileLoader:
             for key in under:
                 laid.lay(key, partial(self._tiles.mesh, key))
             if len(laid.keys) > MOST_TILES:
+                # Sorted: the ids of bodies must not depend on the order of a set.
                 for key in sorted(laid.keys.difference(self._tiles.near(places_W_m, ENGINE_KEEP_M))):
                     laid.lift(key)
             if not drawn:
@@ -268,7 +267,7 @@ class World(Closing):
     def go_blind(self) -> None:
         """Draw no pictures from now on, and say no truth: for who asks how a street goes on, where only users drive."""
         self._blind = True
-        self._rig.shut_eyes()
+        self._rig.freeze_pictures()
 
     def drop_step_limits(self) -> None:
         """Let no episode end by its steps any more: for who asks how a street goes on."""
@@ -281,6 +280,7 @@ class World(Closing):
         with self.stopwatch.measure("physics"):
             for seat, command in zip(self.seats, commands, strict=True):
                 seat.command(command.joystick)
+            # All chairs before each step and all after it: none is driven by what another one did in the same step.
             for _ in range(round(self.config.world.tick_s / engine.step_s)):
                 for seat in self.seats:
                     seat.chair.before_step()
@@ -294,8 +294,10 @@ class World(Closing):
         self._tick += 1
         for seat in self.seats:
             seat.end_tick(self._tick)
+        # Users look while the pictures are drawn: neither changes what the other one sees.
         scenes = self._shoot(self.seats, out, first=False, meanwhile=self._users_look)
         clients = tuple(self._client(seat, scenes[seat.index]) for seat in self.seats)
+        # New episodes come last: what ends an episode is seen in the street as it was then.
         over = {c.seat for c in clients if c.events.crashed or c.events.truncated}
         ended = tuple(seat for seat in self.seats if seat.index in over)
         first = {client.seat: client for client in self._open_episodes(ended, out)}
@@ -428,6 +430,7 @@ class World(Closing):
             signals=self._open.traffic.signals,
             clients=clients,
         )
+        # Put in last, as the hash is taken of all the rest.
         return replace(bare, state_hash=state_hash(bare))
 
     @property

@@ -1,1 +1,1 @@
-"""A wheelchair on the test yard, in the manner of ISO 7176: rigs, yard, scales, tilt table."""
+"""A wheelchair on a test rig, in the manner of ISO 7176: driving, kerbs, ramps, mass rig, tilt table."""

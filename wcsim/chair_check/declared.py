@@ -13,7 +13,7 @@ from wcsim.config.plant import CasterPart
 from wcsim.core.frames import rad
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import FORK_COM_M, FORK_M, PlantSpec
-from wcsim.physics.wheelchair.plant_urdf import BEAM_INERTIA_KGM2
+from wcsim.physics.wheelchair.plant_body import BEAM_INERTIA_KGM2
 from wcsim.types import F64
 
 FORWARD_DOWN: Final[Vec2] = (1.0, 0.0)
@@ -29,10 +29,10 @@ Part = tuple[float, Vec3, Vec3]  # mass in kg, centre in B, moments of inertia a
 def stand(spec: PlantSpec, swivel_rad: float = 0.0) -> Stand:
     """The chair with every caster's fork turned to an angle (0 is trailing), arms at rest."""
     feet = [*_wheels(spec), *_casters(spec, swivel_rad), *_antitips(spec)]
-    return Stand(mass_kg=spec.whole_kg, com_m=com_m(spec, swivel_rad), feet=tuple(feet))
+    return Stand(mass_kg=spec.whole_kg, com_m=_com_m(spec, swivel_rad), feet=tuple(feet))
 
 
-def com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
+def _com_m(spec: PlantSpec, swivel_rad: float = 0.0) -> Vec3:
     """Centre of mass of chair and user in B; forks and casters move it a little when they turn."""
     x, y, z = spec.mass.com_x_m, 0.0, spec.mass.com_z_m
     turned_x, turned_y = 1.0 - math.cos(swivel_rad), -math.sin(swivel_rad)
@@ -51,7 +51,7 @@ def worst_swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
 
 def inertia_kgm2(spec: PlantSpec) -> F64:
     """Moments of inertia of the whole chair about its centre of mass, along B's axes, (3,), casters trailing."""
-    about = np.array(com_m(spec))
+    about = np.array(_com_m(spec))
     total = np.zeros(3)
     for mass_kg, place, own in _parts(spec):
         arm = np.array(place) - about

@@ -1,16 +1,162 @@
-"""Kerbs: what a chair climbs and what stops it, what it feels of them, and when it falls off one."""
+"""Kerbs and their rows: what a chair climbs and what stops it, what it feels, and when it falls off one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.row import Setup
-from wcsim.chair_check.yard import FACE_X_M, FORWARD, NEUTRAL, Yard, step_street
-from wcsim.physics.wheelchair.plant import PlantSpec
+from wcsim.chair_check import driving
+from wcsim.chair_check.rig import FACE_X_M, FORWARD, NEUTRAL, Rig, step_street
+from wcsim.chair_check.row import Measure, Setup, Trial
+from wcsim.config import RewardConfig
+from wcsim.config.plant import known_plants
+from wcsim.core.frames import rad
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.types import ClassId, Joystick, PlantState, StreetMesh
+
+RUN_UP_M: Final = 0.5
+_FALL_MPS: Final = 1.5
+_SHALLOW_DEG, _STEEP_DEG = 25, 60
+_MOST_MPS2: Final = 157.0  # what the sensor shows at most, 16 g
+_MEAN: Final = "mean of six runs"
+_SPAN: Final = "values of both plants when they were designed, 25 % to either side"
+_FALL_SOURCE: Final = "ordering of Erickson et al. 2016 (JNER 13:20): higher kerbs and shallower approaches tip"
+
+
+def kerb_trials(setup: Setup) -> Iterator[Trial]:
+    """The rows of one plant."""
+    spec = plant_spec(setup.chair)
+    yield from _climbs(spec)
+    yield from _events(spec)
+    ours = setup.chair.plant in known_plants()  # of another chair these rows say how it compares, and judge nothing
+    yield from (replace(trial, bound="rwd, mwd", judged=ours) for trial in _peaks())
+    yield from (replace(trial, judged=ours or _like_the_experiments(spec)) for trial in _falls(spec))
+
+
+def _climbs(spec: PlantSpec) -> Iterator[Trial]:
+    declared = spec.climbs
+    starts = (("standstill", 0.0, declared.standstill_m), ("run_up", RUN_UP_M, declared.run_up_m))
+    for name, run_up_m, climbed_m in starts:
+        for rise_m in sorted({*climbed_m, *declared.refused_m}):
+            up = 1.0 if rise_m in climbed_m else 0.0
+            yield Trial(
+                name=f"kerb_{round(1000 * rise_m)}mm_{name}",
+                unit="climbed",
+                bound="file",
+                low=up,
+                high=up,
+                method=f"square on, full stick, run-up {run_up_m:g} m (ISO 7176-10); 1 = all wheels are up",
+                source="climbs of the parameter file",
+                measure=partial(kerb_climbed, rise_m=rise_m, run_up_m=run_up_m),
+            )
+
+
+def _events(spec: PlantSpec) -> Iterator[Trial]:
+    """Driving, kerb and wall as the penalty on acceleration tells them apart."""
+    low, high = RewardConfig().accel_window_mps2
+    window = f"penalty window {low:g} to {high:g} m/s2"
+    rows: tuple[tuple[str, float, str, str, Measure], ...] = (
+        ("driving", 0.25 * low, "off, straight, full turn, to a stop", "below the ", _driving_peak_mps2),
+        ("cruise", 0.5, "cruising straight on level ground", "no bumps; below the ", driving.cruise_peak_mps2),
+    )
+    for name, most, how, where, measure in rows:
+        yield _impact("event_" + name, (0.0, most), "largest low-passed acceleration: " + how, where + window, measure)
+    speed = _kerb_speed_mps(spec)
+    yield _impact(
+        "event_kerb_40mm",
+        (low, high),
+        f"largest low-passed acceleration over a kerb of 40 mm at {speed:g} m/s, {_MEAN}",
+        "inside the " + window,
+        partial(_kerb_peak_mps2, rise_m=0.04),
+        speed,
+    )
+    yield _impact(
+        "event_wall_6kmh",
+        (high, _MOST_MPS2),
+        "largest low-passed acceleration into a wall at 1.67 m/s, " + _MEAN,
+        "a crash: above the " + window,
+        _wall_peak_mps2,
+        1.67,
+    )
+
+
+def _kerb_speed_mps(spec: PlantSpec) -> float:
+    """Speed at which the 40 mm kerb is judged: sprung casters take a kerb softly, so faster for a plant with them."""
+    return 1.67 if any(pair.arm is not None for pair in spec.casters) else 1.0
+
+
+def _peaks() -> Iterator[Trial]:
+    # faster over the lowest kerb, it is over within two steps of 1/120 s, and its peak depends on the step
+    kerbs_m = ((0.02, 0.8, 9.0, 20.0), (-0.06, 1.0, 12.0, 40.0), (-0.12, 1.0, 25.0, 46.0))
+    for rise_m, speed, low, high in kerbs_m:
+        what = "kerb" if rise_m > 0.0 else "drop"
+        yield _impact(
+            f"peak_{what}_{round(1000 * abs(rise_m))}mm",
+            (low, high),
+            f"largest low-passed acceleration over a {what} of {1000 * abs(rise_m):g} mm at {speed:g} m/s, {_MEAN}",
+            _SPAN,
+            partial(_kerb_peak_mps2, rise_m=rise_m),
+            speed,
+        )
+    yield _impact(
+        "peak_wall_1mps",
+        (29.0, 49.0),
+        "largest low-passed acceleration into a wall at 1 m/s, " + _MEAN,
+        _SPAN,
+        _wall_peak_mps2,
+        1.0,
+    )
+
+
+def _impact(
+    name: str,
+    span_mps2: tuple[float, float],
+    method: str,
+    source: str,
+    measure: Measure,
+    speed_mps: float | None = None,
+) -> Trial:
+    return Trial(
+        name=name,
+        unit="m/s2",
+        bound="wcsim",
+        low=span_mps2[0],
+        high=span_mps2[1],
+        method=method,
+        source=source,
+        measure=measure,
+        speed_mps=speed_mps,
+        impact=True,
+    )
+
+
+def _like_the_experiments(spec: PlantSpec) -> bool:
+    """Whether it has no wheels behind the driven ones, as the chair that was driven off kerbs."""
+    return all(pair.swivel_x_m > 0.0 for pair in spec.casters)
+
+
+def _falls(spec: PlantSpec) -> Iterator[Trial]:
+    cases = [(drop_m, angle, 0.0) for drop_m in (0.12, 0.20) for angle in (_SHALLOW_DEG, _STEEP_DEG)]
+    if not _like_the_experiments(spec):
+        cases.remove((0.20, _SHALLOW_DEG, 0.0))
+    for drop_m, angle_deg, tips in [*cases, (0.30, 5, 1.0), (0.30, _SHALLOW_DEG, 1.0), (0.30, _STEEP_DEG, 0.0)]:
+        yield Trial(
+            name=f"falls_off_{round(100 * drop_m)}cm_at_{angle_deg}deg",
+            unit="tipped",
+            bound="trial",
+            low=tips,
+            high=tips,
+            method=f"off a kerb at {_FALL_MPS:g} m/s, {angle_deg} degrees between way and edge; 1 = lies on its side",
+            source=_FALL_SOURCE,
+            measure=partial(_tips_off, drop_m=drop_m, approach_rad=rad(angle_deg)),
+            speed_mps=_FALL_MPS,
+        )
+
 
 _TOUCHING_M: Final = 0.002
 _LEVEL_M: Final = 0.005
@@ -32,7 +178,7 @@ def _rear_m(spec: PlantSpec) -> float:
     return min([0.0, *(pair.swivel_x_m - pair.trail_m for pair in spec.casters)])
 
 
-def climbs(setup: Setup, rise_m: float, run_up_m: float) -> float:
+def kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
     """1 when it comes up a kerb square on with all its wheels, 0 when it does not.
 
     Args:
@@ -40,21 +186,21 @@ def climbs(setup: Setup, rise_m: float, run_up_m: float) -> float:
         rise_m: Height of the kerb.
         run_up_m: Way of the foremost wheel to the kerb, from rest; 0 to begin with the wheel at it.
     """
-    with Yard(setup, step_street(rise_m)) as yard:
-        spec = yard.chair.spec
-        yard.place(FACE_X_M - _front_m(spec) - max(run_up_m, _TOUCHING_M))
+    with Rig(setup, step_street(rise_m)) as rig:
+        spec = rig.chair.spec
+        rig.place(FACE_X_M - _front_m(spec) - max(run_up_m, _TOUCHING_M))
         up_m = FACE_X_M + 0.3 - _rear_m(spec)
-        yard.drive(FORWARD, 9.0, lambda state: float(state.p_WB_m[0]) > up_m)
-        end = yard.drive(NEUTRAL, 2.5).states[-1].p_WB_m
+        rig.drive(FORWARD, 9.0, lambda state: float(state.p_WB_m[0]) > up_m)
+        end = rig.drive(NEUTRAL, 2.5).states[-1].p_WB_m
     return float(end[0] > FACE_X_M and abs(end[2] - rise_m) < _LEVEL_M)
 
 
-def kerb_peak_mps2(setup: Setup, rise_m: float) -> float:
+def _kerb_peak_mps2(setup: Setup, rise_m: float) -> float:
     """The largest low-passed acceleration over a step up (or down) met square on at full speed, mean of six runs."""
     return _mean_peak_mps2(setup, step_street(rise_m))
 
 
-def wall_peak_mps2(setup: Setup) -> float:
+def _wall_peak_mps2(setup: Setup) -> float:
     """The largest low-passed acceleration as it drives into a wall at full speed, mean of six runs."""
     return _mean_peak_mps2(setup, step_street(_WALL_M, ClassId.BUILDING))
 
@@ -64,26 +210,26 @@ def _mean_peak_mps2(setup: Setup, street: StreetMesh) -> float:
 
     Where within a step a wheel meets an edge is chance, and moves a single peak by up to a fifth.
     """
-    with Yard(setup, street) as yard:
-        spec, speed = yard.chair.spec, setup.chair.v_max_mps
+    with Rig(setup, street) as rig:
+        spec, speed = rig.chair.spec, setup.chair.v_max_mps
         start_m, beyond_m = FACE_X_M - _front_m(spec) - _RUN_M, FACE_X_M + 0.8 - _rear_m(spec)
         peaks = []
         for run in range(_RUNS):
-            yard.place(start_m - run / _RUNS * speed * _LONGEST_STEP_S)
+            rig.place(start_m - run / _RUNS * speed * _LONGEST_STEP_S)
             seconds = 3.0 + (beyond_m - start_m) / speed
-            peaks.append(yard.drive(FORWARD, seconds, lambda state: float(state.p_WB_m[0]) > beyond_m).peak_mps2)
+            peaks.append(rig.drive(FORWARD, seconds, lambda state: float(state.p_WB_m[0]) > beyond_m).peak_mps2)
     return float(np.mean(peaks))
 
 
-def driving_peak_mps2(setup: Setup) -> float:
+def _driving_peak_mps2(setup: Setup) -> float:
     """The largest low-passed acceleration of ordinary driving: off, straight, full turn, to a stop."""
-    with Yard(setup) as yard:
-        yard.drive(NEUTRAL, 1.0)  # it was put down from a millimetre
-        drives = [yard.drive(FORWARD, 4.0), yard.drive(Joystick(-1.0, 1.0), 3.0), yard.drive(NEUTRAL, 3.0)]
+    with Rig(setup) as rig:
+        rig.drive(NEUTRAL, 1.0)  # it was put down from a millimetre
+        drives = [rig.drive(FORWARD, 4.0), rig.drive(Joystick(-1.0, 1.0), 3.0), rig.drive(NEUTRAL, 3.0)]
     return max(ride.peak_mps2 for ride in drives)
 
 
-def tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
+def _tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
     """1 when it falls on its side as it drives off a kerb, 0 when it stays upright.
 
     Args:
@@ -92,14 +238,14 @@ def tips_off(setup: Setup, drop_m: float, approach_rad: float) -> float:
         approach_rad: Angle between its way and the kerb's edge.
     """
     heading = 0.5 * math.pi - approach_rad
-    with Yard(setup, step_street(-drop_m)) as yard:
-        outline = yard.chair.spec.outline
+    with Rig(setup, step_street(-drop_m)) as rig:
+        outline = rig.chair.spec.outline
         ahead, aside = outline.middle_x_m + 0.5 * outline.length_m, 0.5 * outline.width_m
         gap = 0.1 + ahead * math.cos(heading) + aside * math.sin(heading)  # of the corner that comes first
         away = 0.5 + setup.chair.v_max_mps  # to reach full speed before the edge
         x = FACE_X_M - gap - away * math.cos(heading)
-        yard.place(x, -away * math.sin(heading), heading)
-        ride = yard.drive(FORWARD, 4.0 + (away + 1.0 / math.sin(approach_rad)) / setup.chair.v_max_mps, _lies)
+        rig.place(x, -away * math.sin(heading), heading)
+        ride = rig.drive(FORWARD, 4.0 + (away + 1.0 / math.sin(approach_rad)) / setup.chair.v_max_mps, _lies)
     return float(_lies(ride.states[-1]))
 
 

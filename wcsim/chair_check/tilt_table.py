@@ -8,15 +8,17 @@ chair on a beam rolls freely where it is tilted sideways, casters trailing, and 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.declared import stand, worst_swivel_rad
-from wcsim.chair_check.row import TICK_S, Setup
+from wcsim.chair_check.declared import FORWARD_DOWN, LEFT_DOWN, REAR_DOWN, stand, worst_swivel_rad
+from wcsim.chair_check.rig import NEUTRAL, Rig
+from wcsim.chair_check.row import TICK_S, Row, Setup, Trial
 from wcsim.chair_check.static_balance import Stand, Vec2, tip_rad, uphill
-from wcsim.chair_check.yard import NEUTRAL, Yard
-from wcsim.core.frames import rad
+from wcsim.core.frames import deg, rad
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
@@ -30,14 +32,84 @@ _QUIET_RADPS: Final = 1e-3
 _STAGES: Final = (1 / 3, 2 / 3, 1.0)
 _GRIP: Final = 2.0
 _ITERATIONS: Final = 1000  # many wheels held at once are stiff
+_COM_HEIGHTS_M: Final = (0.50, 0.60)
+_TOLERANCE_DEG: Final = 1.0
+_LEAST_LEFT, _MOST_LEFT = 0.5, 0.98
+_METHOD: Final = (
+    "tilt table at 0.2 deg/s, brakes on, casters at their worst angle (sideways on a beam: off, trailing); "
+    "tip = uphill wheels leave it"
+)
+_SOURCE: Final = "tip line through the declared contact points below the declared centre of mass, within 1 deg"
 
 
-def expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
+    """The rows of one plant: each way to tip at each height of the centre of mass.
+
+    What is expected takes a moment to find, so rows whose names begin with none of the words of `only` are left out.
+    """
+    for name, downhill, antitips in _ways(setup):
+        for height_m in _COM_HEIGHTS_M:
+            if only and not _name(name, height_m).startswith(tuple(only)):
+                continue
+            expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
+            yield Trial(
+                name=_name(name, height_m),
+                unit="deg",
+                bound="file",
+                low=expected_deg - _TOLERANCE_DEG,
+                high=expected_deg + _TOLERANCE_DEG,
+                method=_METHOD,
+                source=_SOURCE,
+                measure=partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips),
+            )
+
+
+def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
+    """Share of each tip angle that is left as the centre of mass is raised; the pivots of each way stay the same."""
+    low_m, high_m = _COM_HEIGHTS_M
+    for name, _, _ in _ways(setup):
+        pair = rows.get(_name(name, low_m)), rows.get(_name(name, high_m))
+        if pair[0] is None or pair[1] is None:
+            continue
+        value = pair[1].value / pair[0].value
+        yield Row(
+            name=f"{name}_falls",
+            value=value,
+            unit="",
+            bound="file",
+            low=_LEAST_LEFT,
+            high=_MOST_LEFT,
+            method=f"tip angle at {high_m:.2f} m divided by that at {low_m:.2f} m",
+            source="a higher centre of mass above the same pivots tips earlier",
+            ok=_LEAST_LEFT <= value <= _MOST_LEFT,
+        )
+
+
+def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
+    yield "tip_forward", FORWARD_DOWN, True
+    yield "tip_rear", REAR_DOWN, True
+    antitips_x_m = [pair.p_m[0] for pair in plant_spec(setup.chair).antitips]
+    if any(x_m > 0.0 for x_m in antitips_x_m):
+        yield "tip_forward_no_antitips", FORWARD_DOWN, False
+    if any(x_m < 0.0 for x_m in antitips_x_m):
+        yield "tip_rear_no_antitips", REAR_DOWN, False
+    yield "tip_lateral", LEFT_DOWN, True
+
+
+def _name(way: str, height_m: float) -> str:
+    return f"{way}_com_{round(100 * height_m)}cm"
+
+
+def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
+    return deg(_measured_tip_rad(setup.at_com_height(height_m), downhill, antitips))
+
+
+def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
     """The tilt at which a chair tips, from the masses and contact points that its file declares."""
     return tip_rad(_stand(setup, downhill, antitips), downhill)
 
 
-def measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+def _measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
     """The tilt at which the simulated chair's uphill wheels carry nothing any more, at most 3 degrees above expected.
 
     Args:
@@ -45,11 +117,11 @@ def measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> flo
         downhill: Unit vector in the chair's x and y.
         antitips: Whether it has its anti-tips.
     """
-    expected = expected_tip_rad(setup, downhill, antitips)
+    expected = _expected_tip_rad(setup, downhill, antitips)
     upper = uphill(_stand(setup, downhill, antitips), downhill)
-    with Yard(setup, iterations=_ITERATIONS) as yard:
-        _prepare(yard, downhill, antitips)
-        table = _Table(yard, downhill, upper)
+    with Rig(setup, iterations=_ITERATIONS) as rig:
+        _prepare(rig, downhill, antitips)
+        table = _Table(rig, downhill, upper)
         table.settle()
         start_rad = max(expected - _BEFORE_RAD, 0.0)
         for share in _STAGES:  # a chair that falls onto its anti-tips rocks there for a while
@@ -76,25 +148,25 @@ def _swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
     return 0.0 if _rolls(spec, downhill) else worst_swivel_rad(spec, downhill)
 
 
-def _prepare(yard: Yard, downhill: Vec2, antitips: bool) -> None:
-    spec = yard.chair.spec
-    yard.turn_swivels(_swivel_rad(spec, downhill))
+def _prepare(rig: Rig, downhill: Vec2, antitips: bool) -> None:
+    spec = rig.chair.spec
+    rig.turn_swivels(_swivel_rad(spec, downhill))
     if _rolls(spec, downhill):
-        yard.lock("swivel")
-        yard.free("beam")
+        rig.lock("swivel")
+        rig.free("beam")
     else:
-        yard.lock("wheel", "caster", "swivel")
-    for name, index in (("frame", -1), *yard.links().items()):
-        pybullet.changeDynamics(yard.body, index, lateralFriction=_GRIP, physicsClientId=yard.client)
+        rig.lock("wheel", "caster", "swivel")
+    for name, index in (("frame", -1), *rig.links().items()):
+        pybullet.changeDynamics(rig.body, index, lateralFriction=_GRIP, physicsClientId=rig.client)
         if name.startswith("antitip") and not antitips:
-            pybullet.setCollisionFilterGroupMask(yard.body, index, 0, 0, physicsClientId=yard.client)
+            pybullet.setCollisionFilterGroupMask(rig.body, index, 0, 0, physicsClientId=rig.client)
 
 
 class _Table:
     """A table under a chair that tilts downhill."""
 
-    def __init__(self, yard: Yard, downhill: Vec2, upper: frozenset[str]) -> None:
-        self._yard, self._downhill, self._upper = yard, downhill, upper
+    def __init__(self, rig: Rig, downhill: Vec2, upper: frozenset[str]) -> None:
+        self._yard, self._downhill, self._upper = rig, downhill, upper
         self._tilt_rad = 0.0
 
     def settle(self) -> None:
@@ -124,14 +196,14 @@ class _Table:
 
     def _tick(self, rate_radps: float) -> bool:
         """A tick at a rate; returns whether no uphill foot touched the table in it."""
-        yard, lifted = self._yard, True
-        yard.chair.command(NEUTRAL)
-        for _ in range(yard.setup.substeps):
-            self._tilt_rad += rate_radps / yard.setup.hz
+        rig, lifted = self._yard, True
+        rig.chair.command(NEUTRAL)
+        for _ in range(rig.setup.substeps):
+            self._tilt_rad += rate_radps / rig.setup.hz
             fall = GRAVITY_MPS2 * math.sin(self._tilt_rad)
             down = (fall * self._downhill[0], fall * self._downhill[1], -GRAVITY_MPS2 * math.cos(self._tilt_rad))
-            pybullet.setGravity(*down, physicsClientId=yard.client)
-            yard.substep()
-            lifted = lifted and self._upper.isdisjoint(yard.loads_N())
-        yard.chair.end_tick(None)
+            pybullet.setGravity(*down, physicsClientId=rig.client)
+            rig.substep()
+            lifted = lifted and self._upper.isdisjoint(rig.loads_N())
+        rig.chair.end_tick(None)
         return lifted

@@ -1,4 +1,4 @@
-"""`wcsim chair check`: each plant on the test yard, a table in the manner of ISO 7176."""
+"""`wcsim chair check`: each plant on the test rig, a table in the manner of ISO 7176."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import Any
 from rich import box
 from rich.table import Column, Table
 
-from wcsim.chair_check.compare import Change, changes
-from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, Row, Setup
+from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, Change, Row, Setup, changes
 from wcsim.cli.shared.common import (
     OutFile,
     OutFolder,
@@ -90,7 +89,7 @@ def _settings(overrides: tuple[str, ...]) -> RunConfig:
 
 def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:
     """The chair at the first rate that is asked for; what is left out of its table is said before the work."""
-    from wcsim.chair_check.rows.table import too_fast  # loads the engine, which --help must not
+    from wcsim.chair_check.table import too_fast  # loads the engine, which --help must not
 
     hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
     _check_hz("--hz", hz)
@@ -136,7 +135,7 @@ def _draw(plants: Sequence[str], folder: Path) -> int:
 
 
 def _table(plant: str, setup: Setup, options: ChairCheckOptions) -> list[Row]:
-    from wcsim.chair_check.rows.table import table  # loads the engine, which --help must not
+    from wcsim.chair_check.table import table  # loads the engine, which --help must not
 
     what = f"{plant} at {setup.hz} Hz"
     with stderr_console().status(what) as status:

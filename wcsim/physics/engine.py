@@ -4,12 +4,13 @@ Everything else in this package works on an `Engine`. Bodies are hardly ever rem
 multibody, 0.9 kB for each rigid one): those out of use are parked far below the street. Collision shapes are never
 given back, whatever is removed: about 230 B a face, until the engine is closed.
 
-Triangle soups made fit for collision: welded, without slivers, cut to what PyBullet takes in one shape.
+Triangle soups made fit for collision: welded, without slivers, cut to what PyBullet takes in one shape. Tiles of the
+street that no chair is near leave the engine, and come back from shapes that are kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
@@ -21,7 +22,7 @@ import numpy.typing as npt
 from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
-from wcsim.types import F64, ClassId, StreetMesh
+from wcsim.types import F64, ClassId, StreetMesh, TileKey
 
 _MAX_VERTICES: Final = 131_072  # B3_MAX_NUM_VERTICES of PyBullet
 MAX_FACES: Final = 524_288 // 3  # B3_MAX_NUM_INDICES
@@ -30,14 +31,14 @@ _MIN_HEIGHT_M: Final = 1e-4  # a triangle thinner than this is a gap that no whe
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Soup:
+class _Soup:
     """Triangles that share vertices."""
 
     vertices_m: F64  # (V, 3)
     faces: npt.NDArray[np.int64]  # (F, 3)
 
 
-def _tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Soup:
+def _tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
     """Vertices closer than 0.1 mm become one, triangles without height go, vertices without triangle go.
 
     Args:
@@ -45,15 +46,17 @@ def _tidy(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Soup:
         faces: Vertex indices (F, 3).
     """
     used, local = np.unique(faces, return_inverse=True)
+    # A cell of a grid is one vertex: no search for neighbours, and no chain of close points that become one.
     keys = np.rint(vertices_m[used] / WELD_M).astype(np.int64)
     _, first, weld = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     welded = weld.reshape(-1)[local.reshape(faces.shape)]
     points = vertices_m[used][first]
+    # Measured after the welding, which itself makes triangles flat.
     keep = _height_m(points, welded) >= _MIN_HEIGHT_M
     return _compact(points, welded[keep])
 
 
-def split(soup: Soup) -> Iterator[Soup]:
+def _split(soup: _Soup) -> Iterator[_Soup]:
     """The soup in as few pieces as PyBullet's limits allow; one when it fits."""
     if len(soup.vertices_m) <= _MAX_VERTICES and len(soup.faces) <= MAX_FACES:
         if len(soup.faces):
@@ -61,10 +64,11 @@ def split(soup: Soup) -> Iterator[Soup]:
         return
     centre = soup.vertices_m[soup.faces].mean(axis=1)
     axis = int(np.argmax(np.ptp(centre, axis=0)))
+    # Stable: faces with the same centre fall into the same half on every machine.
     order = np.argsort(centre[:, axis], kind="stable")
     half = len(order) // 2
     for part in (order[:half], order[half:]):
-        yield from split(_compact(soup.vertices_m, soup.faces[np.sort(part)]))
+        yield from _split(_compact(soup.vertices_m, soup.faces[np.sort(part)]))
 
 
 def _height_m(points_m: F64, faces: npt.NDArray[np.int64]) -> F64:
@@ -75,9 +79,9 @@ def _height_m(points_m: F64, faces: npt.NDArray[np.int64]) -> F64:
     return np.asarray(np.divide(double_area, longest, out=np.zeros_like(double_area), where=longest > 0))
 
 
-def _compact(points_m: F64, faces: npt.NDArray[np.int64]) -> Soup:
+def _compact(points_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
     used, local = np.unique(faces, return_inverse=True)
-    return Soup(vertices_m=points_m[used], faces=local.reshape(faces.shape))
+    return _Soup(vertices_m=points_m[used], faces=local.reshape(faces.shape))
 
 
 PARK_Z_M: Final = -500.0
@@ -115,7 +119,7 @@ class BodyTag:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StreetPiece:
+class _StreetPiece:
     """A body of the street and the shape that it is made of, and can be made of again."""
 
     body: int
@@ -151,7 +155,7 @@ class Engine:
     """
 
     def __init__(self, step_s: float, solver_iterations: int = 50) -> None:
-        _require_sane(step_s)
+        _check_step(step_s)
         if solver_iterations < 1:
             raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")
         client = pybullet.connect(pybullet.DIRECT)
@@ -167,6 +171,7 @@ class Engine:
         pybullet.setTimeStep(step_s, physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             numSolverIterations=solver_iterations,
+            # Bullet sorts its pairs of bodies, so that one history always gives the contacts in one order.
             deterministicOverlappingPairs=1,
             contactBreakingThreshold=_CONTACT_BREAKING_M,
             enableFileCaching=0,
@@ -195,7 +200,7 @@ class Engine:
     def set_step(self, step_s: float) -> None:
         """Step so far from now on; wheelchairs must be told as well. Raises PhysicsError for a step out of bounds."""
         if step_s != self._step_s:
-            _require_sane(step_s)
+            _check_step(step_s)
             self._step_s = step_s
             pybullet.setTimeStep(step_s, physicsClientId=self.client)
 
@@ -203,7 +208,7 @@ class Engine:
         """Advance by `step_s`."""
         pybullet.stepSimulation(physicsClientId=self.client)
 
-    def add_street(self, mesh: StreetMesh) -> tuple[StreetPiece, ...]:
+    def add_street(self, mesh: StreetMesh) -> tuple[_StreetPiece, ...]:
         """Add everything that stands still: as few concave bodies per role as PyBullet's limits allow, friction 1.
 
         Raises:
@@ -214,20 +219,21 @@ class Engine:
         face_role = role_by_class[mesh.face_class]
         return tuple(
             self._laid(self._street_shape(soup), role)
+            # Role by role, so that the bodies of a mesh get their ids in the same order in every run.
             for number, role in enumerate(Role)
             for soup in _street_parts(vertices, faces[face_role == number])
         )
 
-    def lift_street(self, pieces: Iterable[StreetPiece]) -> None:
+    def lift_street(self, pieces: Iterable[_StreetPiece]) -> None:
         """Take pieces of the street out of the world; their shapes are kept."""
         for piece in pieces:
             self.remove_body(piece.body)
 
-    def lay_street(self, pieces: Iterable[StreetPiece]) -> tuple[StreetPiece, ...]:
+    def lay_street(self, pieces: Iterable[_StreetPiece]) -> tuple[_StreetPiece, ...]:
         """Put pieces that were taken out back where they were."""
         return tuple(self._laid(piece.shape, piece.role) for piece in pieces)
 
-    def _street_shape(self, soup: Soup) -> int:
+    def _street_shape(self, soup: _Soup) -> int:
         """PyBullet's shape of a soup.
 
         PyBullet keeps the lists that it is given for ever, each vertex's with them: 200 B a vertex. So all meshes are
@@ -251,7 +257,7 @@ class Engine:
         indices.clear()
         return shape
 
-    def _laid(self, shape: int, role: Role) -> StreetPiece:
+    def _laid(self, shape: int, role: Role) -> _StreetPiece:
         body = self.add_body(shape, (0.0, 0.0, 0.0), BodyTag(role=role, kind=role.value), moves=False)
         pybullet.changeDynamics(
             body,
@@ -262,7 +268,7 @@ class Engine:
             collisionMargin=_STREET_MARGIN_M,
             physicsClientId=self.client,
         )
-        return StreetPiece(body=body, shape=shape, role=role)
+        return _StreetPiece(body=body, shape=shape, role=role)
 
     def add_body(self, shape: int, position_m: tuple[float, float, float], tag: BodyTag, moves: bool = True) -> int:
         """Make a mass-0 body of a collision shape and tag it; returns its id. Raises PhysicsError if it is refused.
@@ -332,7 +338,7 @@ def role_of_class(class_id: int) -> Role:
     return _ROLE_OF_CLASS.get(class_id, Role.STATIC)
 
 
-def _require_sane(step_s: float) -> None:
+def _check_step(step_s: float) -> None:
     if not 1 / 1000 <= step_s <= 1 / 100:
         raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
 
@@ -356,6 +362,30 @@ def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:
     return vertices, faces
 
 
-def _street_parts(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Iterator[Soup]:
+def _street_parts(vertices_m: F64, faces: npt.NDArray[np.int64]) -> Iterator[_Soup]:
     if len(faces):
-        yield from split(_tidy(vertices_m, faces))
+        yield from _split(_tidy(vertices_m, faces))
+
+
+class StreetBodies:
+    """The tiles of one engine; `keys` are those that lie in it now."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._pieces: dict[TileKey, tuple[_StreetPiece, ...]] = {}  # of every tile that ever was there
+        self.keys: set[TileKey] = set()
+
+    def lay(self, key: TileKey, mesh: Callable[[], StreetMesh]) -> None:
+        """Put a tile into the engine that is not there; `mesh` is asked for it the first time only.
+
+        Raises:
+            PhysicsError: The mesh holds numbers that are not finite or faces that point at no vertex.
+        """
+        pieces = self._pieces.get(key)
+        self._pieces[key] = self._engine.add_street(mesh()) if pieces is None else self._engine.lay_street(pieces)
+        self.keys.add(key)
+
+    def lift(self, key: TileKey) -> None:
+        """Take a tile out of the engine. Raises KeyError when it is not there."""
+        self.keys.remove(key)
+        self._engine.lift_street(self._pieces[key])

@@ -91,10 +91,12 @@ class BodyPool:
         Raises:
             PhysicsError: An actor is listed twice, or its pose, velocity or size cannot be used.
         """
+        # By id: which pooled body an actor gets must not depend on the order of the moves.
         wanted = {move.actor.id: move for move in sorted(moves, key=lambda move: move.actor.id)}
         if len(wanted) != len(moves):
             raise PhysicsError(f"{len(moves)} moves for {len(wanted)} actors; expected one move for each actor")
         buckets = {actor_id: _bucket(move) for actor_id, move in wanted.items()}
+        # Parked before any is taken: a body that becomes free serves another actor in the same tick.
         for actor_id in [key for key, body in self._used.items() if buckets.get(key) != body.bucket]:
             self._park(self._used.pop(actor_id))
         for actor_id, move in wanted.items():
@@ -187,6 +189,7 @@ class BodyPool:
             half = (0.5 * length_m, 0.5 * width_m, 0.5 * (height_m - low))
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
             middle = 0.5 * (height_m + low)
+        # Each has a place of its own, away from the parked chairs at y = 0: what is parked must not overlap.
         park = (_PARK_STEP_M * (self._made + 1), 500.0, PARK_Z_M)
         body = self._engine.add_body(shape, park, BodyTag(role=Role.ACTOR, kind=kind.value))
         pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)

@@ -109,7 +109,7 @@ def joined(logs: Sequence[StepLog]) -> StepLog:
 
 def summarise(log: StepLog) -> KpiRow:
     """All indicators of a test. Raises ConfigError when the step arrays differ in length."""
-    _require_lengths(log)
+    _check_lengths(log)
     steps, reasons = len(log.distance), Counter(reason for reason in log.crash_reasons if reason)
     km = float(np.sum(np.abs(log.speed_mps) * log.dt_s)) / 1000.0
     total_s = float(np.sum(log.dt_s))
@@ -196,7 +196,7 @@ class KpiMeter:
         return summarise(self.log())
 
 
-def _require_lengths(log: StepLog) -> None:
+def _check_lengths(log: StepLog) -> None:
     steps = (
         *(log.distance, log.free, log.asked, log.given, log.speed_mps, log.dt_s),
         *(log.on_carriageway, log.crossed, log.entered_red, log.arrived, log.gave_up),
@@ -218,8 +218,10 @@ def _freezes(log: StepLog) -> int:
     if not frozen.any():
         return 0
     episode = np.searchsorted(np.cumsum(log.episode_steps), np.arange(len(frozen)), side="right")
+    # A stretch ends with its episode: what follows is another street.
     starts = np.flatnonzero(np.r_[True, (np.diff(frozen) != 0) | (np.diff(episode) != 0)])
     lasted_s = np.add.reduceat(log.dt_s, starts)
+    # A hair less: the durations of ticks may add up to a little under the bound.
     return int(np.count_nonzero(frozen[starts] & (lasted_s >= FREEZE_S - 1e-6)))
 
 

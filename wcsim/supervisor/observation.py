@@ -94,8 +94,8 @@ def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationS
     """
     _check_form(form)
     frame = _frame(sensors, seen.camera)
-    vectors = {"imu": imu_vector(sensors.imu, seen.gyro, seen.yaw), "joystick": np.array([user.x, user.y], np.float32)}
-    vectors |= {name: measured(sensors, name, measure) for name, measure in seen.measures.items()}
+    vectors = {"imu": _imu_vector(sensors.imu, seen.gyro, seen.yaw), "joystick": np.array([user.x, user.y], np.float32)}
+    vectors |= {name: _measured(sensors, name, measure) for name, measure in seen.measures.items()}
     if form != "table3":
         seg = _fold(frame.class_id) if seen.fold else frame.class_id.copy()
         images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, seen.range_m)[None]}
@@ -114,11 +114,11 @@ def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationS
 
 
 def imu_size(gyro: bool, yaw: bool) -> int:
-    """How many numbers `imu_vector` has; no two choices give the same."""
+    """How many numbers `_imu_vector` has; no two choices give the same."""
     return _IMU_SIZE + 3 * gyro + 2 * yaw
 
 
-def imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
+def _imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
     """What is seen of the IMU, float32 in [-1, 1]; (5,), and more when asked for.
 
     Tick-mean ax, ay, az over 40 m/s^2 (gravity included), roll over pi, pitch over pi/2; with `gyro` the turn rates
@@ -133,7 +133,7 @@ def imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
     return np.clip(np.array(scaled, np.float32), -1.0, 1.0)
 
 
-def measured(sensors: SensorFrame, name: str, measure: Measure) -> F32:
+def _measured(sensors: SensorFrame, name: str, measure: Measure) -> F32:
     """What is seen of a further sensor, float32 in [-1, 1]: each number over its full scale.
 
     Raises ConfigError when the chair has no such sensor, or one with other parts.

@@ -107,6 +107,7 @@ class Oracle:
         said, visible = self._verdict(plant, joystick, others, waiting, accel_mps2), None
         if known is not None:
             few = self._near(plant, known, later_s)
+            # The known ones are among the others: if they are as many, one roll-out answers both questions.
             same = few.many == others.many
             visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
         gap_m = self._clearance(plant, others)
@@ -147,6 +148,7 @@ class Oracle:
     def _steps(self, waiting: Sequence[Joystick]) -> F64:
         """The waiting commands, shaped, one for each step of the roll-out (M, 2)."""
         sticks = shaped_rows(np.array([(stick.x, stick.y) for stick in waiting]).reshape(-1, 2), self._chair)
+        # A hair against rounding, here and below: each step takes the command of the tick that it lies in.
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 

@@ -26,12 +26,12 @@ GROUND_KINDS = frozenset({"ground", "kerb"})
 DISTANCE_TOLERANCE = 1e-6
 
 
-def intensity(value: float, low: float, high: float) -> float:
+def _intensity(value: float, low: float, high: float) -> float:
     """How far `value` is inside its window: 0 at `low` and below, 1 at `high` and above, linear between (Table 1).
 
     Raises ConfigError when the window is empty.
 
-    >>> intensity(30.0, 20.0, 40.0), intensity(-5.0, 20.0, 40.0), intensity(99.0, 20.0, 40.0)
+    >>> _intensity(30.0, 20.0, 40.0), _intensity(-5.0, 20.0, 40.0), _intensity(99.0, 20.0, 40.0)
     (0.5, 0.0, 1.0)
     """
     if not low < high:
@@ -39,7 +39,7 @@ def intensity(value: float, low: float, high: float) -> float:
     return min(1.0, max(0.0, (value - low) / (high - low)))
 
 
-def joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float]:
+def _joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float]:
     """Base reward and joystick penalty for the distance between user's and agent's joystick.
 
     Table 2 row "zero joystick distance" (+1 up to `max_follow_distance`), Table 1 row "joystick distance" (0.1768..2).
@@ -47,37 +47,37 @@ def joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float]
     """
     if distance <= config.max_follow_distance + DISTANCE_TOLERANCE:
         return config.base, 0.0
-    return 0.0, 0.0 - config.penalty * intensity(distance, config.max_follow_distance, config.max_distance)
+    return 0.0, 0.0 - config.penalty * _intensity(distance, config.max_follow_distance, config.max_distance)
 
 
-def accel_term(accel_peak_mps2: F64, config: RewardConfig) -> float:
+def _accel_term(accel_peak_mps2: F64, config: RewardConfig) -> float:
     """Penalty for the peak acceleration of a tick; (3,) m/s^2, gravity removed. Table 1 rows "acceleration x, y, z"."""
     low, high = config.accel_window_mps2
-    return 0.0 - config.penalty * sum(intensity(abs(float(axis)), low, high) for axis in accel_peak_mps2)
+    return 0.0 - config.penalty * sum(_intensity(abs(float(axis)), low, high) for axis in accel_peak_mps2)
 
 
-def tilt_term(roll_rad: float, pitch_rad: float, config: RewardConfig) -> float:
+def _tilt_term(roll_rad: float, pitch_rad: float, config: RewardConfig) -> float:
     """Penalty for leaning sideways or along. Table 1 rows "roll" (5..20 deg) and "pitch" (20..30 deg)."""
     roll_low, roll_high = (rad(angle) for angle in config.roll_window_deg)
     pitch_low, pitch_high = (rad(angle) for angle in config.pitch_window_deg)
-    leaning = intensity(abs(roll_rad), roll_low, roll_high) + intensity(abs(pitch_rad), pitch_low, pitch_high)
+    leaning = _intensity(abs(roll_rad), roll_low, roll_high) + _intensity(abs(pitch_rad), pitch_low, pitch_high)
     return 0.0 - config.penalty * leaning
 
 
-def crash_term(crashed: bool, config: RewardConfig) -> float:
+def _crash_term(crashed: bool, config: RewardConfig) -> float:
     """Table 2 row "crash" (-100): once, however many things went wrong in the step."""
     return 0.0 - config.crash if crashed else 0.0
 
 
 def reward(distance: float, imu: ImuFrame, plant: PlantState, events: Events, config: RewardConfig) -> RewardTerms:
     """All terms of one step; `distance` as from `joystick_distance`. The tilt is the true one, whatever is sensed."""
-    base, joystick = joystick_terms(distance, config)
+    base, joystick = _joystick_terms(distance, config)
     return RewardTerms(
         base=base,
         joystick=joystick,
-        accel=accel_term(imu.accel_peak_mps2, config),
-        tilt=tilt_term(plant.roll_rad, plant.pitch_rad, config),
-        crash=crash_term(events.crashed, config),
+        accel=_accel_term(imu.accel_peak_mps2, config),
+        tilt=_tilt_term(plant.roll_rad, plant.pitch_rad, config),
+        crash=_crash_term(events.crashed, config),
     )
 
 

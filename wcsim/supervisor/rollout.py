@@ -35,7 +35,7 @@ _MIDDLE, _HALF_L, _HALF_W = range(3)
 
 
 @exact_kernel
-def set_margins(x: float, y: float, yaw: float, hull: F64, people: F64) -> None:
+def _set_people_margins(x: float, y: float, yaw: float, hull: F64, people: F64) -> None:
     """Everybody gets a small margin, except those who stand within it already: they would forbid every move."""
     for i in range(len(people)):
         gap_m = _person_gap(x, y, yaw, hull, people[i])
@@ -100,6 +100,7 @@ def _runs_into_any_way(
                 or (back_mps != 0.0 and _meets(x, y, cos, sin, v, w, hull, one, later_s, ahead_mps, back_mps))
             ):
                 return True
+            # A person who stands has no slower pace to try.
             if one[PAHEAD_MPS] == 0.0:
                 break
     return False
@@ -199,8 +200,8 @@ def roll_out(
     Returns:
         (K,) float64.
     """
-    _set_margins(state, hull, actors)
-    set_margins(state[0], state[1], state[2], hull, people)
+    _set_actor_margins(state, hull, actors)
+    _set_people_margins(state[0], state[1], state[2], hull, people)
     start_gap = _static_gap(state[0], state[1], state[2], hull, clearance_dm, origin_m, cell_m, BEYOND_M)
     # Never deeper than it is now, nor than DEEPENING_M in all: it is asked anew in every step.
     allowed_gap = min(0.0, start_gap - SAME_M, max(start_gap, 0.0) - DEEPENING_M)
@@ -216,7 +217,8 @@ def roll_out(
         if len(near):
             let_go_s = _let_go(state, waiting, commands[k], limits, hull, near, tick_s)
             first_s[k] = min(first_s[k], let_go_s)
-        if first_s[k] <= len(waiting) * STEP_S:  # before any command begins
+        # It goes wrong before any command begins, so it does with every one of them.
+        if first_s[k] <= len(waiting) * STEP_S:
             first_s[:] = first_s[k]
             break
     return first_s
@@ -287,6 +289,7 @@ def _one(
     now = np.empty(len(wheels), np.int64)
     waits = len(waiting)
     for i in range(waits + _most_steps(limits)):
+        # A hair less: rounding of the product must not add a step.
         held = (i - waits) * STEP_S < HOLD_S - 1e-9
         if not held and v == 0.0 and abs(w) < 1e-3:
             break
@@ -333,6 +336,7 @@ def _moved(
     v_before, yaw_before = v, yaw
     v, w, a = driven(v, w, a, stick_x, stick_y, limits, STEP_S)
     yaw += w * STEP_S
+    # Mean speed along the mean heading: with those of one end the way would err by the first order of the step.
     way = 0.5 * (v_before + v) * STEP_S
     x += way * math.cos(0.5 * (yaw_before + yaw))
     y += way * math.sin(0.5 * (yaw_before + yaw))
@@ -376,7 +380,7 @@ def _touches(
 
 
 @exact_kernel
-def _set_margins(state: F64, hull: F64, actors: F64) -> None:
+def _set_actor_margins(state: F64, hull: F64, actors: F64) -> None:
     """Others get a small margin, except those who stand within it already: they would forbid every move."""
     cos, sin = math.cos(state[2]), math.sin(state[2])
     cx, cy = state[0] + hull[MIDDLE] * cos, state[1] + hull[MIDDLE] * sin

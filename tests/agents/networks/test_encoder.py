@@ -19,7 +19,7 @@ from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet
 from wcsim.config import RewardConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.rewards import joystick_terms
+from wcsim.supervisor.rewards import _joystick_terms
 from wcsim.types import ClassId
 
 WINDOWED = ("conv3d", "convlstm", "fig6")
@@ -80,7 +80,7 @@ def test_the_known_part_is_the_rewards_joystick_part(x, y):
     net = q_net(24, 32, prior=FollowPrior(reward_scale=0.05))
     actions, config = action_set("square81"), RewardConfig()
     stick = np.array([x, y], dtype=np.float32)
-    expected = [0.05 * sum(joystick_terms(actions.distance(a, stick), config)) for a in range(81)]
+    expected = [0.05 * sum(_joystick_terms(actions.distance(a, stick), config)) for a in range(81)]
     got = net.follow_reward(torch.from_numpy(stick)[None])[0].numpy()
     on_the_edge = np.abs(actions.distances(stick[None])[0] - 0.1768) < 1e-4  # float32 may fall on either side of it
     assert np.allclose(got[~on_the_edge], np.asarray(expected)[~on_the_edge], atol=1e-6)

@@ -16,7 +16,7 @@ from tests.physics.rig import rig, step_street
 from wcsim.config import ChairConfig
 from wcsim.config.plant import PlantFile, known_plants, read_plant, with_values
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.plant_body import urdf
 from wcsim.types import Joystick
 
 _TICKS, _KERB_M = 8, 0.05

@@ -10,7 +10,7 @@ from tests.support.lit_road import CROSSING_LINKS, lit_road
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from tests.support.worlds import follow, hashes, open_world
 from tests.users.test_crossing import ROUTE, lit
-from wcsim.bridge.ego.crossing_button import CrossingButton
+from wcsim.bridge.ego.crossing_watch import CrossingButton
 from wcsim.bridge.reaction.commands import GreenRequest
 from wcsim.config import WorldConfig, load_run_config
 from wcsim.types import Command, Joystick, SeatSpec, SignalState, StartSpec

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.worlds import hashes, open_world, quick_config
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.bridge.ego.randomization import Randomization, draw
+from wcsim.bridge.ego.randomization import Randomization, _draw
 from wcsim.bridge.world import World
 from wcsim.config import VaryConfig, load_run_config
 from wcsim.errors import ConfigError
@@ -41,9 +41,9 @@ def numbers(drawn):
 
 
 def test_the_same_seed_draws_the_same_and_everybody_else_something_else():
-    first = draw(EVERYTHING, 2, 7, seat=0, episode=3)
-    assert draw(EVERYTHING, 2, 7, seat=0, episode=3) == first
-    others = [draw(EVERYTHING, 2, *where) for where in ((8, 0, 3), (7, 1, 3), (7, 0, 4))]
+    first = _draw(EVERYTHING, 2, 7, seat=0, episode=3)
+    assert _draw(EVERYTHING, 2, 7, seat=0, episode=3) == first
+    others = [_draw(EVERYTHING, 2, *where) for where in ((8, 0, 3), (7, 1, 3), (7, 0, 4))]
     for other in others:
         assert not set(numbers(first)) & set(numbers(other))
     assert len(first.camera_shift_m) == len(first.camera_turn_rad) == 2
@@ -51,13 +51,13 @@ def test_the_same_seed_draws_the_same_and_everybody_else_something_else():
 
 
 def test_another_range_changes_no_other_draw():
-    alone = draw(VaryConfig(friction=(0.5, 1.0)), 1, 7, seat=0, episode=0)
-    assert alone.friction == draw(EVERYTHING, 1, 7, seat=0, episode=0).friction
+    alone = _draw(VaryConfig(friction=(0.5, 1.0)), 1, 7, seat=0, episode=0)
+    assert alone.friction == _draw(EVERYTHING, 1, 7, seat=0, episode=0).friction
     assert alone.light is None and alone.camera_shift_m == () and alone.plant == ()
 
 
 def test_draws_fill_their_ranges_evenly():
-    drawn = [draw(EVERYTHING, 1, 1, seat=0, episode=k) for k in range(600)]
+    drawn = [_draw(EVERYTHING, 1, 1, seat=0, episode=k) for k in range(600)]
     delays = np.bincount([d.action_delay_ticks for d in drawn], minlength=6)
     assert len(delays) == 6 and delays.min() > 70
     for values, low, high in (
@@ -83,10 +83,10 @@ def test_a_world_keeps_what_it_drew_and_draws_anew_for_each_episode(corner):
     words = ("vary.user_mass_kg=[40,130]", "vary.friction=[0.4,1.0]")
     with open_world(corner, *words, seats=2, seed=5) as world:
         first = [client.drawn for client in world.snapshot.clients]
-        assert first == [draw(world.config.vary, 1, 5, seat, 0) for seat in (0, 1)]
+        assert first == [_draw(world.config.vary, 1, 5, seat, 0) for seat in (0, 1)]
         drive(world, 2)
         assert [client.drawn for client in world.snapshot.clients] == first
-        assert world.respawn(0).drawn == draw(world.config.vary, 1, 5, 0, 1)
+        assert world.respawn(0).drawn == _draw(world.config.vary, 1, 5, 0, 1)
         assert world.snapshot.clients[1].drawn == first[1]
         world.rebuild(5)
         assert [client.drawn for client in world.snapshot.clients] == first
@@ -110,7 +110,7 @@ def test_what_was_drawn_reaches_the_client_through_an_environment_and_a_message(
     try:
         _, info = env.reset()
         drawn = info["drawn"]
-        assert drawn == draw(config.vary, 1, 4, 0, 0)
+        assert drawn == _draw(config.vary, 1, 4, 0, 0)
         assert env.step(0)[-1]["drawn"] == drawn
         reply = decode_reply(encode(Frame(epoch=0, tick=1, life=0, client=env._chair.now)))
         assert isinstance(reply, Frame) and reply.client.drawn == drawn
@@ -198,7 +198,7 @@ def test_a_chair_that_cannot_stand_is_drawn_again():
     ranges = '{"mass.com_x_m"=[0.2,0.32], "casters.*.swivel_x_m"=[0.35,0.5]}'  # short and front-heavy tips over
     variation = Randomization(quick_config(f"vary.plant={ranges}"), 0)
     fitted = [variation.fitting(1, episode) for episode in range(12)]
-    first = [draw(quick_config(f"vary.plant={ranges}").vary, 1, 1, 0, episode) for episode in range(12)]
+    first = [_draw(quick_config(f"vary.plant={ranges}").vary, 1, 1, 0, episode) for episode in range(12)]
     again = [fitting.drawn != drawn for fitting, drawn in zip(fitted, first, strict=True)]
     assert 0 < sum(again) < 12
     assert [variation.fitting(1, episode).drawn for episode in range(12)] == [fitting.drawn for fitting in fitted]

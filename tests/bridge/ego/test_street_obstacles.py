@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.samples import straight_route, strip_street
-from wcsim.bridge.ego.street_obstacles import ObstacleWatch, label_pieces
+from wcsim.bridge.ego.street_obstacles import ObstacleWatch, _label_pieces
 from wcsim.types import F64, StreetGrid
 from wcsim.users.profiles import profile, profile_names
 
@@ -68,4 +68,4 @@ def test_pieces_are_those_of_opencv_in_its_order(share):
         solid = rng.random(tuple(rng.integers(1, 60, 2))) < share
         labels = np.zeros(solid.shape, np.int32)
         count, expected = cv2.connectedComponents(solid.astype(np.uint8))
-        assert label_pieces(solid, labels) == count and (labels == expected).all()
+        assert _label_pieces(solid, labels) == count and (labels == expected).all()

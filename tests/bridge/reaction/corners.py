@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.bridge.reaction.articulated import piece_lengths
-from wcsim.bridge.reaction.wide_turns import STEP_M, covered_m2, normals, offsets_m
+from wcsim.bridge.reaction.wide_turns import STEP_M, _covered_m2, _normals, _offsets_m
 from wcsim.core import frames
 from wcsim.towns.sumo.net import Connection, Lane, Net
 from wcsim.types import F64, ActorKind, Ground
@@ -93,9 +93,10 @@ def sweep(corner: Corner, vehicle: LongVehicle, ground: Ground) -> Sweep:
     """What a vehicle covers at a corner, as SUMO leads it and as it is shown."""
     line, found = corner.line_W_m, np.zeros(len(corner.line_W_m))
     if vehicle.swings:
-        found = offsets_m(line, vehicle.body_m, ground, np.zeros(0))
+        found = _offsets_m(line, vehicle.body_m, ground, np.zeros(0))
     before_m2, after_m2 = (
-        _most_m2(corner, line_W_m, vehicle.body_m, ground) for line_W_m in (line, line + found[:, None] * normals(line))
+        _most_m2(corner, line_W_m, vehicle.body_m, ground)
+        for line_W_m in (line, line + found[:, None] * _normals(line))
     )
     return Sweep(
         corner=corner, before_m2=before_m2, after_m2=after_m2, furthest_m=float(np.abs(found).max(initial=0.0))
@@ -104,7 +105,7 @@ def sweep(corner: Corner, vehicle: LongVehicle, ground: Ground) -> Sweep:
 
 def _most_m2(corner: Corner, line_W_m: F64, body_m: tuple[float, float], ground: Ground) -> float:
     """The most that the body covers off the carriageway while its front comes near the junction and its rear leaves."""
-    covered = covered_m2(line_W_m, body_m, ground)
+    covered = _covered_m2(line_W_m, body_m, ground)
     fronts_m = STEP_M * (np.arange(len(covered)) + len(line_W_m) - len(covered))
     first_m, last_m = corner.inside_m
     there = (fronts_m > first_m - BEFORE_M) & (fronts_m < last_m + body_m[0])

@@ -10,7 +10,7 @@ import pytest
 from tests.bridge.reaction.roads import StraightRoads, actor, chair, walker
 from tests.support.samples import strip_street
 from tests.support.worlds import hashes, open_world
-from wcsim.bridge.ego.randomization import draw
+from wcsim.bridge.ego.randomization import _draw
 from wcsim.bridge.reaction.attention import Attention, AttentionModel, street_habits
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
@@ -79,15 +79,15 @@ VARY = VaryConfig(reaction={"all": (1.0, 2.0), "bus": (3.0, 4.0)}, attention={"b
 def test_ranges_are_drawn_for_each_episode_the_class_s_own_before_that_of_all():
     car, bus, tram = (actor(kind) for kind in (ActorKind.CAR, ActorKind.BUS, ActorKind.TRAM))
     street = street_habits(config("world.reaction={tram=0.5}"), 3)
-    episodes = [street.towards(draw(VARY, 1, 7, 0, k)) for k in range(40)]
+    episodes = [street.towards(_draw(VARY, 1, 7, 0, k)) for k in range(40)]
     drawn = np.array([(one.reaction_s(car), one.reaction_s(bus), one.reaction_s(tram)) for one in episodes])
     assert 1.0 <= drawn[:, 0].min() < 1.2 and 1.8 < drawn[:, 0].max() <= 2.0
     assert drawn[:, 1].min() >= 3.0 and drawn[:, 1].max() <= 4.0
     assert (drawn[:, 2] == 0.5).all(), "a number by class goes before a range for all"
     assert share(episodes[0], ActorKind.BICYCLE) == 0.0 < share(street, ActorKind.BICYCLE)
-    fewer = draw(VaryConfig(reaction={"all": (1.0, 2.0)}), 1, 7, 0, 3)
-    assert fewer.reaction_s == (draw(VARY, 1, 7, 0, 3).reaction_s[0],), "one range less changes no other draw"
-    assert street.towards(draw(VaryConfig(light=(0.5, 1.0)), 1, 7, 0, 3)) is None
+    fewer = _draw(VaryConfig(reaction={"all": (1.0, 2.0)}), 1, 7, 0, 3)
+    assert fewer.reaction_s == (_draw(VARY, 1, 7, 0, 3).reaction_s[0],), "one range less changes no other draw"
+    assert street.towards(_draw(VaryConfig(light=(0.5, 1.0)), 1, 7, 0, 3)) is None
 
 
 def test_who_looks_at_a_share_looks_at_every_larger_one():
@@ -172,7 +172,7 @@ def test_a_world_draws_habits_for_each_episode_and_seat(corner):
     words = ("vary.reaction={all=[0.5,3.0]}", "vary.attention={car=[0.2,0.9]}")
     with open_world(corner, *words, seats=2, seed=5) as world:
         first = [client.drawn for client in world.snapshot.clients]
-        assert first == [draw(world.config.vary, 1, 5, seat, 0) for seat in (0, 1)]
+        assert first == [_draw(world.config.vary, 1, 5, seat, 0) for seat in (0, 1)]
         assert len({drawn.reaction_s for drawn in first}) == len({drawn.attention for drawn in first}) == 2
         hashes(world, 2)
         car = actor()
@@ -180,7 +180,7 @@ def test_a_world_draws_habits_for_each_episode_and_seat(corner):
             dict(d.reaction_s)["all"] for d in first
         ]
         second = world.respawn(0).drawn
-        assert second == draw(world.config.vary, 1, 5, 0, 1) != first[0]
+        assert second == _draw(world.config.vary, 1, 5, 0, 1) != first[0]
         hashes(world, 1)
         assert world._open.traffic.chairs[0].habits.reaction_s(car) == dict(second.reaction_s)["all"]
         assert world._open.traffic.chairs[1].habits.reaction_s(car) == dict(first[1].reaction_s)["all"]

@@ -9,32 +9,31 @@ import pytest
 
 from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair
 from wcsim.bridge.reaction.commands import LET_GO
-from wcsim.bridge.reaction.conflict import approach_mps
+from wcsim.bridge.reaction.conflict import SweptOverlap, approach_mps
 from wcsim.bridge.reaction.driver_model import (
     DriverPlan,
-    Encounter,
-    Passing,
-    Steering,
     WaitingTimes,
+    _conflict_pose,
+    _Encounter,
+    _free_lane,
+    _junction_left_m,
+    _narrow_gap_mps,
+    _Passing,
+    _passing_in_lane,
+    _passing_mps,
+    _resumed_lane,
+    _room_to_pass,
+    _shift_mps,
+    _Steering,
+    _steering_out,
+    _too_near_to_change_lanes,
     braking,
     command,
-    conflict_pose,
     considered,
-    free_lane,
-    junction_left_m,
-    narrow_gap_mps,
-    passing_in_lane,
-    passing_mps,
     perceive,
-    resumed_lane,
-    room_to_pass,
-    shift_mps,
-    steering_out,
-    too_near_to_change_lanes,
     waited,
 )
-from wcsim.bridge.reaction.overlap import SweptOverlap
-from wcsim.bridge.reaction.swept_path import Brakes, LaneShape, OnLane, lay_out
+from wcsim.bridge.reaction.swept_path import Brakes, LaneShape, OnLane, _lay_out
 from wcsim.types import ActorKind
 
 FRONT = 6  # the pose of a vehicle's front; one at pose p touches after 0.5 (p - 7) m
@@ -58,7 +57,7 @@ class Junction(StraightRoads):
         return replace(lane, edge_id=lane_id[0], points_W_m=points, length_m=length_m, internal=inside)
 
 
-def encounter(there=None, vehicle=None, roads=None, shared=False) -> Encounter | None:
+def encounter(there=None, vehicle=None, roads=None, shared=False) -> _Encounter | None:
     """A car at 0, 10 m/s fast, and a chair 40 m ahead, unless told otherwise."""
     roads, vehicle = roads or StraightRoads(), vehicle or actor()
     there = there or chair(40.0)
@@ -66,11 +65,11 @@ def encounter(there=None, vehicle=None, roads=None, shared=False) -> Encounter |
     place = roads.on_lane(vehicle.id)
     tail_W_m = vehicle.p_W_m[:2] - (0.5 * vehicle.size_lwh_m[0], 0.0)
     lanes = [roads.lane(name) for name in roads.lanes_ahead(vehicle.id, 70.0)]
-    tube = lay_out(lanes, place.along_m, vehicle.size_lwh_m[0], tail_W_m, None)
+    tube = _lay_out(lanes, place.along_m, vehicle.size_lwh_m[0], tail_W_m, None)
     return perceive(vehicle, place, replace(lanes[0], shared=shared), tube, there, there.row(), BRAKE_MPS2, TICK_S)
 
 
-def at(*poses, left=0.0, speed=10.0, right_m=-0.31, left_m=0.31, on_road=True, **changes) -> Encounter:
+def at(*poses, left=0.0, speed=10.0, right_m=-0.31, left_m=0.31, on_road=True, **changes) -> _Encounter:
     """The usual encounter, with touches at these poses."""
     it = encounter(chair(9.0), actor(speed=speed))
     place = OnLane(lane_id="E_0", along_m=it.place.along_m, left_m=left)
@@ -92,7 +91,7 @@ def test_a_driver_perceives_only_chairs_near_its_way_and_on_the_pavement_only_th
     ("poses", "expected"), [((19, 17, -1), 17), ((19, FRONT + 2), FRONT + 2), ((19, FRONT + 1), 19), ((-1, 4), -1)]
 )
 def test_a_conflict_is_the_usual_gap_ahead_and_only_a_touch_alongside(poses, expected):
-    assert conflict_pose(at(*poses)) == expected
+    assert _conflict_pose(at(*poses)) == expected
 
 
 @pytest.mark.parametrize(
@@ -101,32 +100,32 @@ def test_a_conflict_is_the_usual_gap_ahead_and_only_a_touch_alongside(poses, exp
 )
 def test_no_change_of_lanes_begins_within_braking_distance_or_its_own_time(speed, distance_m, expected):
     it = at(-1, -1, 7 + round(2 * distance_m), speed=speed)
-    assert too_near_to_change_lanes(it) == expected
-    assert not too_near_to_change_lanes(it._replace(on_road=False))
+    assert _too_near_to_change_lanes(it) == expected
+    assert not _too_near_to_change_lanes(it._replace(on_road=False))
 
 
 def test_who_has_a_way_round_moves_over_first_and_drives_on_then():
     slower_mps = 10.0 - BRAKE_MPS2 * TICK_S
     ahead, alongside = at(-1, 30), at(-1, FRONT)
-    assert passing_mps(ahead, Passing(), 7.0) == 7.0
-    assert passing_mps(ahead, Passing(speed_mps=8.0), 7.0) == 8.0
-    assert passing_mps(ahead, Passing(speed_mps=2.0, aside_m=-0.5), 12.0) == slower_mps
-    assert passing_mps(ahead, Passing(speed_mps=2.0, aside_m=0.04), 12.0) == 12.0
-    assert passing_mps(ahead, Passing(speed_mps=0.0, aside_m=0.5), 12.0) == 12.0
-    assert passing_mps(alongside, Passing(speed_mps=2.0, aside_m=0.5), 12.0) == 12.0
+    assert _passing_mps(ahead, _Passing(), 7.0) == 7.0
+    assert _passing_mps(ahead, _Passing(speed_mps=8.0), 7.0) == 8.0
+    assert _passing_mps(ahead, _Passing(speed_mps=2.0, aside_m=-0.5), 12.0) == slower_mps
+    assert _passing_mps(ahead, _Passing(speed_mps=2.0, aside_m=0.04), 12.0) == 12.0
+    assert _passing_mps(ahead, _Passing(speed_mps=0.0, aside_m=0.5), 12.0) == 12.0
+    assert _passing_mps(alongside, _Passing(speed_mps=2.0, aside_m=0.5), 12.0) == 12.0
 
 
 def test_room_is_beside_the_chair_where_the_lane_is_divided_else_in_the_next_lane():
     two, no_sublanes = StraightRoads(lanes=2), StraightRoads(lanes=2, sublanes=False)
     aside = encounter(chair(40.0, 1.29), roads=two)
-    within = room_to_pass(aside, 30.0, two)
+    within = _room_to_pass(aside, 30.0, two)
     assert within.aside_m < -0.3 and within.lane_index is None and within.speed_mps > 0.0
     no_sublanes.put(aside.check.actor)
-    assert room_to_pass(aside, 30.0, no_sublanes) == Passing(lane_index=1)
+    assert _room_to_pass(aside, 30.0, no_sublanes) == _Passing(lane_index=1)
     middle = encounter(chair(40.0), roads=two)
-    assert room_to_pass(middle, 30.0, two) == Passing(lane_index=1)
+    assert _room_to_pass(middle, 30.0, two) == _Passing(lane_index=1)
     one = StraightRoads()
-    assert not room_to_pass(encounter(chair(40.0), roads=one), 30.0, one).possible
+    assert not _room_to_pass(encounter(chair(40.0), roads=one), 30.0, one).possible
 
 
 def test_nobody_passes_on_rails_round_a_chair_that_crosses_from_a_junction_or_between_two_lanes():
@@ -138,9 +137,9 @@ def test_nobody_passes_on_rails_round_a_chair_that_crosses_from_a_junction_or_be
     inside = usual._replace(here=replace(usual.here, internal=True))
     elsewhere = usual._replace(here=replace(usual.here, edge_id="D"))
     assert usual.straddles is False and straddling.straddles
-    assert room_to_pass(usual, 30.0, roads).possible
+    assert _room_to_pass(usual, 30.0, roads).possible
     for it in (tram, crossing, straddling, inside, elsewhere):
-        assert not room_to_pass(it, 30.0, roads).possible
+        assert not _room_to_pass(it, 30.0, roads).possible
 
 
 def test_the_lane_beside_must_lead_on_beyond_the_chair():
@@ -152,22 +151,22 @@ def test_the_lane_beside_must_lead_on_beyond_the_chair():
             return ()
 
     roads = Asked(lanes=2, sublanes=False)
-    assert room_to_pass(encounter(roads=roads), 30.0, roads) == Passing()
+    assert _room_to_pass(encounter(roads=roads), 30.0, roads) == _Passing()
     assert asked == [30.0 + 2.0 * (2.0 + 4.5)]
 
 
 def test_a_place_in_the_lane_that_is_too_narrow_or_too_near_to_reach_is_none():
     it = encounter(chair(40.0, 1.29))
-    assert passing_in_lane(it, 30.0, LANE_M).aside_m == pytest.approx(-0.41, abs=0.3)
-    assert passing_in_lane(it, 30.0, 2.6) is None
-    left_m = passing_in_lane(it, 30.0, LANE_M).aside_m
+    assert _passing_in_lane(it, 30.0, LANE_M).aside_m == pytest.approx(-0.41, abs=0.3)
+    assert _passing_in_lane(it, 30.0, 2.6) is None
+    left_m = _passing_in_lane(it, 30.0, LANE_M).aside_m
     there = it._replace(place=replace(it.place, left_m=left_m))
-    assert passing_in_lane(there, 30.0, LANE_M).aside_m == 0.0
+    assert _passing_in_lane(there, 30.0, LANE_M).aside_m == 0.0
     touching = there._replace(touch=replace(there.touch, at=(7, *there.touch.at[1:])))
-    assert passing_in_lane(touching, 30.0, LANE_M) is None
-    assert passing_in_lane(touching._replace(place=it.place), 30.0, LANE_M) is not None
+    assert _passing_in_lane(touching, 30.0, LANE_M) is None
+    assert _passing_in_lane(touching._replace(place=it.place), 30.0, LANE_M) is not None
     turns_there = encounter()._replace(touch=it.touch)  # its straight body touches all the same, though far ahead
-    assert passing_in_lane(turns_there, 30.0, LANE_M) is None
+    assert _passing_in_lane(turns_there, 30.0, LANE_M) is None
 
 
 @pytest.mark.parametrize(
@@ -175,23 +174,23 @@ def test_a_place_in_the_lane_that_is_too_narrow_or_too_near_to_reach_is_none():
     [(0.0, 0.0, 1.0), (0.06, 0.6, 0.2), (0.06, 0.5, 0.0), (-0.8, 17.0, 8.0), (0.8, 17.0, 8.0), (0.04, 22.0, 29.09)],
 )
 def test_a_vehicle_is_so_fast_that_it_has_moved_over_in_time(aside_m, distance_m, expected):
-    assert shift_mps(aside_m, distance_m) == pytest.approx(expected, abs=0.01)
+    assert _shift_mps(aside_m, distance_m) == pytest.approx(expected, abs=0.01)
 
 
 def test_the_next_lane_is_free_where_the_chair_does_not_reach_into_it():
-    assert free_lane(at(9, 9), (1, -1)) == 1
-    assert free_lane(at(9, 9, right_m=1.0, left_m=1.91), (1, -1)) == -1
-    assert free_lane(at(9, 9, right_m=1.0, left_m=1.89), (1,)) == 1  # 1.31 m off that lane's middle
-    assert free_lane(at(9, 9, right_m=1.0, left_m=1.91), (1,)) is None
-    assert free_lane(at(9, 9), ()) is None
+    assert _free_lane(at(9, 9), (1, -1)) == 1
+    assert _free_lane(at(9, 9, right_m=1.0, left_m=1.91), (1, -1)) == -1
+    assert _free_lane(at(9, 9, right_m=1.0, left_m=1.89), (1,)) == 1  # 1.31 m off that lane's middle
+    assert _free_lane(at(9, 9, right_m=1.0, left_m=1.91), (1,)) is None
+    assert _free_lane(at(9, 9), ()) is None
 
 
 def test_a_junction_is_left_only_towards_a_chair_behind_it():
     it = encounter(chair(40.0), actor(x=0.0), Junction())
-    assert junction_left_m(it, Junction()) == pytest.approx(12.0 + 0.5 - 2.25)
-    assert junction_left_m(encounter(chair(8.0), actor(x=0.0), Junction()), Junction()) == 0.0
-    assert junction_left_m(encounter(), StraightRoads()) == 0.0
-    assert junction_left_m(it._replace(here=replace(it.here, internal=False)), Junction()) == 0.0
+    assert _junction_left_m(it, Junction()) == pytest.approx(12.0 + 0.5 - 2.25)
+    assert _junction_left_m(encounter(chair(8.0), actor(x=0.0), Junction()), Junction()) == 0.0
+    assert _junction_left_m(encounter(), StraightRoads()) == 0.0
+    assert _junction_left_m(it._replace(here=replace(it.here, internal=False)), Junction()) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -199,36 +198,36 @@ def test_a_junction_is_left_only_towards_a_chair_behind_it():
     [(0.9, ("E", 1), 1), (0.9, None, None), (0.9, ("F", 1), None), (0.4, ("E", 1), None), (-0.9, ("E", 1), None)],
 )
 def test_who_is_half_way_into_a_lane_is_told_again(left, toward, expected):
-    assert resumed_lane(at(30, 29, left=left), toward) == expected
+    assert _resumed_lane(at(30, 29, left=left), toward) == expected
 
 
 def test_room_to_steer_out_is_kept_by_who_changes_lanes_straddles_or_leaves_a_junction():
     it, kept_mps = at(-1, 47), approach_mps(20.0 - 2.0 - 4.5, BRAKE_MPS2, TICK_S)
     straddling = at(-1, 47, left=0.9)
-    assert steering_out(it, DriverPlan(), Passing(), 20.0, 0.0) == Steering()
-    changes = steering_out(it, DriverPlan(), Passing(lane_index=1), 20.0, 0.0)
-    assert changes == Steering(lane_index=1, limit_mps=kept_mps)
-    assert steering_out(it, DriverPlan(lane_index=2), Passing(), 20.0, 0.0).lane_index == 2
-    assert steering_out(it, DriverPlan(lane_index=2), Passing(lane_index=1), 20.0, 0.0).lane_index == 1
-    assert steering_out(straddling, DriverPlan(), Passing(), 20.0, 0.0) == Steering(limit_mps=kept_mps)
-    assert steering_out(straddling, DriverPlan(), Passing(speed_mps=1.0), 20.0, 0.0) == Steering()
-    assert steering_out(at(30, FRONT, left=0.9), DriverPlan(), Passing(), 20.0, 0.0) == Steering()
-    leaves = steering_out(it, DriverPlan(), Passing(), 20.0, 15.0)
-    assert leaves == Steering(limit_mps=approach_mps(15.0, BRAKE_MPS2, TICK_S))
+    assert _steering_out(it, DriverPlan(), _Passing(), 20.0, 0.0) == _Steering()
+    changes = _steering_out(it, DriverPlan(), _Passing(lane_index=1), 20.0, 0.0)
+    assert changes == _Steering(lane_index=1, limit_mps=kept_mps)
+    assert _steering_out(it, DriverPlan(lane_index=2), _Passing(), 20.0, 0.0).lane_index == 2
+    assert _steering_out(it, DriverPlan(lane_index=2), _Passing(lane_index=1), 20.0, 0.0).lane_index == 1
+    assert _steering_out(straddling, DriverPlan(), _Passing(), 20.0, 0.0) == _Steering(limit_mps=kept_mps)
+    assert _steering_out(straddling, DriverPlan(), _Passing(speed_mps=1.0), 20.0, 0.0) == _Steering()
+    assert _steering_out(at(30, FRONT, left=0.9), DriverPlan(), _Passing(), 20.0, 0.0) == _Steering()
+    leaves = _steering_out(it, DriverPlan(), _Passing(), 20.0, 15.0)
+    assert leaves == _Steering(limit_mps=approach_mps(15.0, BRAKE_MPS2, TICK_S))
     half_way = DriverPlan(toward=("E", 1))
-    again = steering_out(straddling, half_way, Passing(), 20.0, 0.0)
-    assert again == Steering(lane_index=1, limit_mps=kept_mps, resumed=True)
-    assert not steering_out(straddling, half_way._replace(lane_index=1), Passing(), 20.0, 0.0).resumed
+    again = _steering_out(straddling, half_way, _Passing(), 20.0, 0.0)
+    assert again == _Steering(lane_index=1, limit_mps=kept_mps, resumed=True)
+    assert not _steering_out(straddling, half_way._replace(lane_index=1), _Passing(), 20.0, 0.0).resumed
 
 
 def test_a_narrow_gap_is_driven_slowly_where_the_front_half_clears():
-    assert narrow_gap_mps(at(-1, 12), 12) == 0.8
-    assert narrow_gap_mps(at(12 + 5, 12), 12) == pytest.approx(0.8)
-    assert narrow_gap_mps(at(12 + 4, 12), 12) is None
-    assert narrow_gap_mps(at(8, 3), 3) == 0.0  # its tail would touch at once
-    assert narrow_gap_mps(at(-1, 12, on_road=False), 12) is None
+    assert _narrow_gap_mps(at(-1, 12), 12) == 0.8
+    assert _narrow_gap_mps(at(12 + 5, 12), 12) == pytest.approx(0.8)
+    assert _narrow_gap_mps(at(12 + 4, 12), 12) is None
+    assert _narrow_gap_mps(at(8, 3), 3) == 0.0  # its tail would touch at once
+    assert _narrow_gap_mps(at(-1, 12, on_road=False), 12) is None
     crossing = encounter(chair(40.0, vy=0.5))
-    assert narrow_gap_mps(crossing._replace(touch=at(-1, 12).touch), 12) is None
+    assert _narrow_gap_mps(crossing._replace(touch=at(-1, 12).touch), 12) is None
 
 
 def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
@@ -237,7 +236,7 @@ def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
     one = considered(DriverPlan(), near, roads, impatient=False)
     both = considered(one, far, roads, impatient=False)
     other = considered(considered(DriverPlan(), far, roads, impatient=False), near, roads, impatient=False)
-    assert considered(DriverPlan(), far, roads, impatient=False).keep_lane and not too_near_to_change_lanes(far)
+    assert considered(DriverPlan(), far, roads, impatient=False).keep_lane and not _too_near_to_change_lanes(far)
     assert one.lane_index == 1 and one.could_pass and one.keep_lane and one.toward == ("E", 1)
     assert both == other and both.limit_mps == one.limit_mps and both.nearest_m == one.nearest_m < math.inf
     beside = considered(DriverPlan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)

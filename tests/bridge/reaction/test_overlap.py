@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.bridge.reaction.overlap import ROOM_M, SweptOverlap, first_touches, room_beside
-from wcsim.bridge.reaction.pedestrians import Block, block_of, block_of_disc, ways_round
-from wcsim.bridge.reaction.swept_path import STEP_M, LaneShape, OnLane, lay_out
+from wcsim.bridge.reaction.conflict import ROOM_M, SweptOverlap, _first_touches, room_beside
+from wcsim.bridge.reaction.pedestrians import _Block, _block_around, _block_around_disc, _ways_round
+from wcsim.bridge.reaction.swept_path import STEP_M, LaneShape, OnLane, _lay_out
 from wcsim.core.boxes import boxes_touch, gap_to_box
 
 GAPS_M = np.array([0.1, 0.4, 3.0])
@@ -25,14 +25,14 @@ def lane(name: str, points, length_m=None) -> LaneShape:
 
 def straight_tube(length_m=4.5):
     way = lane("a_0", [(0.0, 0.0), (100.0, 0.0)])
-    return lay_out([way], 10.0, length_m, np.array([10.0 - length_m, 0.0]), None)
+    return _lay_out([way], 10.0, length_m, np.array([10.0 - length_m, 0.0]), None)
 
 
 def look(tube, x, y, vx=0.0, vy=0.0, left_m=0.0, skew=0.0, speed=10.0, length_m=4.5):
     now = (10.0 - tube.first_m) / STEP_M
     row = np.array([x, y, 1.0, 0.0, 0.57, 0.31, vx, vy])
     body = 0.5 * length_m, 0.9, left_m, skew
-    return first_touches(tube.poses, (int(now), len(tube.poses)), body, GAPS_M, row, (now, STEP_M / speed))
+    return _first_touches(tube.poses, (int(now), len(tube.poses)), body, GAPS_M, row, (now, STEP_M / speed))
 
 
 def test_a_straight_way_touches_where_the_front_meets_the_chair():
@@ -93,7 +93,7 @@ def test_a_long_vehicle_cuts_the_corner_and_a_short_one_hardly():
     way = lane("a_0", [(-50.0, 0.0), *turn, (10.0, 60.0)])
     inward = []
     for length_m in (4.0, 12.0):
-        tube = lay_out([way], 45.0, length_m, np.array([45.0 - 50.0 - length_m, 0.0]), None)
+        tube = _lay_out([way], 45.0, length_m, np.array([45.0 - 50.0 - length_m, 0.0]), None)
         from_centre = np.hypot(tube.poses[:, 0], tube.poses[:, 1] - 10.0)
         inward.append(10.0 - from_centre.min())
     assert inward[0] < 0.3
@@ -102,11 +102,11 @@ def test_a_long_vehicle_cuts_the_corner_and_a_short_one_hardly():
 
 def test_the_way_goes_on_over_the_next_lanes_and_remembers_the_last():
     first, second = lane("a_0", [(0, 0), (50, 0)], length_m=100.0), lane("b_0", [(52, 0), (90, 0)])
-    tube = lay_out([first, second], 80.0, 4.0, np.array([36.0, 0.0]), None)
+    tube = _lay_out([first, second], 80.0, 4.0, np.array([36.0, 0.0]), None)
     assert tube.front_m(OnLane(lane_id="a_0", along_m=80.0, left_m=0.0)) == pytest.approx(40.0)
     assert tube.front_m(OnLane(lane_id="b_0", along_m=3.0, left_m=0.0)) == pytest.approx(55.0)
     assert [tube.lane_at(m) for m in (10.0, 60.0)] == ["a_0", "b_0"]
-    later = lay_out([second], 3.0, 12.0, np.array([43.0, 0.0]), tube)
+    later = _lay_out([second], 3.0, 12.0, np.array([43.0, 0.0]), tube)
     assert later.points_W_m[:, 0].min() < 50.0
 
 
@@ -122,24 +122,24 @@ def test_boxes_touch_whichever_of_them_is_asked(x, y, turn, other_turn):
 
 
 def test_the_way_round_is_the_shorter_one_and_none_leads_through_a_block():
-    chair_like = block_of(0.0, 0.0, 1.0, 0.0, (3.0, 0.2, 1.0, 0.0, 0.57, 0.31), 0.5, 0.4)
+    chair_like = _block_around(0.0, 0.0, 1.0, 0.0, (3.0, 0.2, 1.0, 0.0, 0.57, 0.31), 0.5, 0.4)
     assert chair_like.near_m == pytest.approx(3.0 - 0.97)
-    first = next(iter(ways_round([chair_like], 0.0)))
+    first = next(iter(_ways_round([chair_like], 0.0)))
     assert first == pytest.approx(0.2 - 0.81)
-    wall = Block(near_m=1.0, far_m=2.0, right_m=-5.0, left_m=-0.3)
-    assert next(iter(ways_round([chair_like, wall], 0.0))) == pytest.approx(0.2 + 0.81)
-    assert next(iter(ways_round([], 0.7))) == 0.0
+    wall = _Block(near_m=1.0, far_m=2.0, right_m=-5.0, left_m=-0.3)
+    assert next(iter(_ways_round([chair_like, wall], 0.0))) == pytest.approx(0.2 + 0.81)
+    assert next(iter(_ways_round([], 0.7))) == 0.0
 
 
 def test_nobody_steps_through_what_is_beside():
-    beside = Block(near_m=-0.9, far_m=0.9, right_m=-0.6, left_m=0.8)
-    assert set(ways_round([beside], 0.9)) == {0.8, 0.9}
-    ahead = Block(near_m=0.5, far_m=2.3, right_m=-0.6, left_m=0.8)
-    assert -0.6 in ways_round([ahead], 0.9)
+    beside = _Block(near_m=-0.9, far_m=0.9, right_m=-0.6, left_m=0.8)
+    assert set(_ways_round([beside], 0.9)) == {0.8, 0.9}
+    ahead = _Block(near_m=0.5, far_m=2.3, right_m=-0.6, left_m=0.8)
+    assert -0.6 in _ways_round([ahead], 0.9)
 
 
 def test_of_somebody_half_behind_only_the_part_beside_counts():
-    behind, ahead = block_of_disc(-0.3, 0.6, 0.5), block_of_disc(0.3, 0.6, 0.5)
+    behind, ahead = _block_around_disc(-0.3, 0.6, 0.5), _block_around_disc(0.3, 0.6, 0.5)
     assert behind.right_m == pytest.approx(0.6 - 0.4)
     assert ahead.right_m == pytest.approx(0.1)
     assert behind.far_m == pytest.approx(0.2)

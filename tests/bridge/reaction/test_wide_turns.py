@@ -10,10 +10,18 @@ import pytest
 
 from tests.bridge.reaction.corners import LONGEST, TOUCH_M2, corners_of, sweep
 from tests.bridge.reaction.roads import actor
-from wcsim.bridge.mirror_check import check_mirror
+from wcsim.bridge.mirror import _check_mirror
 from wcsim.bridge.reaction.swept_path import LaneShape, OnLane
-from wcsim.bridge.reaction.wide_turn_bodies import ASIDE_SHARE, SwingOut
-from wcsim.bridge.reaction.wide_turns import MOST_M, SIDE_STEP_M, STEP_M, covered_m2, normals, offsets_m
+from wcsim.bridge.reaction.wide_turns import (
+    ASIDE_SHARE,
+    MOST_M,
+    SIDE_STEP_M,
+    STEP_M,
+    SwingOut,
+    _covered_m2,
+    _normals,
+    _offsets_m,
+)
 from wcsim.core import frames
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import Engine
@@ -83,9 +91,9 @@ class Bend:
 
 def test_a_bus_that_has_room_keeps_off_the_pavement():
     ground = corner_ground(free_m=8.0)
-    before = covered_m2(LINE_M, BUS_M, ground)
-    found = offsets_m(LINE_M, BUS_M, ground, NONE_M)
-    after = covered_m2(LINE_M + found[:, None] * normals(LINE_M), BUS_M, ground)
+    before = _covered_m2(LINE_M, BUS_M, ground)
+    found = _offsets_m(LINE_M, BUS_M, ground, NONE_M)
+    after = _covered_m2(LINE_M + found[:, None] * _normals(LINE_M), BUS_M, ground)
     assert before.max() > 3.0, "as SUMO leads it, it cuts the corner"
     assert after.max() < TOUCH_M2
     assert found.max() > 0.5 and found.min() > -0.5, "outwards"
@@ -94,18 +102,18 @@ def test_a_bus_that_has_room_keeps_off_the_pavement():
 
 def test_where_it_is_too_narrow_it_covers_less_and_on_a_wide_road_nothing_moves():
     narrow = corner_ground(free_m=1.6)
-    found = offsets_m(LINE_M, BUS_M, narrow, NONE_M)
-    before = covered_m2(LINE_M, BUS_M, narrow).sum()
-    after = covered_m2(LINE_M + found[:, None] * normals(LINE_M), BUS_M, narrow).sum()
+    found = _offsets_m(LINE_M, BUS_M, narrow, NONE_M)
+    before = _covered_m2(LINE_M, BUS_M, narrow).sum()
+    after = _covered_m2(LINE_M + found[:, None] * _normals(LINE_M), BUS_M, narrow).sum()
     assert 0.0 < after < 0.9 * before
     straight = np.stack([np.arange(0.0, 60.0, STEP_M), np.zeros(120)], axis=1)
-    assert not offsets_m(straight, BUS_M, narrow, NONE_M).any()
+    assert not _offsets_m(straight, BUS_M, narrow, NONE_M).any()
 
 
 def test_what_was_driven_is_not_laid_out_anew():
     ground = corner_ground(free_m=8.0)
-    held = offsets_m(LINE_M, BUS_M, ground, NONE_M)[:125] + 0.013
-    found = offsets_m(LINE_M, BUS_M, ground, held)
+    held = _offsets_m(LINE_M, BUS_M, ground, NONE_M)[:125] + 0.013
+    found = _offsets_m(LINE_M, BUS_M, ground, held)
     assert np.array_equal(found[:125], held)
     assert np.abs(np.diff(found[124:])).max() < 2.0 * SIDE_STEP_M
 
@@ -171,7 +179,7 @@ def pool_and_check(pool: BodyPool, one) -> None:
     from wcsim.bridge import mirror
 
     pool.place(mirror.moves({}, (replace(one, v_W_mps=np.zeros(3)),), TICK_S))
-    check_mirror(pool, (one,))
+    _check_mirror(pool, (one,))
 
 
 def swept(found: Town, few: int = 1):

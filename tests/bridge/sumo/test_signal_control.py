@@ -13,7 +13,7 @@ from tests.bridge.sumo.test_session import options
 from tests.support.lit_road import CROSSING_LINKS, lit_road
 from wcsim.bridge.reaction.commands import GreenRequest
 from wcsim.bridge.sumo.session import SumoSession
-from wcsim.bridge.sumo.signal_control import Phase, towards_green
+from wcsim.bridge.sumo.signal_control import _Phase, _towards_green
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SignalState
 
@@ -25,7 +25,7 @@ CARS_GREEN, YELLOW, FREE, ALL_RED = "GGr", "yyr", "rrG", "rrr"
 def program(*phases):
     """Phases by colours and what may follow them."""
     return tuple(
-        Phase(shows=SignalState(tls_id="t", colours=colours), least_s=5.0, following=following)
+        _Phase(shows=SignalState(tls_id="t", colours=colours), least_s=5.0, following=following)
         for colours, following in phases
     )
 
@@ -35,14 +35,14 @@ OPTIONAL = program((CARS_GREEN, (0, 1)), (YELLOW, (2,)), (FREE, (3,)), (ALL_RED,
 
 @pytest.mark.parametrize(("now", "following"), [(0, 1), (1, 2), (2, None), (3, 0)])
 def test_the_next_phase_is_one_that_the_program_allows(now, following):
-    assert towards_green(OPTIONAL, now, CROSSING_LINKS) == following
+    assert _towards_green(OPTIONAL, now, CROSSING_LINKS) == following
 
 
 def test_the_shortest_of_several_ways_is_taken_and_no_way_is_none():
     forked = program(("Grr", (1, 2)), ("yrr", (3,)), ("yyr", (4,)), ("rGr", (0,)), ("rrG", (0,)))
-    assert towards_green(forked, 0, (2,)) == 2 and towards_green(forked, 0, (1,)) == 1
-    assert towards_green(forked, 0, (1, 2)) is None
-    assert towards_green(program(("Gr", (0,)), ("rG", (0,))), 0, (1,)) is None
+    assert _towards_green(forked, 0, (2,)) == 2 and _towards_green(forked, 0, (1,)) == 1
+    assert _towards_green(forked, 0, (1, 2)) is None
+    assert _towards_green(program(("Gr", (0,)), ("rG", (0,))), 0, (1,)) is None
 
 
 @pytest.fixture(scope="module")

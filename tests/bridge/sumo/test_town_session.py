@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.bridge.sumo.town_session import warmup_s
+from wcsim.bridge.sumo.session import warmup_s
 from wcsim.config import RunConfig, load_run_config, parse_json, with_file, with_overrides
 from wcsim.towns.scenario.town import Town, find_town
 

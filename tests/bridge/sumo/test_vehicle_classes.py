@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sumolib.net.lane import SUMO_VEHICLE_CLASSES
 
 from tests.support.menagerie import CLASSES, build_street, mirror_loop, one_of_each
-from wcsim.bridge.sumo.actors import KIND_OF_CLASS, kind_and_look, sane_size
+from wcsim.bridge.sumo.actors import KIND_OF_CLASS, _kind_and_look, _sane_size
 from wcsim.physics.renderer.instances import actor_instances
 from wcsim.physics.renderer.models.catalog import LOOKS
 from wcsim.types import ActorKind, ActorLook
@@ -28,8 +28,8 @@ def test_every_class_of_sumo_s_own_list_has_a_kind():
 
 @given(st.text(max_size=12), st.tuples(*[st.floats()] * 3))
 def test_any_name_and_any_size_is_something_with_a_box(name, numbers):
-    size = sane_size(*numbers)
-    kind, look = kind_and_look(name, size)
+    size = _sane_size(*numbers)
+    kind, look = _kind_and_look(name, size)
     assert isinstance(kind, ActorKind) and isinstance(look, ActorLook)
     assert all(math.isfinite(side) and 0.1 <= side <= 400.0 for side in size)
     if name not in KIND_OF_CLASS:
@@ -49,7 +49,7 @@ def test_any_name_and_any_size_is_something_with_a_box(name, numbers):
     ],
 )
 def test_height_tells_a_van_from_a_car(name, height_m, expected):
-    assert kind_and_look(name, (5.0, 2.0, height_m)) == expected
+    assert _kind_and_look(name, (5.0, 2.0, height_m)) == expected
 
 
 def test_one_of_each_drives_in_sumo_and_is_mirrored_and_drawn(tmp_path):
@@ -75,7 +75,7 @@ def test_one_of_each_drives_in_sumo_and_is_mirrored_and_drawn(tmp_path):
 
 def test_every_look_that_is_given_has_a_model():
     given_looks = {
-        kind_and_look(name, (6.0, 2.0, height_m)) for name in CLASSES for height_m in (1.5, 3.0)
+        _kind_and_look(name, (6.0, 2.0, height_m)) for name in CLASSES for height_m in (1.5, 3.0)
     }  # fmt: skip
     special = {(kind, look) for kind, look in given_looks if look is not ActorLook.USUAL}
     assert special <= set(LOOKS)

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from tests.physics.renderer.render_oracle import actor, crowd
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.geometry import GeometryStore, connected_parts
+from wcsim.physics.renderer.geometry import GeometryStore, _connected_parts
 from wcsim.physics.renderer.instances import (
     ChairPose,
+    _gait_phases,
     chair_instances,
-    gait_phases,
     instances_of,
     rotation_of,
     rotation_quaternion,
 )
-from wcsim.physics.renderer.models import riders
+from wcsim.physics.renderer.models import people
 from wcsim.physics.renderer.models.catalog import FIGURES, Template, actor_templates, template_of
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
@@ -169,10 +169,10 @@ def test_every_kind_has_a_template_and_its_classes(table):
 
 
 def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origin():
-    points = np.concatenate([piece.part.vertices_m for piece in riders.wheelchair()])
+    points = np.concatenate([piece.part.vertices_m for piece in people.wheelchair()])
     assert np.ptp(points, axis=0) == pytest.approx((1.12, 0.62, 1.45), abs=0.03)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    wheels = np.concatenate([p.part.vertices_m for p in riders.wheelchair() if p.paint is Paint.TYRE])
+    wheels = np.concatenate([p.part.vertices_m for p in people.wheelchair() if p.paint is Paint.TYRE])
     drive = wheels[wheels[:, 2] > 0.25]  # only the drive wheels are so high
     assert drive[:, 0].mean() - middle[0] == pytest.approx(-USUAL_OUTLINE.middle_x_m, abs=0.02)
 
@@ -207,14 +207,14 @@ def test_a_walker_goes_through_all_phases_in_order(yaw, x, y, seed):
     places = np.array([x, y, 0.0]) + np.arange(0, 3.2, 0.13)[:, None] * ahead
     n = len(places)
     seeds, stride_m = np.full(n, seed, np.uint32), np.full(n, 1.4)
-    phases = gait_phases(places, np.full(n, yaw), np.full(n, 1.3), seeds, stride_m).tolist()
+    phases = _gait_phases(places, np.full(n, yaw), np.full(n, 1.3), seeds, stride_m).tolist()
     steps = [(b - a) % 4 for a, b in itertools.pairwise(phases)]
     assert set(phases) == {0, 1, 2, 3} and set(steps) <= {0, 1}
 
 
 def test_a_standing_person_keeps_still():
     places = np.column_stack([np.arange(0, 3, 0.1), np.zeros(30), np.zeros(30)])
-    phases = gait_phases(places, np.zeros(30), np.zeros(30), np.full(30, 7, np.uint32), np.full(30, 1.4))
+    phases = _gait_phases(places, np.zeros(30), np.zeros(30), np.full(30, 7, np.uint32), np.full(30, 1.4))
     assert set(phases.tolist()) == {STANDING}
 
 
@@ -226,7 +226,7 @@ def test_kinds_are_told_apart_by_id_not_by_order():
 
 def test_connected_parts_are_houses_and_crossings(store):
     mesh = strip_street().mesh
-    thing = connected_parts(mesh.vertices_W_m, mesh.faces, mesh.face_class)
+    thing = _connected_parts(mesh.vertices_W_m, mesh.faces, mesh.face_class)
     for class_id in (ClassId.BUILDING, ClassId.POLE, ClassId.CROSSWALK):
         assert len(set(thing[mesh.face_class == class_id].tolist())) == 1
     assert not set(thing[mesh.face_class == ClassId.BUILDING]) & set(thing[mesh.face_class == ClassId.POLE])

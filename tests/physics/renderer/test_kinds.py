@@ -14,7 +14,7 @@ from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from wcsim.config import CameraConfig
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.instances import figures, instances_of
+from wcsim.physics.renderer.instances import _figures, instances_of
 from wcsim.physics.renderer.models.catalog import LOOKS, Template, template_of
 from wcsim.physics.sensors.camera import CameraRig, FreeCamera
 from wcsim.physics.sensors.camera_geometry import camera_matrix, look_at, mount, pinhole, pose_matrix
@@ -120,10 +120,10 @@ def test_legs_move_with_the_distance_walked_and_stand_when_standing(store):
 def test_children_are_small_grown_ups_are_of_two_kinds_and_nobody_changes():
     heights = np.array([1.1, 1.3, 1.65, 1.78] * 50)
     seeds = np.random.default_rng(1).integers(0, 2**32, 200, dtype=np.uint32)
-    chosen = figures(heights, seeds)
+    chosen = _figures(heights, seeds)
     assert set(chosen[heights < 1.4].tolist()) == {2}
     assert 0.3 < chosen[heights > 1.4].mean() < 0.7
-    assert np.array_equal(chosen, figures(heights, seeds))
+    assert np.array_equal(chosen, _figures(heights, seeds))
 
 
 def test_a_look_that_does_not_fit_a_kind_is_the_usual_one():

@@ -16,7 +16,7 @@ from wcsim.config import CameraConfig
 from wcsim.physics.buffers import new_images
 from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole
-from wcsim.physics.renderer.cast import SignalLamps
+from wcsim.physics.renderer.cast import _SignalLamps
 from wcsim.physics.renderer.instances import instances_of
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.raster import RasterRenderer
@@ -67,7 +67,7 @@ def lit(rgb: np.ndarray, class_id: np.ndarray) -> tuple[set[str], dict[str, floa
     ],
 )  # fmt: skip
 def test_the_letter_lights_its_lamp_in_both_renderers(renderers, letter, pedestrian, colours):
-    lamps = SignalLamps((head(1, pedestrian),)).near(np.array([EYE]), 40.0, state("O" + letter))[0]
+    lamps = _SignalLamps((head(1, pedestrian),)).near(np.array([EYE]), 40.0, state("O" + letter))[0]
     T_CW = look_at(EYE, HEAD_W_M)
     for renderer in renderers:
         out = new_images(CAMERA.width_px, CAMERA.height_px, rgb=True)
@@ -84,14 +84,14 @@ def test_the_letter_lights_its_lamp_in_both_renderers(renderers, letter, pedestr
 
 def test_only_heads_that_face_the_camera_and_are_near_are_drawn():
     heads = (head(), head(yaw=0.0), head(p=(60.0, 0.0, 2.7)), head(p=(14.0, 5.0, 2.7), yaw=-2.4))
-    lamps = SignalLamps(heads)
+    lamps = _SignalLamps(heads)
     assert len(lamps.near(np.array([EYE]), 40.0, state("g"))[0]) == 2
     assert len(lamps.near(np.array([EYE]), 60.0, state("g"))[0]) == 3
-    assert len(SignalLamps(()).near(np.array([EYE]), 40.0, state("g"))[0]) == 0
+    assert len(_SignalLamps(()).near(np.array([EYE]), 40.0, state("g"))[0]) == 0
 
 
 def test_a_light_that_says_nothing_or_too_little_is_dark_and_comes_back():
-    lamps = SignalLamps((head(0, tls="a"), head(3, tls="b")))
+    lamps = _SignalLamps((head(0, tls="a"), head(3, tls="b")))
     both = (SignalState(tls_id="a", colours="rr"), SignalState(tls_id="b", colours="gggg"))
     eye = np.array([EYE])
     first = lamps.near(eye, 40.0, both)[0].template.tolist()
@@ -120,7 +120,7 @@ def test_three_hundred_heads_cost_next_to_nothing():
     rng = np.random.default_rng(3)
     places = np.c_[rng.uniform(-300, 300, (300, 2)), np.full(300, 2.7)]
     heads = [head(k % 12, p=p, yaw=rng.uniform(-3, 3), tls=f"t{k // 12:02}") for k, p in enumerate(places)]
-    lamps = SignalLamps(heads)
+    lamps = _SignalLamps(heads)
     ranges_m = itertools.cycle((40.0, 41.0))
     signals = tuple(SignalState(tls_id=f"t{k:02}", colours="rgyG" * 3) for k in range(25))
     assert len(lamps.near(np.array([EYE]), 41.0, signals)[0]) < 30

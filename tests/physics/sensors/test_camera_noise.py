@@ -11,7 +11,7 @@ from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images
-from wcsim.physics.sensors.camera import CameraRig, camera_noise
+from wcsim.physics.sensors.camera import CameraRig, _camera_noise
 from wcsim.physics.sensors.camera_geometry import pinhole
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.types import ClassId
@@ -36,7 +36,7 @@ def laid_over(config: CameraConfig, depth_m=None, class_id=None, rgb=None, key: 
         class_id=np.full(shape, ClassId.ROAD, np.uint8) if class_id is None else np.array(class_id, np.uint8),
         rgb=None if rgb is None else np.array(rgb, np.uint8),
     )
-    camera_noise(config, pinhole(config)).lay_over(images, key)
+    _camera_noise(config, pinhole(config)).lay_over(images, key)
     return images
 
 
@@ -178,7 +178,7 @@ def test_parts_that_are_not_asked_for_stay_exact():
     assert np.array_equal(got.class_id, classes) and np.array_equal(got.rgb, rgb)
     for noise in (None, "none", {}):
         config = camera(noise)
-        assert camera_noise(config, pinhole(config)) is None
+        assert _camera_noise(config, pinhole(config)) is None
 
 
 TYPICAL = CameraConfig(name="front", width_px=80, height_px=60, rgb=True, noise="typical")
@@ -239,7 +239,7 @@ def test_noise_is_quick():
     scene, classes = wall(3.0), np.full((240, 320), ClassId.ROAD, np.uint8)
     scene[60:200, 80:180] = 1.5
     images = laid_over(config, scene, classes)
-    noise, keys = camera_noise(config, pinhole(config)), itertools.count()
+    noise, keys = _camera_noise(config, pinhole(config)), itertools.count()
 
     def disturb():
         images.depth_m[:] = scene

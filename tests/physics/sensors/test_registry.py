@@ -10,7 +10,7 @@ from wcsim.physics.engine import Engine
 from wcsim.physics.sensors import registry
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor, Surroundings
 from wcsim.physics.sensors.imu import Imu
-from wcsim.physics.sensors.registry import SeatCameras
+from wcsim.physics.sensors.registry import _SeatCameras
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 
 
@@ -78,6 +78,6 @@ def test_cameras_need_a_rig():
 
 def test_cameras_and_imu_are_two_kinds_of_sensors():
     assert {"cameras", "imu"} <= set(registry.SENSORS)
-    assert Sensor in Imu.__mro__ and Sensor in SeatCameras.__mro__
+    assert Sensor in Imu.__mro__ and Sensor in _SeatCameras.__mro__
     mount = Mount(seat=0, engine=None, com_B_m=(0.0, 0.0, 0.0), wheel_radius_m=0.1, track_m=0.5, rig=object())
-    assert isinstance(registry.SENSORS["cameras"]((), mount), SeatCameras)
+    assert isinstance(registry.SENSORS["cameras"]((), mount), _SeatCameras)

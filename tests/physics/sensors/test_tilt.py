@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from wcsim.config import ImuConfig
 from wcsim.core.rotations import LEVEL, euler, matrix, quaternion, turned
 from wcsim.physics.sensors.base import BodyMotion
-from wcsim.physics.sensors.imu import Imu, TiltSensor, tilt_felt, tilt_turned
+from wcsim.physics.sensors.imu import Imu, _tilt_felt, _tilt_turned, _TiltSensor
 from wcsim.physics.sensors.pixel_noise import child
 
 STILL = (0.0, 0.0, 0.0)
@@ -21,7 +21,7 @@ angle = st.floats(-1.2, 1.2)
 @given(angle, angle, st.floats(-3, 3))
 def test_at_rest_gravity_gives_the_tilt(roll, pitch, yaw):
     rotation = matrix(quaternion(yaw, pitch, roll))
-    assert tilt_felt(9.81 * np.array(rotation[6:9])) == pytest.approx(euler(rotation)[:2], abs=1e-9)
+    assert _tilt_felt(9.81 * np.array(rotation[6:9])) == pytest.approx(euler(rotation)[:2], abs=1e-9)
 
 
 @given(angle, angle, st.tuples(*[st.floats(-2, 2)] * 3))
@@ -29,13 +29,13 @@ def test_the_gyroscope_turns_the_tilt_as_the_body_turns(roll, pitch, w_B):
     q, dt_s = quaternion(0.4, pitch, roll), 1e-4
     r = np.array(matrix(q)).reshape(3, 3)
     after = euler(matrix(turned(q, tuple(r @ w_B), dt_s)))
-    assert tilt_turned((roll, pitch), np.array(w_B), dt_s) == pytest.approx(after[:2], abs=5e-7)
+    assert _tilt_turned((roll, pitch), np.array(w_B), dt_s) == pytest.approx(after[:2], abs=5e-7)
 
 
 def test_braking_fools_the_accelerometer_and_the_filter_slowly():
     resting, braking, pitch = np.array([0.0, 0.0, 9.81]), np.array([-1.5, 0.0, 9.81]), {}
     for mode in ("ideal", "accelerometer", "complementary"):
-        sensor = TiltSensor(ImuConfig(tilt=mode, tilt_tau_s=1.0))
+        sensor = _TiltSensor(ImuConfig(tilt=mode, tilt_tau_s=1.0))
         forces = [resting] + [braking] * 5 + [resting] * 30
         pitch[mode] = [math.degrees(sensor.read((0.0, 0.0), f, np.zeros(3), 0.1, NONE)[1]) for f in forces]
     assert not any(pitch["ideal"])
@@ -45,7 +45,7 @@ def test_braking_fools_the_accelerometer_and_the_filter_slowly():
 
 
 def test_the_filter_follows_a_real_tilt_at_once():
-    sensor = TiltSensor(ImuConfig(tilt="complementary"))
+    sensor = _TiltSensor(ImuConfig(tilt="complementary"))
     sensor.read((0.0, 0.0), np.array([0.0, 0.0, 9.81]), np.zeros(3), 0.0, NONE)
     for k in range(1, 6):  # 10 degrees nose up and 5 to the right in half a second
         truth = (math.radians(1.0 * k), math.radians(2.0 * k))
@@ -56,7 +56,7 @@ def test_the_filter_follows_a_real_tilt_at_once():
 
 
 def test_a_chair_on_its_back_does_not_confuse_the_filter():
-    sensor = TiltSensor(ImuConfig(tilt="complementary"))
+    sensor = _TiltSensor(ImuConfig(tilt="complementary"))
     for roll in (math.radians(178), math.radians(-178), math.radians(178)):
         force = 9.81 * np.array([0.0, math.sin(roll), math.cos(roll)])
         got = sensor.read((roll, 0.0), force, np.zeros(3), 0.1, NONE)

@@ -11,7 +11,7 @@ import pytest
 from wcsim.physics import engine
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.wheelchair import drive_controller, plant_body, wheelchair
-from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.plant_body import urdf
 
 Patch = pytest.MonkeyPatch
 Plant = Callable[[Patch], None]

@@ -62,7 +62,7 @@ def test_more_stick_never_asks_for_less(angle, a, b):
 
 @given(sticks, speeds)
 def test_targets_stay_within_the_limits(stick, v_now):
-    v, w = drive_controller.target(stick.x, stick.y, v_now, SETTING)
+    v, w = drive_controller._target(stick.x, stick.y, v_now, SETTING)
     assert -CHAIR.reverse_share * CHAIR.v_max_mps - 1e-12 <= v <= CHAIR.v_max_mps + 1e-12
     assert abs(w) <= joystick.yaw_rate_limit(v_now, CHAIR.yaw_rate_max_radps) + 1e-12
     assert abs(w) <= joystick.yaw_rate_limit(v, CHAIR.yaw_rate_max_radps) + 1e-12
@@ -70,20 +70,20 @@ def test_targets_stay_within_the_limits(stick, v_now):
 
 @given(sticks, speeds)
 def test_left_and_right_are_mirror_images(stick, v_now):
-    v, w = drive_controller.target(stick.x, stick.y, v_now, SETTING)
-    assert drive_controller.target(-stick.x, stick.y, v_now, SETTING) == (v, -w)
+    v, w = drive_controller._target(stick.x, stick.y, v_now, SETTING)
+    assert drive_controller._target(-stick.x, stick.y, v_now, SETTING) == (v, -w)
 
 
 def test_right_is_clockwise_and_back_is_slower():
-    assert drive_controller.target(1.0, 0.0, 0.0, SETTING)[1] == pytest.approx(-1.5)
-    assert drive_controller.target(0.0, -1.0, 0.0, SETTING)[0] == pytest.approx(-0.668)
+    assert drive_controller._target(1.0, 0.0, 0.0, SETTING)[1] == pytest.approx(-1.5)
+    assert drive_controller._target(0.0, -1.0, 0.0, SETTING)[0] == pytest.approx(-0.668)
     assert joystick.yaw_rate_limit(1.67, CHAIR.yaw_rate_max_radps) == pytest.approx(1.5 / (1 + 0.6 * 1.67))
 
 
 @pytest.mark.parametrize(("profile", "speed_mps"), [("indoor", 0.6), ("pavement", 1.67), ("road", 2.78)])
 def test_a_speed_profile_names_the_speed_at_full_stick(profile, speed_mps):
     chair = ChairConfig(profile=profile)
-    assert drive_controller.target(0.0, 1.0, 0.0, drive_controller.settings(chair, SPEC, DT_S))[0] == pytest.approx(
+    assert drive_controller._target(0.0, 1.0, 0.0, drive_controller.settings(chair, SPEC, DT_S))[0] == pytest.approx(
         speed_mps
     )
 
@@ -175,9 +175,9 @@ def test_the_parking_brake_closes_after_its_time():
 
 @given(st.floats(-60.0, 60.0))
 def test_motor_torque_falls_with_speed_to_its_floor(radps):
-    torque = drive_controller.motor_torque_Nm(radps, SETTING)
+    torque = drive_controller._motor_torque_Nm(radps, SETTING)
     assert 0.15 * 90.0 <= torque <= 90.0
-    assert torque == drive_controller.motor_torque_Nm(-radps, SETTING)
+    assert torque == drive_controller._motor_torque_Nm(-radps, SETTING)
     assert torque == pytest.approx(90.0 * max(0.15, 1 - abs(radps) / 24))
 
 
@@ -200,13 +200,13 @@ def test_a_wheel_that_outruns_the_turn_asked_for_gives_way_to_the_other():
     state = drive_controller.new_state()
     follow(Joystick(0.0, 1.0), state, 3.0)
     _, _, left, right = drive_controller.step(state, SETTING, 0.0, 1.0, 1.5, 8.55, 8.50)
-    assert left == pytest.approx(0.5 * drive_controller.motor_torque_Nm(8.55, SETTING))
-    assert right == drive_controller.motor_torque_Nm(8.50, SETTING)
+    assert left == pytest.approx(0.5 * drive_controller._motor_torque_Nm(8.55, SETTING))
+    assert right == drive_controller._motor_torque_Nm(8.50, SETTING)
     _, _, left, right = drive_controller.step(
         state, SETTING, 0.0, 1.0, 1.9, 12.55, 12.50
     )  # both brake: the slower one too much
-    assert left == drive_controller.motor_torque_Nm(12.55, SETTING)
-    assert right == pytest.approx(0.5 * drive_controller.motor_torque_Nm(12.50, SETTING))
+    assert left == drive_controller._motor_torque_Nm(12.55, SETTING)
+    assert right == pytest.approx(0.5 * drive_controller._motor_torque_Nm(12.50, SETTING))
 
 
 def test_a_blocked_chair_does_not_wind_up():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, rig, step_street
 from wcsim.core.rotations import euler, matrix, quaternion, turned
-from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, Motion, Tyre, coast, off_tyre
+from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, Motion, Tyre, _off_tyre, coast
 
 TYRE = Tyre(radius_m=0.178, half_width_m=0.04)
 
@@ -18,18 +18,18 @@ TYRE = Tyre(radius_m=0.178, half_width_m=0.04)
 @given(st.floats(0.0, 2 * math.pi), st.floats(-0.04, 0.04))
 def test_what_pushes_the_tread_towards_the_axle_is_on_the_tyre(angle, y):
     x, z = math.cos(angle), math.sin(angle)
-    assert not off_tyre((TYRE.radius_m * x, y, TYRE.radius_m * z), (-x, 0.0, -z), TYRE)
-    assert off_tyre((TYRE.radius_m * x, y + 0.2, TYRE.radius_m * z), (-x, 0.0, -z), TYRE)
-    assert off_tyre((TYRE.radius_m * x, y, TYRE.radius_m * z), (x, 0.0, z), TYRE)
+    assert not _off_tyre((TYRE.radius_m * x, y, TYRE.radius_m * z), (-x, 0.0, -z), TYRE)
+    assert _off_tyre((TYRE.radius_m * x, y + 0.2, TYRE.radius_m * z), (-x, 0.0, -z), TYRE)
+    assert _off_tyre((TYRE.radius_m * x, y, TYRE.radius_m * z), (x, 0.0, z), TYRE)
 
 
 def test_what_pushes_the_side_of_a_wheel_may_be_anywhere_on_it():
-    assert not off_tyre((0.05, 0.04, -0.1), (0.0, -1.0, 0.0), TYRE)
-    assert off_tyre((0.2, 0.04, -0.1), (0.0, -1.0, 0.0), TYRE)
+    assert not _off_tyre((0.05, 0.04, -0.1), (0.0, -1.0, 0.0), TYRE)
+    assert _off_tyre((0.2, 0.04, -0.1), (0.0, -1.0, 0.0), TYRE)
 
 
 def test_a_point_ahead_on_flat_ground_is_off_the_tyre():
-    assert off_tyre((0.054, -0.034, -0.178), (0.0, 0.0, 1.0), TYRE)
+    assert _off_tyre((0.054, -0.034, -0.178), (0.0, 0.0, 1.0), TYRE)
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-2.0, 2.0))

@@ -18,8 +18,8 @@ from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig, ImuConfig, load_run_config, with_overrides
 from wcsim.config.plant import known_plants, read_plant
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics.wheelchair.plant import PlantSpec, check_plant, plant_spec, varied
-from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.plant import PlantSpec, _check_plant, plant_spec, varied
+from wcsim.physics.wheelchair.plant_body import urdf
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 
 RWD, MWD = (plant_spec(ChairConfig(plant=name)) for name in ("rwd", "mwd"))
@@ -201,7 +201,7 @@ def test_a_caster_has_an_arm_or_a_beam():
     both = tuple(pair.model_copy(update={"beam": beam}) for pair in MWD.casters)
     file = read_plant("mwd").model_copy(update={"casters": both})
     with pytest.raises(ConfigError, match=r"casters\.0 has an arm and a beam; expected one of them"):
-        check_plant(file, 100.0, 0.5, "both")
+        _check_plant(file, 100.0, 0.5, "both")
 
 
 def test_the_casters_of_a_beam_stand_on_steps_of_different_height():

@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from wcsim.bridge.sumo.actors import kind_and_look
+from wcsim.bridge.sumo.actors import _kind_and_look
 from wcsim.towns.importing.demand import vtypes_text
 from wcsim.types import ActorKind
 
@@ -47,4 +47,4 @@ def test_every_type_is_the_kind_that_its_group_says():
     for group, items in GROUPS.items():
         for item in items:
             size = tuple(float(item.get(side)) for side in ("length", "width", "height"))
-            assert kind_and_look(item.get("vClass"), size)[0] is kinds[group]
+            assert _kind_and_look(item.get("vClass"), size)[0] is kinds[group]

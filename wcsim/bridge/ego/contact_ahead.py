@@ -42,6 +42,7 @@ def meets_edge(plant: PlantState, wheels_m: Sequence[tuple[float, float, float]]
         speed_mps = math.hypot(vx, vy)
         if speed_mps < SLOWER_MPS:
             continue
+        # Fetched only for a wheel that is fast enough: a chair that stands needs none.
         raster = raster or ground.around(plant.p_WB_m)
         west_m, south_m = raster.origin_W_m
         hub_x, hub_y = x_W_m + cos * x_m - sin * y_m - west_m, y_W_m + sin * x_m + cos * y_m - south_m

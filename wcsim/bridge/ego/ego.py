@@ -13,11 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wcsim.bridge.ego.contact_ahead import meets_edge
-from wcsim.bridge.ego.crossing_button import CrossingButton
-from wcsim.bridge.ego.crossing_watch import CrossingWatch, OnRoad
-from wcsim.bridge.ego.kerb_drop import fell
+from wcsim.bridge.ego.crossing_watch import CrossingButton, CrossingWatch, OnRoad
 from wcsim.bridge.ego.randomization import DrawnChair, Randomization
-from wcsim.bridge.ego.start_place import TakenNear, heading_rad, is_clear, require_in_town
+from wcsim.bridge.ego.start_place import TakenNear, check_in_town, heading_rad, is_clear
 from wcsim.bridge.ego.street_obstacles import ObstacleWatch
 from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import GreenRequest
@@ -30,6 +28,7 @@ from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.pixel_noise import child
 from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.wheel_track import fell
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.fault import crash_words
@@ -109,7 +108,7 @@ class Ego:
         """Nothing is in the world before `build`. Raises ConfigError for a spec that cannot be used."""
         self.index = index
         self.spec = spec
-        require_in_town(spec.start, router)
+        check_in_town(spec.start, router)
         self._person = find_user(spec.profile)
         self._config = config
         self._street = street
@@ -188,6 +187,7 @@ class Ego:
         """
         self._vary()
         self.habits = None if self.fitting is None else habits.towards(self.fitting.drawn)
+        # A generator for each episode: its start does not depend on how much earlier ones drew.
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         fixed, self._next_start = self._next_start or self.spec.start, None
         start = self._draw_start(rng, taken) if fixed is None else self._fixed_start(fixed)
@@ -204,7 +204,7 @@ class Ego:
 
     def begin_next_at(self, start: StartSpec | None) -> None:
         """Let the next episode begin there. Raises ConfigError for a start that cannot be."""
-        require_in_town(start, self._router)
+        check_in_town(start, self._router)
         self._next_start = start
 
     def start_facing(self, xy: XY, goal: XY, taken: TakenNear) -> StartSpec | None:
@@ -230,6 +230,7 @@ class Ego:
 
     def command(self, joystick: Joystick) -> None:
         """Take a command; the chair obeys it after the delay."""
+        # In before out: with no delay the command of this tick is the one that is obeyed.
         self._waiting.append(joystick)
         self.chair.command(self._waiting.popleft())
 
@@ -307,11 +308,11 @@ class Ego:
             on_carriageway=self._on_road.on_carriageway,
             crossed=self._on_road.crossed,
             entered_red=self._on_road.entered_red,
-            crash=self._crash_told(reason) if reason else "",
+            crash=self._crash_message(reason) if reason else "",
             help_asked=not first and self.user.asks_help,
         )
 
-    def _crash_told(self, reason: str) -> str:
+    def _crash_message(self, reason: str) -> str:
         chair, street = self.chair, self._street
         east_m, north_m, _ = chair.state().p_WB_m + street.net_origin_m
         (edge, *_) = edges_ahead(street.walk, self.route, self.user.route_progress_m)
@@ -417,6 +418,7 @@ class Ego:
             xy, yaw_rad = self._router.random_start(rng)
             if is_clear(self._street.grid, self.chair.outline, np.array(xy), yaw_rad, clear_m, taken):
                 break
+            # A crowded town gets a start in the end: a little less room after every hundred tries.
             clear_m *= 0.7 if attempt % 100 == 0 else 1.0
         return self._start_at(xy, yaw_rad, self._draw_goal(rng, xy))
 

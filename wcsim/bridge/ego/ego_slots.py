@@ -1,9 +1,14 @@
-"""The seats of a world: a fixed number of places for wheelchairs, each free or taken, from tick to tick."""
+"""The seats of a world: a fixed number of places for wheelchairs, each free or taken, from tick to tick.
+
+A user's step hook sees the chair of each as `hook_chair` gives it.
+"""
 
 from __future__ import annotations
 
 from wcsim.bridge.ego.ego import Ego
+from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.config import RunConfig
+from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import ProtocolError
 from wcsim.physics.engine import Engine
 from wcsim.physics.sensors.camera import CameraRig
@@ -11,7 +16,7 @@ from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.checks.validate import require_pavement
 from wcsim.towns.scenario.town import Town, content_hash
-from wcsim.towns.walking.routes import Router
+from wcsim.towns.walking.routes import Router, edges_ahead
 from wcsim.types import SeatSpec, Street, chair_actor_id
 from wcsim.users.recorded import require_driven_here
 
@@ -38,7 +43,7 @@ class EgoSlots:
 
     def at(self, number: int) -> Ego:
         """The seat of this number. Raises ProtocolError when it is free or not there."""
-        self._require(number)
+        self._check(number)
         seat = self._find(number)
         if seat is None:
             raise ProtocolError(f"seat {number} is free; expected one of {[seat.index for seat in self.present]}")
@@ -58,7 +63,7 @@ class EgoSlots:
             ProtocolError: the seat is taken or not there.
             ConfigError: the spec holds something that cannot be used.
         """
-        self._require(number)
+        self._check(number)
         if self._find(number) is not None:
             raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
         seat = self._seat(number, spec)
@@ -91,6 +96,22 @@ class EgoSlots:
     def _free(self) -> list[int]:
         return [number for number in range(len(self._begun)) if self._find(number) is None]
 
-    def _require(self, number: int) -> None:
+    def _check(self, number: int) -> None:
         if not 0 <= number < len(self._begun):
             raise ProtocolError(f"there is no seat {number}; expected 0 or more and less than {len(self._begun)}")
+
+
+def hook_chair(seat: Ego, street: Street) -> HookChair:
+    """The chair of a seat now."""
+    plant, route, asks, (east_m, north_m, up_m) = seat.plant, seat.route, seat.asks, street.net_origin_m
+    arc_m, (x, y, z) = seat.user.route_progress_m, plant.p_WB_m.tolist()
+    ahead = [(x, y), *route.points_W_m[route.arc_m > arc_m].tolist()]
+    return HookChair(
+        seat=seat.index,
+        p_net_m=(x + east_m, y + north_m, z + up_m),
+        angle_deg=sumo_from_yaw(plant.yaw_rad),
+        speed_mps=float(plant.v_B_mps[0]),
+        way_net_m=tuple((px + east_m, py + north_m) for px, py in ahead),
+        edges=edges_ahead(street.walk, route, arc_m),
+        button_tls_id="" if asks is None else asks.tls_id,
+    )

@@ -66,7 +66,7 @@ class Randomization:
         if self._vary.nothing:
             return None
         for attempt in range(TRIES):
-            drawn = draw(self._vary, len(self._cameras), seed, self._seat, episode, attempt)
+            drawn = _draw(self._vary, len(self._cameras), seed, self._seat, episode, attempt)
             try:
                 spec, cameras = _with_drawn(self._spec, drawn), moved(self._cameras, drawn)
                 check_springs(spec, self._step_s)
@@ -79,7 +79,7 @@ class Randomization:
         raise ConfigError(f"vary: {TRIES} draws gave no chair that can stand up; expected narrower ranges: {fault}")
 
 
-def draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, attempt: int = 0) -> Drawn:
+def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, attempt: int = 0) -> Drawn:
     """What the ranges give for an episode of a seat; `attempt` counts draws that could not be used."""
 
     def numbers(name: str, span: tuple[float, float] | None, count: int = 1) -> list[float]:

@@ -19,7 +19,7 @@ _LOOK_AHEAD_M = 3.0
 TakenNear = Callable[[F64, float], Sequence[ActorState]]
 
 
-def require_in_town(start: StartSpec | None, router: Router) -> None:
+def check_in_town(start: StartSpec | None, router: Router) -> None:
     """Refuse a fixed start from which there is no way anywhere, before anything moves. Raises ConfigError."""
     for what, xy in () if start is None else (("start", start.p_W_m), ("goal", start.goal_W_m)):
         if not router.away_m(xy) <= START_REACH_M:
@@ -43,9 +43,7 @@ def bearing_rad(route: Route, done_m: float, plant: PlantState) -> float:
     return wrap(heading_rad(route, done_m, plant.p_WB_m) - plant.yaw_rad)
 
 
-def is_clear(
-    grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear
-) -> bool:
+def is_clear(grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_m: float, taken: TakenNear) -> bool:
     """Whether a chair can start there: level ground, nothing solid within 0.2 m of its hull, nobody within clear_m."""
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m

@@ -24,7 +24,7 @@ NOTHING: F64 = np.zeros((0, 4))
 
 
 @exact_kernel
-def label_pieces(solid: Bool, labels: I32) -> int:
+def _label_pieces(solid: Bool, labels: I32) -> int:
     """Number what hangs together in an image, corners too, from 1 on; one more than the last.
 
     As OpenCV's connectedComponents, in its order (by squares of two cells), which a world would load for this alone.
@@ -103,6 +103,7 @@ class ObstacleWatch:
         points, things = points[near], numbers[rows[near], cols[near]]
         along_m = route.arc_m[piece][gap_m[near].argmin(axis=1)]
         _, keep = np.unique(np.floor(points / THIN_M).astype(np.int64), axis=0, return_index=True)
+        # In the order of the way, as `on_way` bisects it; stable, so that ties stay in the order of the squares.
         keep = keep[np.argsort(along_m[keep], kind="stable")]
         found = np.c_[points[keep], np.full(len(keep), 0.1), things[keep]]
         return along_m[keep].tolist(), np.asarray(found, np.float64)
@@ -110,13 +111,14 @@ class ObstacleWatch:
     def _numbered(self, solid: Bool, row0: int, col0: int) -> F64:
         """The number of the thing that each solid cell belongs to, as an image; -1 where nothing stands."""
         labels = np.zeros(solid.shape, np.int32)
-        count = label_pieces(solid, labels)
+        count = _label_pieces(solid, labels)
         numbers = np.full(solid.shape, -1.0)
         for label in range(1, count):
             cells = np.argwhere(labels == label)
             squares = (cells + np.array([row0, col0])) // KEY_CELLS
             keys = {(int(row), int(col)) for row, col in np.unique(squares, axis=0)}
             known = [self._numbers[key] for key in keys if key in self._numbers]
+            # Parts that turn out to hang together take the smallest number: it was given first.
             number = min(known, default=self._next)
             self._next += not known
             self._numbers.update(dict.fromkeys(keys, number))

@@ -1,7 +1,7 @@
 """The driver model: what one driver does about the wheelchairs near its way, as a chain of pure functions.
 
-`perceive` the chair -> is there a conflict (`conflict_pose`) -> how fast may it be (`ConflictCheck.limit`) -> is there
-room to pass, within the lane or in the next one (`room_to_pass`) -> one plan over all chairs (`considered`) -> which
+`perceive` the chair -> is there a conflict (`_conflict_pose`) -> how fast may it be (`ConflictCheck.limit`) -> is there
+room to pass, within the lane or in the next one (`_room_to_pass`) -> one plan over all chairs (`considered`) -> which
 command (`command`). Nothing here remembers anything: what a driver knows from the tick before comes in as a value.
 """
 
@@ -18,9 +18,10 @@ from wcsim.bridge.reaction.conflict import (
     SIDE_GAP_M,
     STOP_SHORT_M,
     ConflictCheck,
+    SweptOverlap,
     approach_mps,
+    room_beside,
 )
-from wcsim.bridge.reaction.overlap import SweptOverlap, room_beside
 from wcsim.bridge.reaction.swept_path import STEP_M, Brakes, LaneShape, OnLane, Roads, Tube
 from wcsim.types import F64, ActorKind, ActorState
 
@@ -38,7 +39,7 @@ IMPATIENT_S = 8.0  # after so long a wait a driver takes smaller gaps in the nex
 RAIL = (ActorKind.TRAM,)
 
 
-class Encounter(NamedTuple):  # as the rest, made in every tick: a frozen dataclass costs twice as much
+class _Encounter(NamedTuple):  # as the rest, made in every tick: a frozen dataclass costs twice as much
     """One vehicle whose way leads past one wheelchair, as its driver perceives the two."""
 
     check: ConflictCheck
@@ -66,7 +67,7 @@ class Encounter(NamedTuple):  # as the rest, made in every tick: a frozen datacl
         return reach_m > 0.5 * self.here.width_m + STRADDLE_M
 
 
-class Passing(NamedTuple):
+class _Passing(NamedTuple):
     """How a driver gets past a wheelchair: beside it within the lane, by the next lane, or not at all."""
 
     speed_mps: float = 0.0  # that may be driven past it from here on; 0 where it has to stop first
@@ -79,7 +80,7 @@ class Passing(NamedTuple):
         return self.aside_m is not None or self.lane_index is not None
 
 
-class Steering(NamedTuple):
+class _Steering(NamedTuple):
     """Out of the lane: to where, and how fast at most, so that there is room to do it."""
 
     lane_index: int | None = None
@@ -115,7 +116,7 @@ class WaitingTimes(NamedTuple):
 def perceive(
     actor: ActorState, place: OnLane, here: LaneShape, tube: Tube, chair: ChairInStreet, row: F64,
     brake_mps2: float, tick_s: float,
-) -> Encounter | None:  # fmt: skip
+) -> _Encounter | None:  # fmt: skip
     """How a driver sees a chair, whose `row()` is (8,); None when the way `tube` from `place` does not come near it."""
     speed_mps = math.hypot(*actor.v_W_mps[:2].tolist())
     check = ConflictCheck(actor=actor, tube=tube, front_m=tube.front_m(place), speed_mps=speed_mps, row=row)
@@ -123,26 +124,26 @@ def perceive(
     touch = check.touch(place.left_m, ON_ROAD_M if on_road else ON_PAVEMENT_M)
     if touch.at[-1] < 0:
         return None
-    return Encounter(
+    return _Encounter(
         check=check, place=place, here=here, on_road=on_road, touch=touch, brake_mps2=brake_mps2, tick_s=tick_s
     )
 
 
-def considered(before: DriverPlan, it: Encounter, roads: Roads, impatient: bool) -> DriverPlan:
+def considered(before: DriverPlan, it: _Encounter, roads: Roads, impatient: bool) -> DriverPlan:
     """The plan of a driver who has thought of one chair more: the least speed, and the last way round that was found.
 
     One who is `impatient` has stood so long that a gap that just clears will do.
     """
-    keep_lane = before.keep_lane or too_near_to_change_lanes(it)
+    keep_lane = before.keep_lane or _too_near_to_change_lanes(it)
     limit_mps = it.check.limit(it.touch, it.place.left_m, it.brake_mps2, it.tick_s)
-    at = conflict_pose(it)
+    at = _conflict_pose(it)
     if at < 0:
         return before._replace(keep_lane=keep_lane, limit_mps=min(before.limit_mps, limit_mps))
     distance_m = it.check.distance_m(at)
-    passing = room_to_pass(it, distance_m, roads)
-    steering = steering_out(it, before, passing, distance_m, junction_left_m(it, roads))
-    limit_mps = min(passing_mps(it, passing, limit_mps), steering.limit_mps)
-    narrow_mps = narrow_gap_mps(it, at) if impatient else None
+    passing = _room_to_pass(it, distance_m, roads)
+    steering = _steering_out(it, before, passing, distance_m, _junction_left_m(it, roads))
+    limit_mps = min(_passing_mps(it, passing, limit_mps), steering.limit_mps)
+    narrow_mps = _narrow_gap_mps(it, at) if impatient else None
     plan = DriverPlan(
         limit_mps=min(before.limit_mps, limit_mps if narrow_mps is None else max(limit_mps, narrow_mps)),
         nearest_m=min(before.nearest_m, distance_m),
@@ -152,13 +153,14 @@ def considered(before: DriverPlan, it: Encounter, roads: Roads, impatient: bool)
         could_pass=before.could_pass or passing.possible or steering.resumed,
         toward=before.toward if steering.lane_index is None else (it.here.edge_id, steering.lane_index),
     )
+    # Through a narrow gap it goes straight on: a body that moves over turns in it.
     return plan if narrow_mps is None else plan._replace(lane_index=None, aside_m=0.0)
 
 
 # --- is there a conflict, and how fast may it be ---
 
 
-def conflict_pose(it: Encounter) -> int:
+def _conflict_pose(it: _Encounter) -> int:
     """The first pose on the way at which the vehicle comes nearer to the chair than it may; -1 where there is none.
 
     Ahead of a chair a driver keeps the usual gap, alongside one only a touch counts.
@@ -166,7 +168,7 @@ def conflict_pose(it: Encounter) -> int:
     return it.touch.at[1] if it.ahead else it.touch.at[0]
 
 
-def too_near_to_change_lanes(it: Encounter) -> bool:
+def _too_near_to_change_lanes(it: _Encounter) -> bool:
     """Whether SUMO may begin no change of lanes of its own here: it moves sideways even who stands."""
     speed_mps = it.check.speed_mps
     braking_m = 0.7 * speed_mps + 0.25 * speed_mps**2
@@ -174,7 +176,7 @@ def too_near_to_change_lanes(it: Encounter) -> bool:
     return it.on_road and it.check.distance_m(it.touch.at[-1]) < least_m
 
 
-def passing_mps(it: Encounter, passing: Passing, limit_mps: float) -> float:
+def _passing_mps(it: _Encounter, passing: _Passing, limit_mps: float) -> float:
     """The speed limit of a driver who has a way round: first over, then on.
 
     While it still has to move over it does not go on as before, but brakes no harder than is comfortable for that.
@@ -188,22 +190,22 @@ def passing_mps(it: Encounter, passing: Passing, limit_mps: float) -> float:
 # --- is there room to pass ---
 
 
-def room_to_pass(it: Encounter, distance_m: float, roads: Roads) -> Passing:
+def _room_to_pass(it: _Encounter, distance_m: float, roads: Roads) -> _Passing:
     """The way round a chair that stands or rolls along: within the lane where that has room, else by the next lane."""
     if it.check.actor.kind in RAIL or not it.check.passable(it.touch.at[1]):
-        return Passing()
+        return _Passing()
     lane = roads.lane(it.check.tube.lane_at(it.check.front_of(it.touch.at[1])))
-    within = passing_in_lane(it, distance_m, lane.width_m) if roads.sublanes else None
+    within = _passing_in_lane(it, distance_m, lane.width_m) if roads.sublanes else None
     if within is not None:
         return within
     # On the way between two lanes SUMO does not turn back.
     if lane.edge_id != it.here.edge_id or it.here.internal or it.straddles:
-        return Passing()
+        return _Passing()
     beyond_m = distance_m + 2.0 * (STOP_SHORT_M + it.length_m)
-    return Passing(lane_index=free_lane(it, roads.lanes_beside(it.check.actor.id, beyond_m)))
+    return _Passing(lane_index=_free_lane(it, roads.lanes_beside(it.check.actor.id, beyond_m)))
 
 
-def passing_in_lane(it: Encounter, distance_m: float, lane_width_m: float) -> Passing | None:
+def _passing_in_lane(it: _Encounter, distance_m: float, lane_width_m: float) -> _Passing | None:
     """The nearest place beside the chair, within a lane of this width, where the body gets by; None without one."""
     for left_m in room_beside(it.touch, it.check.actor.size_lwh_m[1], lane_width_m):
         past = it.check.touch(left_m, ON_ROAD_M, straight=True)
@@ -215,11 +217,11 @@ def passing_in_lane(it: Encounter, distance_m: float, lane_width_m: float) -> Pa
         room_m = it.check.distance_m(it.touch.at[0]) if it.touch.at[0] >= 0 else math.inf
         if there and room_m <= LAST_GAP_M:  # skewed, and with no room to straighten
             continue
-        return Passing(speed_mps=min(shift_mps(aside_m, distance_m), past_mps), aside_m=aside_m)
+        return _Passing(speed_mps=min(_shift_mps(aside_m, distance_m), past_mps), aside_m=aside_m)
     return None
 
 
-def shift_mps(aside_m: float, distance_m: float) -> float:
+def _shift_mps(aside_m: float, distance_m: float) -> float:
     """The speed at which a vehicle has moved over in time, before it comes to the chair."""
     creep_mps = SIDLE_MPS if distance_m > LAST_GAP_M else 0.0
     if abs(aside_m) < THERE_M:
@@ -228,7 +230,7 @@ def shift_mps(aside_m: float, distance_m: float) -> float:
     return max(creep_mps, 0.8 * (distance_m - STOP_SHORT_M) / need_s)
 
 
-def free_lane(it: Encounter, beside: tuple[int, ...]) -> int | None:
+def _free_lane(it: _Encounter, beside: tuple[int, ...]) -> int | None:
     """The first of the lanes beside in which the vehicle clears the chair; None when it fills them too."""
     for index in beside:
         away_m = (index - it.here.index) * it.here.width_m
@@ -241,24 +243,26 @@ def free_lane(it: Encounter, beside: tuple[int, ...]) -> int | None:
 # --- steering out ---
 
 
-def steering_out(it: Encounter, before: DriverPlan, passing: Passing, distance_m: float, enters_m: float) -> Steering:
+def _steering_out(
+    it: _Encounter, before: DriverPlan, passing: _Passing, distance_m: float, enters_m: float
+) -> _Steering:
     """The lane that a vehicle steers for, and the speed at which it stops before there is no room left to steer.
 
     A vehicle that is half way into another lane, or still inside a junction, keeps that room though it knows no way
-    round yet. `enters_m` is from `junction_left_m`; so far it drives on.
+    round yet. `enters_m` is from `_junction_left_m`; so far it drives on.
     """
     steers = it.ahead and passing.speed_mps == 0.0 and (it.straddles or enters_m > 0.0)
     asked = before.lane_index if passing.lane_index is None else passing.lane_index
-    again = resumed_lane(it, before.toward) if steers and asked is None else None
+    again = _resumed_lane(it, before.toward) if steers and asked is None else None
     lane_index = again if asked is None else asked
     if lane_index is None and not steers:
-        return Steering()
+        return _Steering()
     room_m = max(enters_m, distance_m - STOP_SHORT_M - STEER_SHARE * it.length_m)
     limit_mps = approach_mps(room_m, it.brake_mps2, it.tick_s)
-    return Steering(lane_index=lane_index, limit_mps=limit_mps, resumed=again is not None)
+    return _Steering(lane_index=lane_index, limit_mps=limit_mps, resumed=again is not None)
 
 
-def junction_left_m(it: Encounter, roads: Roads) -> float:
+def _junction_left_m(it: _Encounter, roads: Roads) -> float:
     """From inside a junction, how far on its front is on the road where the chair stands, if that begins on the way.
 
     Only there does it learn whether it may change lanes.
@@ -269,7 +273,7 @@ def junction_left_m(it: Encounter, roads: Roads) -> float:
     return max(0.0, it.check.tube.start_m[lane_id][0] + ENTERED_M - it.check.front_m)
 
 
-def resumed_lane(it: Encounter, toward: tuple[str, int] | None) -> int | None:
+def _resumed_lane(it: _Encounter, toward: tuple[str, int] | None) -> int | None:
     """The lane to which a vehicle that is half way there is told to go on; None for any other vehicle."""
     if toward is None or not it.straddles or toward[0] != it.here.edge_id:
         return None
@@ -277,7 +281,7 @@ def resumed_lane(it: Encounter, toward: tuple[str, int] | None) -> int | None:
     return index if (index - it.here.index) * it.place.left_m > 0.0 else None
 
 
-def narrow_gap_mps(it: Encounter, at: int) -> float | None:
+def _narrow_gap_mps(it: _Encounter, at: int) -> float | None:
     """How fast it may drive by with a gap that just clears; None where its front half would touch the chair.
 
     A tail that still lags behind touches later, and has come in line by then.

@@ -19,7 +19,7 @@ from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairI
 from wcsim.bridge.reaction.conflict import lands_on, look_m
 from wcsim.bridge.reaction.driver_model import DriverPlan, WaitingTimes, braking, command, considered, perceive, waited
 from wcsim.bridge.reaction.swept_path import Brakes, OnLane, Roads, Tube, way_ahead
-from wcsim.bridge.reaction.wide_turn_bodies import SwingOut
+from wcsim.bridge.reaction.wide_turns import SwingOut
 from wcsim.config import WorldConfig
 from wcsim.types import F64, ActorState
 
@@ -180,7 +180,7 @@ class StreetReaction:
         """
         here, tick_s = roads.lane(place.lane_id), self._config.tick_s
         brake_mps2 = COMFORT_SHARE * min(BRAKE_MPS2, watch.brakes.service_mps2)
-        heeded: DriverPlan | None = None
+        noticed: DriverPlan | None = None
         early, toward = DriverPlan(), watch.toward
         seen_s: dict[AttentionModel, float] = {}
         for chair, row in near:
@@ -189,16 +189,18 @@ class StreetReaction:
                 continue
             habits = self._towards(chair)
             reaction_s = habits.reaction_s(actor)
+            # A vehicle that has just come into being has no way behind it on which it would have seen the chair.
             seen_s[habits] = watch.seen_s.get(habits, 0.0) + (reaction_s if fresh else tick_s)
             notices = seen_s[habits] >= reaction_s
-            before = (heeded or DriverPlan() if notices else early)._replace(toward=toward)
+            # Chairs not noticed yet get a plan that no order comes from; only the lane steered for is shared.
+            before = (noticed or DriverPlan() if notices else early)._replace(toward=toward)
             plan = considered(before, encounter, roads, watch.waiting.squeezes)
             toward = plan.toward
             if notices:
-                heeded = plan
+                noticed = plan
             else:
                 early = plan
-        return heeded, toward, seen_s
+        return noticed, toward, seen_s
 
     def _decided(
         self, actor: ActorState, watch: _Watch, plan: DriverPlan, roads: Roads, fresh: bool

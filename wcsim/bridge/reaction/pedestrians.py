@@ -93,14 +93,14 @@ def _opens(
     return True
 
 
-def can_stand(grid: StreetGrid, x: float, y: float, cos: float, sin: float, radius_m: float) -> bool:
+def _can_stand(grid: StreetGrid, x: float, y: float, cos: float, sin: float, radius_m: float) -> bool:
     """Whether a person of this radius that looks along (cos, sin) can stand at a place with both shoulders."""
     side_m = SHOULDER * radius_m
     here = grid.ground_class, grid.clearance_dm, *grid.origin_W_m, grid.cell_m
     return _stands(*here, x, y, -side_m * sin, side_m * cos)
 
 
-def way_is_open(
+def _way_is_open(
     grid: StreetGrid,
     at_W_m: tuple[float, float],
     there_W_m: tuple[float, float],
@@ -118,7 +118,7 @@ FOREGO_RIGHT_M = 0.2  # how much shorter the way on the left must be
 BACK_PULL = 1.2  # a metre off one's own line counts as this much walking across: who can go back does
 
 
-class Block(NamedTuple):  # made for everybody near a chair in every tick: a frozen dataclass costs twice as much
+class _Block(NamedTuple):  # made for everybody near a chair in every tick: a frozen dataclass costs twice as much
     """Something in the way: where it begins and ends ahead, and to the left of the person's own line, gaps included."""
 
     near_m: float
@@ -140,26 +140,28 @@ class Block(NamedTuple):  # made for everybody near a chair in every tick: a fro
         return self.beside and min(here_m, there_m) < 0.5 * (self.right_m + self.left_m) < max(here_m, there_m)
 
 
-def block_of(x: float, y: float, cos: float, sin: float, box: Box, gap_m: float, end_gap_m: float) -> Block:
+def _block_around(x: float, y: float, cos: float, sin: float, box: Box, gap_m: float, end_gap_m: float) -> _Block:
     """A box as somebody at (x, y) who looks along (cos, sin) sees it, with gaps at its sides and ends."""
     dx, dy = box[0] - x, box[1] - y
     turn_cos, turn_sin = abs(box[2] * cos + box[3] * sin), abs(box[3] * cos - box[2] * sin)
     ahead_m, aside_m = dx * cos + dy * sin, dy * cos - dx * sin
     long_m = box[4] * turn_cos + box[5] * turn_sin + end_gap_m
     wide_m = box[4] * turn_sin + box[5] * turn_cos + gap_m
-    return Block(near_m=ahead_m - long_m, far_m=ahead_m + long_m, right_m=aside_m - wide_m, left_m=aside_m + wide_m)
+    return _Block(near_m=ahead_m - long_m, far_m=ahead_m + long_m, right_m=aside_m - wide_m, left_m=aside_m + wide_m)
 
 
-def block_of_disc(ahead_m: float, aside_m: float, radius_m: float) -> Block:
+def _block_around_disc(ahead_m: float, aside_m: float, radius_m: float) -> _Block:
     """Somebody round, so far ahead and to the left; of one that is behind, only what still is beside."""
     wide_m = radius_m if ahead_m >= 0.0 else math.sqrt(max(0.0, radius_m**2 - ahead_m**2))
-    return Block(near_m=ahead_m - radius_m, far_m=ahead_m + radius_m, right_m=aside_m - wide_m, left_m=aside_m + wide_m)
+    return _Block(
+        near_m=ahead_m - radius_m, far_m=ahead_m + radius_m, right_m=aside_m - wide_m, left_m=aside_m + wide_m
+    )
 
 
-def ways_round(blocks: Sequence[Block], now_m: float) -> Iterable[float]:
+def _ways_round(blocks: Sequence[_Block], now_m: float) -> Iterable[float]:
     """Places left of one's own line that no block covers and one can get to, the one with the shortest way first.
 
-    >>> list(ways_round([Block(near_m=1.0, far_m=2.0, right_m=-0.6, left_m=0.8)], 0.0))
+    >>> list(_ways_round([_Block(near_m=1.0, far_m=2.0, right_m=-0.6, left_m=0.8)], 0.0))
     [-0.6, 0.8]
     """
     ends = {end for block in blocks for end in (block.right_m, block.left_m)}
@@ -168,6 +170,7 @@ def ways_round(blocks: Sequence[Block], now_m: float) -> Iterable[float]:
         for m in (0.0, now_m, *ends)
         if abs(m) <= FURTHEST_M and not any(block.blocks(m) or block.parts(now_m, m) for block in blocks)
     }
+    # Of ways that cost the same the one further to the right is first: it is the smaller number.
     return sorted(free, key=lambda m: (_cost(m, now_m), m))
 
 
@@ -232,6 +235,7 @@ class PedestrianAvoidance:
         if not (crowd or self._standing_s):
             return ()
         for walker in crowd:
+            # As fast as SUMO drives them: the velocity that is shown has the step aside in it.
             walker.speed_mps = self._speeds.get(walker.id, walker.speed_mps)
         boxes = self._boxes(chairs, self._tick_s)
         vehicles = vehicles_near(actors, crowd) if self._offsets else []
@@ -264,9 +268,10 @@ class PedestrianAvoidance:
         self._bare, self._speeds = bare, {walker.id: walker.speed_mps for walker in crowd}
         for walker in crowd:
             self._stay_clear(walker, boxes, crowd, vehicles)
+        # The nearer to a chair, the earlier: the others see where these have gone. The id decides between equals.
         for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):
-            wish_m = self._wish(walker, boxes, crowd, vehicles)
-            self._move(walker, wish_m, boxes, crowd, vehicles)
+            desired_m = self._desired_left_m(walker, boxes, crowd, vehicles)
+            self._move(walker, desired_m, boxes, crowd, vehicles)
         self._offsets = {walker.id: (walker.ox, walker.oy) for walker in crowd if walker.aside}
         self._places = {walker.id: walker.at for walker in crowd}
         self._seen = {actor.id for actor in actors}
@@ -307,7 +312,7 @@ class PedestrianAvoidance:
         crowd: Sequence[Walker],
         vehicles: Sequence[Vehicle],
     ) -> bool:
-        if any(gap_to_box(*at, *box) < walker.radius_m for box in _heeded(chairs, walker)):
+        if any(gap_to_box(*at, *box) < walker.radius_m for box in _noticed_boxes(chairs, walker)):
             return True
         if walker.aside and any(
             gap_to_box(*at, *vehicle.box) < walker.radius_m for vehicle in near(vehicles, *at) if not vehicle.moves
@@ -329,11 +334,12 @@ class PedestrianAvoidance:
         x, y = walker.at
         reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
         nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
-        for box in _heeded(chairs, walker):
+        for box in _noticed_boxes(chairs, walker):
             gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
+            # Only a step that leads nearer is held up: who is too near already may walk away.
             if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
                 side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
-                if block_of(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
+                if _block_around(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
                     return CHAIR
         for other in crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
@@ -350,7 +356,7 @@ class PedestrianAvoidance:
         )
         return VEHICLE if hits else None
 
-    def _wish(
+    def _desired_left_m(
         self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> float:
         """How far left of its line this person would like to be now."""
@@ -377,33 +383,34 @@ class PedestrianAvoidance:
         run_over = any(block.beside and block.blocks(now_m) for block in drive)
         return 0.0 if run_over else now_m  # SUMO lets people stand only where it lets nobody drive
 
-    def _way_round(self, walker: Walker, blocks: Sequence[Block], ahead_m: float) -> float | None:
+    def _way_round(self, walker: Walker, blocks: Sequence[_Block], ahead_m: float) -> float | None:
         """The nearest place left of its line that no block covers, with walkable ground so far ahead; None if none."""
-        ways_m = ways_round(blocks, walker.left_m)
+        ways_m = _ways_round(blocks, walker.left_m)
         return next((m for m in ways_m if m == 0.0 or self._open_way(walker, m, ahead_m)), None)
 
-    def _blocks(self, walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[Block]:
+    def _blocks(self, walker: Walker, chairs: Sequence[_Chair], gap_m: float) -> list[_Block]:
         seen = [
-            block_of(
+            _block_around(
                 walker.x, walker.y, walker.cos, walker.sin, box, walker.radius_m + gap_m, walker.radius_m + BEHIND_M
             )
-            for box in _heeded(chairs, walker)
+            for box in _noticed_boxes(chairs, walker)
         ]
         return [block for block in seen if block.far_m > 0.0 and block.near_m < LOOK_AHEAD_M]
 
-    def _people(self, walker: Walker, crowd: Sequence[Walker], gap_m: float) -> list[Block]:
+    def _people(self, walker: Walker, crowd: Sequence[Walker], gap_m: float) -> list[_Block]:
         """Those who are where SUMO does not see them, or in whose way this person is, and who go first."""
         found = []
         for other in crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
                 continue
+            # The one nearer to a chair goes first, so of two people one makes room and never both.
             if (other.chair_m, other.id) > (walker.chair_m, walker.id) and other.id not in self._standing_s:
                 continue
             along = walker.cos * other.cos + walker.sin * other.sin
             same_way = along > 0.5 and other.speed_mps > 0.5 * walker.speed_mps > 0.0
             x, y = other.at
             dx, dy = x - walker.x, y - walker.y
-            block = block_of_disc(
+            block = _block_around_disc(
                 dx * walker.cos + dy * walker.sin,
                 dy * walker.cos - dx * walker.sin,
                 walker.radius_m + other.radius_m + gap_m,
@@ -412,12 +419,12 @@ class PedestrianAvoidance:
                 found.append(block)
         return found
 
-    def _riders(self, walker: Walker, vehicles: Sequence[Vehicle]) -> tuple[list[Block], list[Block]]:
+    def _riders(self, walker: Walker, vehicles: Sequence[Vehicle]) -> tuple[list[_Block], list[_Block]]:
         """The vehicles beside that stand, and where those that move are going to be."""
         gap_m, now_m = walker.radius_m + PERSON_GAP_M, walker.left_m
         stand, drive = [], []
         for vehicle in near(vehicles, *walker.at):
-            block = block_of(walker.x, walker.y, walker.cos, walker.sin, vehicle.sweep, gap_m, gap_m)
+            block = _block_around(walker.x, walker.y, walker.cos, walker.sin, vehicle.sweep, gap_m, gap_m)
             if block.far_m <= 0.0 or block.near_m >= PEOPLE_AHEAD_M:
                 continue
             if vehicle.moves:
@@ -429,16 +436,16 @@ class PedestrianAvoidance:
     def _move(
         self,
         walker: Walker,
-        wish_m: float,
+        desired_m: float,
         chairs: Sequence[_Chair],
         crowd: Sequence[Walker],
         vehicles: Sequence[Vehicle],
     ) -> None:
         """One tick's step of the offset, unless it leads too near to somebody or off the walkable ground."""
-        wx, wy = -wish_m * walker.sin - walker.ox, wish_m * walker.cos - walker.oy
+        wx, wy = -desired_m * walker.sin - walker.ox, desired_m * walker.cos - walker.oy
         length_m = math.hypot(wx, wy)
         if length_m < 1e-9:
-            if not wish_m:
+            if not desired_m:
                 walker.ox = walker.oy = 0.0
             return
         share = min(1.0, SIDESTEP_MPS * self._tick_s / length_m)
@@ -451,9 +458,10 @@ class PedestrianAvoidance:
         if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
             return
         walker.ox, walker.oy = (
-            (-wish_m * walker.sin, wish_m * walker.cos) if share >= 1.0 else (nx - walker.x, ny - walker.y)
+            (-desired_m * walker.sin, desired_m * walker.cos) if share >= 1.0 else (nx - walker.x, ny - walker.y)
         )
-        if share >= 1.0 and not wish_m:
+        # Exactly nothing: a rest of rounding would keep this person aside for ever.
+        if share >= 1.0 and not desired_m:
             walker.ox = walker.oy = 0.0
 
     def _crowded(
@@ -485,11 +493,11 @@ class PedestrianAvoidance:
         """Whether the ground beside the line is walkable, from here to where the way round ends."""
         grid = self._ground.around(walker.p_W_m)
         there = walker.x - left_m * walker.sin, walker.y + left_m * walker.cos
-        return way_is_open(grid, walker.at, there, (walker.cos, walker.sin), max(ahead_m, 0.0), walker.radius_m)
+        return _way_is_open(grid, walker.at, there, (walker.cos, walker.sin), max(ahead_m, 0.0), walker.radius_m)
 
     def _walkable(self, walker: Walker, x: float, y: float) -> bool:
         """Whether this person can stand there with both shoulders."""
-        return can_stand(self._ground.around(walker.p_W_m), x, y, walker.cos, walker.sin, walker.radius_m)
+        return _can_stand(self._ground.around(walker.p_W_m), x, y, walker.cos, walker.sin, walker.radius_m)
 
     def _boxes(self, chairs: Sequence[ChairInStreet], ahead_s: float) -> list[_Chair]:
         return [
@@ -504,7 +512,7 @@ class PedestrianAvoidance:
         return replace(actor, p_W_m=np.array([x + ox, y + oy, z]), deflect_m=left_m)
 
 
-def _heeded(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
+def _noticed_boxes(chairs: Sequence[_Chair], walker: Walker) -> list[Box]:
     """The chairs that this person notices."""
     return [chair.box for chair in chairs if chair.people.looks(walker.id)]
 

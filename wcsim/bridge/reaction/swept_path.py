@@ -107,7 +107,7 @@ class Tube:
         return max(begun)[1] if begun else min((start, name) for name, (start, _) in self.start_m.items())[1]
 
 
-def lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W_m: F64, old: Tube | None) -> Tube:
+def _lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W_m: F64, old: Tube | None) -> Tube:
     """The way over `lanes`, whose first one the vehicle is in.
 
     Args:
@@ -151,7 +151,7 @@ def way_ahead(actor: ActorState, place: OnLane, roads: Roads, old: Tube | None) 
     lanes = [roads.lane(name) for name in roads.lanes_ahead(actor.id, AHEAD_M)]
     heading = np.array([math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)])
     tail_W_m = actor.p_W_m[:2] - 0.5 * actor.size_lwh_m[0] * heading
-    return lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)
+    return _lay_out(lanes, place.along_m, actor.size_lwh_m[0], tail_W_m, old)
 
 
 def points_of(tube: Tube, at_m: F64) -> F64:

@@ -73,12 +73,12 @@ _VAN_FROM_M = 2.0  # height from which on what drives like a car is a van
 LEAST_M, MOST_M, _UNKNOWN_M = 0.1, 400.0, 1.0
 
 
-def kind_and_look(vehicle_class: str, size_lwh_m: tuple[float, float, float]) -> tuple[ActorKind, ActorLook]:
+def _kind_and_look(vehicle_class: str, size_lwh_m: tuple[float, float, float]) -> tuple[ActorKind, ActorLook]:
     """What something of SUMO's class and size is, and how it looks.
 
-    >>> kind_and_look("taxi", (4.5, 1.8, 1.5))
+    >>> _kind_and_look("taxi", (4.5, 1.8, 1.5))
     (<ActorKind.CAR: 'car'>, <ActorLook.TAXI: 'taxi'>)
-    >>> kind_and_look("hovercraft", (4.5, 1.8, 1.5))[0]
+    >>> _kind_and_look("hovercraft", (4.5, 1.8, 1.5))[0]
     <ActorKind.OTHER: 'other'>
     """
     kind = KIND_OF_CLASS.get(vehicle_class, ActorKind.OTHER)
@@ -91,10 +91,10 @@ def kind_and_look(vehicle_class: str, size_lwh_m: tuple[float, float, float]) ->
     return kind, look
 
 
-def sane_size(length_m: float, width_m: float, height_m: float) -> tuple[float, float, float]:
+def _sane_size(length_m: float, width_m: float, height_m: float) -> tuple[float, float, float]:
     """A size that a box can have: every side finite and between 0.1 and 400 m.
 
-    >>> sane_size(float("nan"), 0.0, 1.5)
+    >>> _sane_size(float("nan"), 0.0, 1.5)
     (1.0, 0.1, 1.5)
     """
     return (_side(length_m), _side(width_m), _side(height_m))
@@ -161,10 +161,12 @@ class ActorReader:
         """
         if not len(near_W_m):
             return ()
+        # Other places, a jump, or a second question in one step: the lists of who is due are used up or wrong.
         elsewhere = moved(near_W_m, self._from_W_m, _MOVED_M) or radius_m != self._within_m
         if elsewhere or self._unsure or self._asked_at == self._step:
             self._due, self._unsure = {}, False
         self._from_W_m, self._within_m, self._asked_at = near_W_m.copy(), radius_m, self._step
+        # People first: "p:" comes before "v:", so the two sorted parts are sorted as a whole.
         people = self._found("p:", self._api.person, near_W_m, radius_m)
         return self._states(people, "p:") + self._states(self._found("v:", self._api.vehicle, near_W_m, radius_m), "v:")
 
@@ -186,6 +188,7 @@ class ActorReader:
         asked = [name for step in [step for step in due if step <= self._step] for name in due.pop(step)]
         (first_x, first_y), *others = chairs
         found, soon, closing_m, place_of = [], [], self._closing_m[kind], domain.getPosition3D
+        # A name may stand in the lists of two steps: it is asked for once, in the order of the steps.
         for name in dict.fromkeys(asked):
             try:
                 x, y, z = place_of(name)
@@ -271,8 +274,8 @@ class ActorReader:
     def _body(self, key: str, domain: Any, name: str) -> _Body:
         body = self._bodies.get(key)
         if body is None:
-            size = sane_size(domain.getLength(name), domain.getWidth(name), domain.getHeight(name))
-            kind, look = kind_and_look(domain.getVehicleClass(name), size)
+            size = _sane_size(domain.getLength(name), domain.getWidth(name), domain.getHeight(name))
+            kind, look = _kind_and_look(domain.getVehicleClass(name), size)
             body = self._bodies[key] = _Body(kind=kind, look=look, size_lwh_m=size)
         return body
 

@@ -1,4 +1,7 @@
-"""Where a world runs its scenario: filtered copies in a folder, tried out in a child before SUMO opens them here."""
+"""Where a world runs its scenario: filtered copies in a folder, tried out in a child before SUMO opens them here.
+
+A world and those who order one both know `RunPlace`, so nothing here loads a simulator.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,27 @@ import os
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
-from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPlace:
+    """Where the outputs of a world go, and what else its user asks of SUMO."""
+
+    folder: Path | None = None  # a run folder; without one everything SUMO writes goes when the world closes
+    outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
+    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
+
 
 log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 
@@ -46,11 +58,11 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
         log.info("%s: %s", town.name, note)
     for row in scenario.overrides:
         log.info("%s: %s is %s, not %s: %s", town.name, row.option, row.wcsim, row.author or "the default", row.why)
-    try_scenario(town, settings, scenario.digest)
+    _try_scenario(town, settings, scenario.digest)
     return scenario
 
 
-def try_scenario(town: Town, settings: Settings, digest: str) -> None:
+def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
     key = hashlib.sha256(f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_BEGUN_ANEW}".encode()).hexdigest()[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"

@@ -3,6 +3,8 @@
 libsumo holds one simulation a process; a second `start` silently resets the first one, so a session refuses to start
 while another one is loaded. Whole-world reset is one drain step, then `libsumo.load` (bit-identical; `loadState` is
 not). Nothing but `ActorState` and `SignalState` leaves this file.
+
+`open_session` starts it with the scenario of a town, staged and tried out; `warm_up` lets the traffic run alone.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +20,18 @@ from typing import Any
 import numpy as np
 
 from wcsim.bridge.sumo.actors import ActorReader, SignalReader
+from wcsim.bridge.sumo.open_scenario import RunPlace, open_scenario
 from wcsim.bridge.sumo.signal_control import SignalControl
 from wcsim.bridge.sumo.step_hook import HookChair, open_hook
 from wcsim.bridge.sumo.vehicle_control import VehicleControl
+from wcsim.config import RunConfig
+from wcsim.core import seeding
 from wcsim.core.closing import Closing
 from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError, WorldInUseError
-from wcsim.towns.scenario.overrides import JUMPING, Settings, forced
+from wcsim.towns.scenario.overrides import JUMPING, Settings, forced, settings_of
+from wcsim.towns.scenario.stage import Scenario
+from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ActorState, SignalState
 
 try:
@@ -129,19 +137,21 @@ class SumoSession(Closing):
 
         `chairs` are those before the step; they are asked for only where there is a hook.
         """
-        told = () if self._hook is None else chairs()
+        hook_chairs = () if self._hook is None else chairs()
         if self._hook is not None:
-            self._hook.before_step(self.time_s(), told)
+            self._hook.before_step(self.time_s(), hook_chairs)
         self._guarded(libsumo.simulationStep)
         if self._hook is not None:
-            self._hook.after_step(self.time_s(), told)
+            self._hook.after_step(self.time_s(), hook_chairs)
         jammed = libsumo.simulation.getStartingTeleportIDList()
         landed = libsumo.simulation.getEndingTeleportIDList()
         vehicles, people = libsumo.simulation.getDepartedIDList(), libsumo.simulation.getDepartedPersonIDList()
+        # After a jump an actor may be nearer than its speed allows: the reader looks at all of them again.
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
         self._teleports = len(jammed)
         pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
+        # SUMO lists a collision in every step that it lasts: only new pairs count.
         self._collisions = len(pairs - self._colliding)
         self._colliding = pairs
         self._so_far = (self._so_far[0] + self._teleports, self._so_far[1] + self._collisions)
@@ -151,7 +161,8 @@ class SumoSession(Closing):
 
     def rebuild(self, seed: int) -> None:
         """Start the scenario again from its beginning with another seed."""
-        self._guarded(libsumo.simulationStep)  # a drain step: libsumo can crash when it is loaded over pending commands
+        # A drain step: libsumo can crash when it is loaded over pending commands.
+        self._guarded(libsumo.simulationStep)
         self._options = replace(self._options, seed=seed)
         self._reader.forget()
         self.pilot.forget()
@@ -183,7 +194,7 @@ class SumoSession(Closing):
         self._reader.forget_actor(actor_id)
 
     def collisions(self) -> int:
-        """Collisions among SUMO's own vehicles and persons that began in the last step, each told once."""
+        """Collisions among SUMO's own vehicles and persons that began in the last step, each counted once."""
         return self._collisions
 
     def mishaps(self) -> tuple[int, int]:
@@ -217,3 +228,42 @@ class SumoSession(Closing):
             raise SumoError(
                 f"SUMO stopped on {self._options.sumocfg}: {str(error).strip()[:300]}; open it in sumo-gui for details"
             ) from None
+
+
+def sumo_seed(seed: int) -> int:
+    """SUMO's own seed in a world with this one."""
+    return seeding.derive(seed, "sumo")
+
+
+def open_session(
+    town: Town, config: RunConfig, seed: int, place: RunPlace, net_z_m: float, held: ExitStack
+) -> tuple[Scenario, SumoSession]:
+    """Start SUMO for a world with this seed; `held` ends it, `net_z_m` is the net's own height of W's z = 0.
+
+    Raises TownError for a scenario that cannot be run, WorldInUseError while another session lives in this process.
+    """
+    scenario = open_scenario(town, settings_of(config, sumo_seed(seed)), place, held)
+    options = SumoOptions(
+        sumocfg=scenario.sumocfg,
+        origin_m=town.file.origin_m,
+        step_s=config.world.tick_s,
+        seed=sumo_seed(seed),
+        demand_scale=config.world.demand_scale,
+        jam_teleport_s=config.world.jam_teleport_s,
+        z_origin_m=net_z_m,
+        author_scale=scenario.author_scale,
+        hook=place.hook,
+    )
+    return scenario, held.enter_context(SumoSession(options))
+
+
+def warmup_s(town: Town, config: RunConfig) -> float:
+    """How long the traffic runs before a world begins: as the user set it, as the town says, or as usual."""
+    own_s = town.file.warmup_s if config.world.town_warmup else None
+    return config.world.warmup_s if own_s is None else own_s
+
+
+def warm_up(sumo: SumoSession, for_s: float, tick_s: float) -> None:
+    """Let the traffic run alone."""
+    for _ in range(round(for_s / tick_s)):
+        sumo.step()

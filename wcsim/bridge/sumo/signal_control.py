@@ -25,7 +25,7 @@ _SAME_TIME_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Phase:
+class _Phase:
     """A phase of a program, as far as a button has to know it."""
 
     shows: SignalState
@@ -34,10 +34,10 @@ class Phase:
     fixed: bool = False  # it always lasts as long, and one phase follows
 
 
-Program = tuple[Phase, ...]
+Program = tuple[_Phase, ...]
 
 
-def towards_green(program: Program, now: int, links: Sequence[int]) -> int | None:
+def _towards_green(program: Program, now: int, links: Sequence[int]) -> int | None:
     """The phase that comes next on the shortest way to one that frees all these links.
 
     None when the phase of now does, or when the program never gets to one from here.
@@ -45,6 +45,7 @@ def towards_green(program: Program, now: int, links: Sequence[int]) -> int | Non
     if program[now].shows.frees(links):
         return None
     first_of = {now: now}
+    # Breadth first: the first phase found that frees them all is the one fewest phases away.
     open_phases = deque([now])
     while open_phases:
         here = open_phases.popleft()
@@ -74,6 +75,7 @@ class SignalControl:
 
         Of several requests to one light the first is heard, until it has green.
         """
+        # Reversed, so that the first of several requests to one light is the one that stays.
         for tls_id, request in {request.tls_id: request for request in reversed(requests)}.items():
             try:
                 self._ask(tls_id, request.links)
@@ -85,7 +87,7 @@ class SignalControl:
         program, now = self._program(tls_id, lights.getProgram(tls_id)), lights.getPhase(tls_id)
         if program is None or not 0 <= now < len(program) or program[now].fixed:
             return
-        following = towards_green(program, now, links)
+        following = _towards_green(program, now, links)
         if following is not None and lights.getSpentDuration(tls_id) >= program[now].least_s - _SAME_TIME_S:
             lights.setPhase(tls_id, following)
             # Without this an actuated program leaves the new phase in the next step: no yellow.
@@ -111,5 +113,5 @@ class SignalControl:
             following = tuple(k for k in phase.next if 0 <= k < count) or ((number + 1) % count,)
             shows = SignalState(tls_id=tls_id, colours=phase.state)
             fixed = most_s <= least_s and len(following) == 1
-            program.append(Phase(shows=shows, least_s=float(least_s), following=following, fixed=fixed))
+            program.append(_Phase(shows=shows, least_s=float(least_s), following=following, fixed=fixed))
         return tuple(program)

@@ -75,8 +75,10 @@ def try_town(town: Town) -> None:
 
     Raises TownError with SUMO's own words when it cannot.
     """
-    from wcsim.bridge.sumo.open_scenario import open_scenario  # loads libsumo, which --help must not
-    from wcsim.bridge.sumo.run_place import RunPlace
+    from wcsim.bridge.sumo.open_scenario import (
+        RunPlace,
+        open_scenario,  # loads libsumo, which --help must not
+    )
 
     with ExitStack() as held:
         open_scenario(town, settings_of(load_run_config("quick"), 1), RunPlace(), held)

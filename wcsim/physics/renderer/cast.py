@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_instances, joined
 from wcsim.physics.renderer.models.catalog import Template
-from wcsim.physics.renderer.models.special_vehicles import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
+from wcsim.physics.renderer.models.vehicles import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
 from wcsim.types import F64, I32, ActorState, Bool, SignalHead, SignalState, chair_actor_id
 
 AHEAD_M = 0.16  # from the middle of a head to its lamps' backs: heads are 0.3 m deep
@@ -42,7 +42,7 @@ _WALKER_LETTERS = {
 }
 
 
-class SignalLamps:
+class _SignalLamps:
     """The lamps of all heads of a street; only those near a camera become instances."""
 
     def __init__(self, heads: Sequence[SignalHead]) -> None:
@@ -133,7 +133,7 @@ class Cast:
 
     def __init__(self, heads: Sequence[SignalHead]) -> None:
         """`heads` of the traffic lights."""
-        self._lamps = SignalLamps(heads)
+        self._lamps = _SignalLamps(heads)
         self._actors: Sequence[ActorState] = ()
         self._rows = actor_instances(())
 

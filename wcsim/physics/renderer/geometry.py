@@ -35,7 +35,7 @@ _WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SurfacePaint:
+class _SurfacePaint:
     """The painting of every face of the street."""
 
     rgb: U32  # (F,) colour with the sun's shading in it, red in the lowest byte
@@ -43,12 +43,12 @@ class SurfacePaint:
     frame: F32  # (F, 4) a point's bay is x f[0] + y f[1] - f[2] (one bay a window or a pair of bars); foot of the house
 
 
-def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> SurfacePaint:
+def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> _SurfacePaint:
     """Paint (V, 3) vertices, (F, 3) faces with (F,) classes."""
     corners = vertices_W_m[faces].astype(np.float64)  # (F, 3 corners, 3)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    thing = connected_parts(vertices_W_m, faces, face_class)
+    thing = _connected_parts(vertices_W_m, faces, face_class)
     foot, top = _extent(corners[:, :, 2], thing)
     steep = np.abs(normal[:, 2]) < 0.5
     east, north = (np.subtract(*_extent(corners[:, :, axis], thing)[::-1]) for axis in (0, 1))
@@ -64,7 +64,7 @@ def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> SurfacePaint
     axis[stripes] = _walking_axes(vertices_W_m, faces, face_class, thing)[stripes]
     red, green, blue = np.clip(colour * shade[:, None], 0, 255).astype(np.uint32).T
     bays, start = _bays(corners, axis, windows)
-    return SurfacePaint(
+    return _SurfacePaint(
         rgb=red | green << 8 | blue << 16,
         pattern=pattern,
         frame=np.concatenate([axis * bays, start, foot[:, None]], axis=1, dtype=np.float32),
@@ -83,7 +83,7 @@ def _bays(corners: F64, axis: F64, windows: Bool) -> tuple[F64, F64]:
     return bays[:, None], start[:, None]
 
 
-def connected_parts(vertices_W_m: F32, faces: I32, face_class: U8) -> I64:
+def _connected_parts(vertices_W_m: F32, faces: I32, face_class: U8) -> I64:
     """Number of the connected thing (building, crossing, tree) each face belongs to, (F,) int64, dense from 0.
 
     Faces are connected where they share a corner (to WELD_M) and a class.
@@ -182,7 +182,7 @@ class GeometryStore:
         order, self.chunk_faces = _by_cell(mesh, chunk_m)
         self.vertices_W_m, self.faces, self.chunk_vertices = _own_vertices(mesh, order, self.chunk_faces)
         self.face_class: U8 = np.ascontiguousarray(mesh.face_class[order])  # (F,)
-        self.paint = SurfacePaint(rgb=paint.rgb[order], pattern=paint.pattern[order], frame=paint.frame[order])
+        self.paint = _SurfacePaint(rgb=paint.rgb[order], pattern=paint.pattern[order], frame=paint.frame[order])
         self.spheres_W_m = _spheres(self.vertices_W_m, self.chunk_vertices)  # (C, 4) x, y, z, radius
         self.templates: ActorTemplates = actor_templates()
         self.marks = GeometryStore(_as_mesh(mesh.paint)) if len(mesh.paint.mark) else None  # drawn in colours alone
@@ -196,7 +196,7 @@ class GeometryStore:
         store.face_class = np.concatenate([part.face_class for part in parts])
         store.chunk_vertices = _end_to_end([part.chunk_vertices for part in parts])
         store.chunk_faces = _end_to_end([part.chunk_faces for part in parts])
-        store.paint = SurfacePaint(
+        store.paint = _SurfacePaint(
             rgb=np.concatenate([part.paint.rgb for part in parts]),
             pattern=np.concatenate([part.paint.pattern for part in parts]),
             frame=np.concatenate([part.paint.frame for part in parts]),

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.physics.renderer.kernels import InstanceArrays
+from wcsim.physics.renderer.kernels import InstanceArrays, place_models, put_round
 from wcsim.physics.renderer.models.catalog import Template, template_of
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
-from wcsim.physics.renderer.placing import place_models, put_round
 from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Outline, PlantState
 
 U32 = npt.NDArray[np.uint32]
@@ -68,6 +67,7 @@ def instances_of(actors: Sequence[ActorState], chairs: Sequence[ChairPose] = ())
 
 def actor_instances(actors: Sequence[ActorState]) -> Instances:
     """Models for the actors; a colour seed is drawn from the id, so that a car keeps its paint and a tram has one."""
+    # A checksum and not `hash`, which differs from process to process.
     seed = np.array([zlib.crc32(a.whole_id.encode()) for a in actors], np.uint32)
     p_W_m, v_W_mps = _rows([actor.p_W_m for actor in actors]), _rows([actor.v_W_mps for actor in actors])
     yaw_rad = np.array([actor.yaw_rad for actor in actors], np.float64)
@@ -78,8 +78,8 @@ def actor_instances(actors: Sequence[ActorState]) -> Instances:
     walks = template == Template.PEDESTRIAN
     speed_mps = np.hypot(v_W_mps[:, 0], v_W_mps[:, 1])
     stride_m = _STRIDE * scale_m[walks, 2]
-    template[walks] += gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks], stride_m)
-    template[walks] += POSTURES * figures(scale_m[walks, 2], seed[walks])
+    template[walks] += _gait_phases(p_W_m[walks], yaw_rad[walks], speed_mps[walks], seed[walks], stride_m)
+    template[walks] += POSTURES * _figures(scale_m[walks, 2], seed[walks])
     return Instances(
         template=template,
         p_W_m=p_W_m,
@@ -101,6 +101,7 @@ def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
         template=np.full(len(chairs), Template.WHEELCHAIR, np.int32),
         p_W_m=np.array(places, np.float64).reshape(-1, 3),
         yaw_rad=np.array([math.atan2(R[1, 0], R[0, 0]) for R in turns], np.float64),
+        # Rounding may leave a sine a hair beyond 1.
         pitch_rad=np.array([math.asin(min(1.0, max(-1.0, R[2, 0]))) for R in turns], np.float64),
         roll_rad=np.array([math.atan2(R[2, 1], R[2, 2]) for R in turns], np.float64),
         scale_m=np.array(sizes_m, np.float64).reshape(-1, 3),
@@ -151,7 +152,7 @@ def rotation_quaternion(yaw_rad: float, pitch_rad: float, roll_rad: float) -> li
     ]
 
 
-def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F64) -> I32:
+def _gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F64) -> I32:
     """Phase (n,) in 0..3 of each walker's step, 4 for who stands.
 
     It comes from the place (n, 3) alone: one snapshot always gives one picture. The distance walked is read off along
@@ -163,7 +164,7 @@ def gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F
     return np.where(speed_mps < _WALKING_MPS, STANDING, steps % GAIT_PHASES).astype(np.int32)
 
 
-def figures(height_m: F64, seed: U32) -> I32:
+def _figures(height_m: F64, seed: U32) -> I32:
     """Which figure (n,) of `templates.FIGURES` each person is: a child, or one of two kinds of grown-ups."""
     return np.where(height_m < _CHILD_BELOW_M, 2, (seed >> 13) & 1).astype(np.int32)
 

@@ -1,4 +1,4 @@
-"""The rasteriser's compiled code: cull, transform, clip at the near plane, fill spans of 1/z, class and face.
+"""The rasteriser's compiled code: place models, cull, transform, clip at the near plane, fill spans of 1/z.
 
 Camera frame: x right, y down, z forward. While a picture is drawn the depth buffer holds 1/z (0 = nothing); the word
 buffer, there for some pictures only, holds a face's number in the street, or with bit 31 set a plain colour or, in a
@@ -13,8 +13,43 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.jit import kernel
-from wcsim.physics.renderer.placing import half_diagonal
 from wcsim.types import F32, F64, I32, U8, Bool
+
+
+@kernel
+def place_models(p_W_m: F64, yaw: F64, pitch: F64, roll: F64, scale: F64, T_WM: F64) -> None:
+    """Unit model box to world: T_WM (n, 3, 4) = place . yaw . pitch (nose up) . roll . size."""
+    for i in range(len(yaw)):
+        cy, sy, cp, sp = np.cos(yaw[i]), np.sin(yaw[i]), np.cos(pitch[i]), np.sin(pitch[i])
+        cr, sr = np.cos(roll[i]), np.sin(roll[i])
+        T = T_WM[i]
+        T[0, 0], T[0, 1], T[0, 2] = cy * cp, -cy * sp * sr - sy * cr, -cy * sp * cr + sy * sr
+        T[1, 0], T[1, 1], T[1, 2] = sy * cp, -sy * sp * sr + cy * cr, -sy * sp * cr - cy * sr
+        T[2, 0], T[2, 1], T[2, 2] = sp, cp * sr, cp * cr
+        for row in range(3):
+            for k in range(3):
+                T[row, k] *= scale[i, k]
+            T[row, 3] = p_W_m[i, row]
+
+
+@kernel
+def _half_diagonal(T: F64) -> float:
+    """Half the diagonal of a placed model's box, with room for a stride and for rounding; T (3, 4) its place."""
+    total = 0.0
+    for row in range(3):
+        for k in range(3):
+            total += T[row, k] * T[row, k]
+    return float(0.54 * np.sqrt(total) + 1e-3)
+
+
+@kernel
+def put_round(T_WM: F64, balls: F32) -> None:
+    """Write the ball (x, y, z of W, radius) round each placed model; T_WM (n, 3, 4), balls (n, 4)."""
+    for i in range(len(T_WM)):
+        for row in range(3):
+            balls[i, row] = T_WM[i, row, 3] + 0.5 * T_WM[i, row, 2]
+        balls[i, 3] = _half_diagonal(T_WM[i])
+
 
 U32Array = npt.NDArray[np.uint32]
 Word = np.uint32 | int
@@ -85,17 +120,19 @@ class Target(NamedTuple):
 
 
 @kernel
-def fill(
+def _fill(
     x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float, w2: float,
     class_id: int, word: Word, out: Target,
-) -> None:
+) -> None:  # fmt: skip
     """Fill the pixels whose centres lie in a screen triangle; w = 1/z at its corners."""
     height, width = out.inverse_z.shape
     if not _on_screen(x0, y0, x1, y1, x2, y2, width, height):
         return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    # A triangle seen edge-on covers no pixel, and its slopes would be infinite.
     if abs(area) < 1e-12:
         return
+    # On the screen 1/z is linear, which z is not: it is stepped along a span by additions.
     slope_x = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
     slope_y = ((w2 - w0) * (x1 - x0) - (w1 - w0) * (x2 - x0)) / area
     origin = w0 - slope_x * x0 - slope_y * y0
@@ -105,6 +142,7 @@ def fill(
         x0, y0, x2, y2 = x2, y2, x0, y0
     if y2 < y1:
         x1, y1, x2, y2 = x2, y2, x1, y1
+    # Half-open rows and spans: a pixel on an edge that two triangles share belongs to one of them, never to both.
     first_row = max(0, int(np.ceil(y0 - 0.5)))
     last_row = min(height - 1, int(np.ceil(y2 - 0.5)) - 1)
     long_edge = (x2 - x0) / (y2 - y0)
@@ -113,6 +151,7 @@ def fill(
     step = np.float32(slope_x)
     class_byte, face_word = np.uint8(class_id), np.uint32(word)
     painted = out.words.shape[0] > 0
+    # A pixel changes only for what is strictly nearer: of equal depths the first drawn stays.
     for row in range(first_row, last_row + 1):
         y = row + 0.5
         xa = x0 + (y - y0) * long_edge
@@ -160,11 +199,11 @@ def _clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, vi
     if odd_behind:
         wb, wc = 1.0 / p[b, 2], 1.0 / p[c, 2]
         bx, by, dx, dy = p[b, 0] * f * wb + cx, p[b, 1] * f * wb + cy, p[c, 0] * f * wc + cx, p[c, 1] * f * wc + cy
-        fill(px, py, wn, bx, by, wb, dx, dy, wc, class_id, word, out)
-        fill(px, py, wn, dx, dy, wc, qx, qy, wn, class_id, word, out)
+        _fill(px, py, wn, bx, by, wb, dx, dy, wc, class_id, word, out)
+        _fill(px, py, wn, dx, dy, wc, qx, qy, wn, class_id, word, out)
     else:
         wa = 1.0 / az
-        fill(ax * f * wa + cx, ay * f * wa + cy, wa, px, py, wn, qx, qy, wn, class_id, word, out)
+        _fill(ax * f * wa + cx, ay * f * wa + cy, wa, px, py, wn, qx, qy, wn, class_id, word, out)
 
 
 @kernel
@@ -217,7 +256,7 @@ def draw_chunk(street: StreetArrays, chunk: int, plain: bool, view: View, p: F32
             continue
         x0, y0, x1, y1, x2, y2 = screen[0, a], screen[1, a], screen[0, b], screen[1, b], screen[0, c], screen[1, c]
         if _on_screen(x0, y0, x1, y1, x2, y2, width, height):
-            fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], word, out)
+            _fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], street.face_class[face], word, out)
 
 
 @kernel
@@ -231,8 +270,17 @@ def _lit_paint(paint: int, lamps: int) -> int:
 
 @kernel
 def _draw_model(
-    models: ModelArrays, t: int, seed: int, lamps: int, T_CM: F64, solid: bool, number: int, view: View, p: F32,
-    screen: F64, out: Target,
+    models: ModelArrays,
+    t: int,
+    seed: int,
+    lamps: int,
+    T_CM: F64,
+    solid: bool,
+    number: int,
+    view: View,
+    p: F32,
+    screen: F64,
+    out: Target,
 ) -> None:
     """Draw one actor; of a `solid` one (the camera is not in it) the faces that look away are skipped.
 
@@ -271,7 +319,7 @@ def _draw_model(
         if min(az, p[b, 2], p[c, 2]) < view.near_m:
             _clip_and_fill(p, a, b, c, models.face_class[face], word, view, out)
         else:
-            fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], models.face_class[face], word, out)
+            _fill(x0, y0, screen[2, a], x1, y1, screen[2, b], x2, y2, screen[2, c], models.face_class[face], word, out)
 
 
 @kernel
@@ -281,6 +329,7 @@ def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
     r0, r1, r2, r3 = view.T_CW[0, 0], view.T_CW[0, 1], view.T_CW[0, 2], view.T_CW[0, 3]
     d0, d1, d2, d3 = view.T_CW[1, 0], view.T_CW[1, 1], view.T_CW[1, 2], view.T_CW[1, 3]
     kx, ky = 0.5 * width / view.focal_px, 0.5 * height / view.focal_px
+    # Lengths of the normals of the view's side planes: radii are multiplied by them, distances never divided.
     grow_x, grow_y = np.sqrt(1.0 + kx * kx), np.sqrt(1.0 + ky * ky)
     near, far = view.near_m, view.range_m
     for i in range(len(balls)):
@@ -298,6 +347,7 @@ def cull(balls: F32, view: View, width: int, height: int, depth: F32) -> None:
 @kernel
 def _near_first(depth: F32, range_m: float, order: I32) -> int:
     """Write the numbers of what is not OUT into `order`, near ones first to 1/BUCKETS of the range; how many."""
+    # A counting sort keeps the numbers' order within a bucket, and with it who is drawn first at equal depth.
     starts = np.zeros(BUCKETS + 1, np.int32)
     scale = BUCKETS / range_m
     for i in range(len(depth)):
@@ -315,8 +365,14 @@ def _near_first(depth: F32, range_m: float, order: I32) -> int:
 
 
 @kernel
-def visible(
-    street: StreetArrays, actors: InstanceArrays, shown: Bool, view: View, width: int, height: int, culling: bool,
+def _visible(
+    street: StreetArrays,
+    actors: InstanceArrays,
+    shown: Bool,
+    view: View,
+    width: int,
+    height: int,
+    culling: bool,
     order: I32,
 ) -> int:
     """Write what may be seen into `order`, near ones first: chunks as c, actors as chunks + i; returns how many."""
@@ -333,8 +389,14 @@ def visible(
 
 @kernel
 def draw(
-    street: StreetArrays, models: ModelArrays, actors: InstanceArrays, shown: Bool, view: View, culling: bool,
-    numbered: bool, out: Target,
+    street: StreetArrays,
+    models: ModelArrays,
+    actors: InstanceArrays,
+    shown: Bool,
+    view: View,
+    culling: bool,
+    numbered: bool,
+    out: Target,
 ) -> None:
     """Draw a whole picture with the actors that are `shown` (n,): depth and class, and words, if there is a buffer."""
     height, width = out.inverse_z.shape
@@ -342,7 +404,7 @@ def draw(
     out.class_id[:] = SKY_ID
     chunks, n = len(street.spheres), len(shown)
     order = np.empty(chunks + n, np.int32)
-    count = visible(street, actors, shown, view, width, height, culling, order)
+    count = _visible(street, actors, shown, view, width, height, culling, order)
     size = 1
     for k in range(count):
         i = order[k]
@@ -351,6 +413,7 @@ def draw(
         else:
             t = actors.template[i - chunks]
             size = max(size, models.vertices_of[t + 1] - models.vertices_of[t])
+    # One workspace, large enough for everything in view: no memory is claimed while drawing.
     p, screen = np.empty((size, 3), np.float32), np.empty((3, size))
     T_CM = np.empty((3, 4))
     for k in range(count):
@@ -369,7 +432,8 @@ def draw(
         away = 0.0
         for row in range(3):
             away += (T_CM[row, 3] + 0.5 * T_CM[row, 2]) ** 2
-        solid = np.sqrt(away) > half_diagonal(T) + 2.0 * view.near_m
+        # From inside, or where the near plane cuts it open, a model's back faces can be seen, too.
+        solid = np.sqrt(away) > _half_diagonal(T) + 2.0 * view.near_m
         seed, lamps = actors.colour_seed[i], actors.lamps[i]
         number = i if numbered else -1
         _draw_model(models, actors.template[i], seed, lamps, T_CM, solid, number, view, p, screen, out)

@@ -1,16 +1,34 @@
-"""The default renderer: a span rasteriser on the CPU, depth and class in one pass, colours on demand."""
+"""The default renderer: a span rasteriser on the CPU, depth and class in one pass, colours on demand.
+
+Its second pass turns face numbers and depth into shaded, patterned, hazy colours, or into rows of instances. No kernel
+here is called by a kernel of another module, see `kernels`.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from wcsim.core.jit import kernel
 from wcsim.physics.buffers import Images, new_images
-from wcsim.physics.renderer import kernels, shading
+from wcsim.physics.renderer import kernels
 from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
+from wcsim.physics.renderer.kernels import (
+    COLOURED,
+    OUT,
+    PLAIN,
+    SKY_ID,
+    STRIPES,
+    StreetArrays,
+    Target,
+    U32Array,
+    View,
+    cull,
+    draw_chunk,
+)  # fmt: skip
 from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB, paint_table
-from wcsim.types import F64, Bool
+from wcsim.types import F32, F64, I32, U8, Bool
 from wcsim.types.street import joined_mesh
 
 
@@ -46,14 +64,15 @@ class RasterRenderer:
         actors = instances.placed
         if shown is None:
             shown = np.ones(len(instances), np.bool_)
-        if out.instance is not None:  # a word holds a row or a colour: who wants both has it drawn twice
+        # A word holds a row or a colour: for both, everything is drawn twice.
+        if out.instance is not None:
             kernels.draw(self._street, self._models, actors, shown, view, self._cull, True, target)
-            shading.tell_apart(words, out.class_id, out.instance)
+            _write_instances(words, out.class_id, out.instance)
         if out.instance is None or out.rgb is not None:
             kernels.draw(self._street, self._models, actors, shown, view, self._cull, False, target)
         if out.rgb is not None:
-            shading.draw_marks(self._marks, view, target)
-            shading.colour(self._street, view, _inverse(view.T_CW), out.depth_m, words, out.rgb)
+            _draw_marks(self._marks, view, target)
+            _colour(self._street, view, _inverse(view.T_CW), out.depth_m, words, out.rgb)
 
     def _view(self, camera: Pinhole, T_CW: F64) -> kernels.View:
         T_CW = np.ascontiguousarray(T_CW, np.float64)
@@ -94,3 +113,118 @@ def _inverse(T_CW: F64) -> F64:
     R_WC = T_CW[:, :3].T
     T_WC[:, :3], T_WC[:, 3] = R_WC, -R_WC @ T_CW[:, 3]
     return T_WC
+
+
+# Windows in storeys of 3.2 m; how wide stripes and bays are is in the frame of a face. All is float32, for speed.
+HALF = np.float32(0.5)
+PER_STOREY = np.float32(1 / 3.2)
+WINDOW_HALF, WINDOW_MIDDLE = np.float32(0.225), np.float32(0.53)
+SKY_STEPS = 255
+SKY_GROWTH = np.float32(1.8 * SKY_STEPS)
+CLEAR = np.float32(0.2)  # share of the range from which on there is haze, up to 160/256 at its end
+HAZE_GROWTH = np.float32(160.0 / 0.64)
+FULL, EVEN, LOW, HIGH = np.uint32(256), np.uint32(0xFF00FF), np.uint32(0xFF), np.uint32(0xFF00)
+BYTE, TWO_BYTES = np.uint32(8), np.uint32(16)
+NO_WORD = np.uint32(0)
+STRIPE_WORD = np.uint32(0xE8ECEC)  # blue, green, red from the highest byte down
+WINDOW_WORD = np.uint32(0x6C5C4E)
+
+
+@kernel
+def _draw_marks(marks: StreetArrays, view: View, out: Target) -> None:
+    """Put the colours of marks on the ground into the words of a drawn picture; its depth and classes stay."""
+    height, width = out.inverse_z.shape
+    depth = np.zeros(len(marks.spheres), np.float32)
+    cull(marks.spheres, view, width, height, depth)
+    if not np.any(depth > OUT):
+        return
+    size = 1
+    for chunk in range(len(depth)):
+        size = max(size, marks.chunk_vertices[chunk + 1] - marks.chunk_vertices[chunk])
+    p, screen = np.empty((size, 3), np.float32), np.empty((3, size))
+    # Copies of depth and classes are tested and written: marks change colours alone.
+    beside = Target(np.float32(1.0) / out.inverse_z, np.empty_like(out.class_id), out.words)
+    for chunk in range(len(depth)):
+        if depth[chunk] > OUT:
+            draw_chunk(marks, chunk, True, view, p, screen, beside)
+
+
+@kernel
+def _overlay(street: StreetArrays, face: int, x: float, y: float, z: float) -> np.uint32:
+    """The colour word that a face's pattern puts over its own colour at a point of W, or 0."""
+    bay = x * street.frame[face, 0] + y * street.frame[face, 1] - street.frame[face, 2]
+    if street.pattern[face] == STRIPES:
+        return STRIPE_WORD if bay - np.floor(bay) < HALF else NO_WORD
+    storey = (z - street.frame[face, 3]) * PER_STOREY
+    beside = abs(bay - np.floor(bay) - HALF)
+    above = abs(storey - np.floor(storey) - WINDOW_MIDDLE)
+    return WINDOW_WORD if beside < WINDOW_HALF and above < WINDOW_HALF else NO_WORD
+
+
+@kernel
+def _sky_ramp(view: View) -> U8:
+    """Colours (SKY_STEPS + 1, 3) of the sky from the horizon up."""
+    ramp = np.empty((SKY_STEPS + 1, 3), np.uint8)
+    for i in range(SKY_STEPS + 1):
+        for k in range(3):
+            ramp[i, k] = np.uint8(view.light[2 + k] + i * (view.light[5 + k] - view.light[2 + k]) / SKY_STEPS)
+    return ramp
+
+
+@kernel
+def _colour(street: StreetArrays, view: View, T_WC: F64, depth_m: F32, words: U32Array, rgb: U8) -> None:
+    """Write the shaded picture (H, W, 3) from words and depth: faces with their patterns, actors, haze, sky."""
+    height, width = depth_m.shape
+    far, limit = np.float32(view.range_m), np.float32(1.0 / view.range_m)
+    left, step = np.float32(0.5 - 0.5 * width), np.float32(1.0 / view.focal_px)
+    clear_m = CLEAR * far
+    fog_even = np.uint32(int(view.light[2]) | int(view.light[4]) << 16)
+    fog_green = np.uint32(view.light[3])
+    T = T_WC.astype(np.float32)
+    ramp = _sky_ramp(view)
+    for row in range(height):
+        v = np.float32((row + 0.5 - 0.5 * height) / view.focal_px)
+        ray_x, ray_y, ray_z = T[0, 1] * v + T[0, 2], T[1, 1] * v + T[1, 2], T[2, 1] * v + T[2, 2]
+        for i in range(width):
+            u = (np.float32(i) + left) * step
+            z = depth_m[row, i]
+            if z >= far:
+                rise = min(max(int(SKY_GROWTH * (T[2, 0] * u + ray_z)), 0), SKY_STEPS)
+                rgb[row, i, 0], rgb[row, i, 1], rgb[row, i, 2] = ramp[rise, 0], ramp[rise, 1], ramp[rise, 2]
+                continue
+            word = words[row, i]
+            if not word & COLOURED:
+                face, word = word, street.rgb[word]
+                if street.pattern[face] != PLAIN:
+                    x, y = T[0, 3] + z * (T[0, 0] * u + ray_x), T[1, 3] + z * (T[1, 0] * u + ray_y)
+                    word = _overlay(street, face, x, y, T[2, 3] + z * (T[2, 0] * u + ray_z)) or word
+            if z > clear_m:
+                share = z * limit - CLEAR
+                haze = np.uint32(HAZE_GROWTH * share * share)
+                even = ((word & EVEN) * (FULL - haze) + fog_even * haze) >> BYTE & EVEN  # red and blue at once
+                green = ((word >> BYTE & LOW) * (FULL - haze) + fog_green * haze) & HIGH
+                word = even | green
+            rgb[row, i, 0] = word & LOW
+            rgb[row, i, 1] = word >> BYTE & LOW
+            rgb[row, i, 2] = word >> TWO_BYTES & LOW
+
+
+@kernel
+def brighten(rgb: U8, table: U8) -> None:
+    """Replace each colour value of a picture (H, W, 3) by that of the table (256,), in place."""
+    height, width, _ = rgb.shape
+    for row in range(height):
+        for i in range(width):
+            for k in range(3):
+                rgb[row, i, k] = table[rgb[row, i, k]]
+
+
+@kernel
+def _write_instances(words: U32Array, class_id: U8, instance: I32) -> None:
+    """Write the row of the instance that each pixel shows, -1 for the street and the sky, from a numbered picture."""
+    height, width = words.shape
+    for row in range(height):
+        for i in range(width):
+            word = words[row, i]
+            shown = class_id[row, i] != SKY_ID and word & COLOURED
+            instance[row, i] = np.int32(word ^ COLOURED) if shown else np.int32(-1)

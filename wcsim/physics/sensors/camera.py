@@ -17,12 +17,11 @@ from wcsim.config import CameraConfig, CameraNoiseConfig, ClassNoiseConfig, Dept
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
-from wcsim.physics.renderer import shading
 from wcsim.physics.renderer.base import Pinhole, Renderer
 from wcsim.physics.renderer.cast import Cast, names
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances
-from wcsim.physics.renderer.raster import RasterRenderer, warm_up
+from wcsim.physics.renderer.raster import RasterRenderer, brighten, warm_up
 from wcsim.physics.renderer.visible_pixels import shown_px
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
@@ -42,7 +41,7 @@ DEPTH, CLASSES, RGB = 0, 1, 2  # each picture has a key of its own
 FULL_SCALE = 255.0
 
 
-class CameraNoise:
+class _CameraNoise:
     """Disturbs the pictures of one camera; keeps nothing between pictures."""
 
     def __init__(self, camera: CameraConfig, noise: CameraNoiseConfig, pinhole: Pinhole) -> None:
@@ -60,12 +59,12 @@ class CameraNoise:
             disturb_colours(images.rgb, np.uint64(child(key, RGB)), self._sigma, quantiles())
 
 
-def camera_noise(camera: CameraConfig, pinhole: Pinhole) -> CameraNoise | None:
+def _camera_noise(camera: CameraConfig, pinhole: Pinhole) -> _CameraNoise | None:
     """The errors of a camera, None when its pictures are exact."""
     noise = camera.noise
     if noise is None or (noise.depth is None and noise.classes is None and noise.rgb is None):
         return None
-    return CameraNoise(camera, noise, pinhole)
+    return _CameraNoise(camera, noise, pinhole)
 
 
 def _depth_noise(camera: CameraConfig, depth: DepthNoiseConfig, pinhole: Pinhole) -> DepthNoise:
@@ -134,7 +133,7 @@ class _Shot:
     shown: Bool
     out: Images
     light: float
-    noise: CameraNoise | None
+    noise: _CameraNoise | None
     noise_key: int
     names: Sequence[str] | None  # of the rows whose pixels are counted
 
@@ -150,7 +149,7 @@ class _Shot:
             counts = shown_px(instance, self.names)
         self.shutter.shown_px = counts
         if self.out.rgb is not None and self.light != 1.0:
-            shading.brighten(self.out.rgb, _brightened(self.light))
+            brighten(self.out.rgb, _brightened(self.light))
         if self.noise is not None:
             self.noise.lay_over(self.out, self.noise_key)
 
@@ -199,7 +198,7 @@ class CameraRig:
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
         self._light = [1.0] * seats
-        self._noises = tuple(camera_noise(*pair) for pair in zip(cameras, self._pinholes, strict=True))
+        self._noises = tuple(_camera_noise(*pair) for pair in zip(cameras, self._pinholes, strict=True))
         for noise in filter(None, self._noises):
             noise.lay_over(new_images(16, 12, rgb=True), 0)  # compiled now, not at the first picture
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
@@ -290,6 +289,7 @@ class CameraRig:
             if not self._repeats(index, shutter, scene.tick)
         }
         shots = self._shots(scenes, due)
+        # Only the rasteriser draws from threads, as it lets go of the GIL.
         self._threads.run([shot.take for shot in shots if isinstance(shot.renderer, RasterRenderer)], meanwhile)
         for shot in shots:
             if not isinstance(shot.renderer, RasterRenderer):  # PyBullet's draws one picture at a time
@@ -300,7 +300,7 @@ class CameraRig:
             pairs = enumerate(self._shutters[seat])
             self._taken[seat] = (scene, tuple([_last(shutter, scene.buffers, index) for index, shutter in pairs]))
 
-    def shut_eyes(self) -> None:
+    def freeze_pictures(self) -> None:
         """Repeat the last picture of every camera from now on."""
         self._shut = True
 
@@ -320,6 +320,7 @@ class CameraRig:
             return False
         if self._shut:
             return True
+        # A key of its own beside those of the noise: losing a picture does not change any other one.
         camera, lost = self.cameras[index], child(child(shutter.key, _LOST), tick) / 2.0**64
         return tick - shutter.last.taken_tick < camera.every_ticks or lost < camera.lost_share
 

@@ -36,11 +36,11 @@ Tilt = tuple[float, float]  # roll, pitch
 _UPRIGHT = 1e-3  # cosine of the pitch below which roll and yaw cannot be told apart
 
 
-def tilt_felt(force_B_mps2: F64) -> Tilt:
+def _tilt_felt(force_B_mps2: F64) -> Tilt:
     """Roll and pitch of something at rest that feels this specific force (3,).
 
     >>> import numpy as np
-    >>> roll, pitch = tilt_felt(np.array([-1.5, 0.0, 9.81]))
+    >>> roll, pitch = _tilt_felt(np.array([-1.5, 0.0, 9.81]))
     >>> roll, round(math.degrees(pitch), 1)
     (0.0, -8.7)
     """
@@ -48,7 +48,7 @@ def tilt_felt(force_B_mps2: F64) -> Tilt:
     return math.atan2(y, z), math.atan2(x, math.hypot(y, z))
 
 
-def tilt_turned(tilt: Tilt, w_B_radps: F64, dt_s: float) -> Tilt:
+def _tilt_turned(tilt: Tilt, w_B_radps: F64, dt_s: float) -> Tilt:
     """Roll and pitch after turning for a short time."""
     roll, pitch = tilt
     p, q, r = (float(part) for part in w_B_radps)
@@ -57,7 +57,7 @@ def tilt_turned(tilt: Tilt, w_B_radps: F64, dt_s: float) -> Tilt:
     return roll + dt_s * (p - across * slope), pitch - dt_s * (q * math.cos(roll) - r * math.sin(roll))
 
 
-class TiltSensor:
+class _TiltSensor:
     """The tilt sensor of one chair in the configured mode.
 
     Args:
@@ -97,9 +97,9 @@ class TiltSensor:
         """What it would say without a range."""
         if self._config.tilt == "ideal":
             return true
-        felt = tilt_felt(force_B_mps2)
+        felt = _tilt_felt(force_B_mps2)
         if self._config.tilt == "complementary" and self._now is not None:
-            ahead = tilt_turned(self._now, w_B_radps, dt_s)
+            ahead = _tilt_turned(self._now, w_B_radps, dt_s)
             share = 1.0 - math.exp(-dt_s / self._config.tilt_tau_s)
             turn = math.remainder(felt[0] - ahead[0], 2.0 * math.pi)  # the short way round
             felt = (math.remainder(ahead[0] + share * turn, 2.0 * math.pi), ahead[1] + share * (felt[1] - ahead[1]))
@@ -182,7 +182,7 @@ class Imu(Sensor):
         self._gravity_mps2 = gravity_mps2
         self._felt_mps2 = gravity_mps2 if config.gravity == "included" else 0.0
         self._errors = _Errors(config)
-        self._tilt = TiltSensor(config)
+        self._tilt = _TiltSensor(config)
         roll, pitch, yaw = (rad(turn) for turn in config.rpy_deg)
         self._R_BS = turn_of(yaw, pitch, roll) if any(config.rpy_deg) else None  # None costs nothing
         self._low = np.zeros((0, 3))
@@ -214,6 +214,7 @@ class Imu(Sensor):
         """Stand still as it is turned: no velocity, quiet filters, a tick of no samples."""
         self._rotation = motion.rotation
         self._state = np.zeros(STATE)
+        # The filters have settled on gravity: from zero they would ring at the start of every episode.
         self._state[3:6] = self._state[6:9] = self._felt_mps2 * np.array(self._rotation[6:9])
         self._tilt.reset()
         self._rows: list[float] = []
@@ -295,6 +296,7 @@ class _Errors:
         drawn = np.zeros(_DRAWS)
         if noise_key is not None:
             drawn = normals(noise_key, _DRAWS)
+            # The exact step of the process for any tick: its spread stays the same however long ticks are.
             kept = math.exp(-tick_s / self._tau_s)
             self._drifted = kept * self._drifted + math.sqrt(1.0 - kept * kept) * self._drift * drawn[6:12]
             error = self._bias + self._drifted

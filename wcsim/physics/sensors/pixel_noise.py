@@ -83,7 +83,7 @@ def quantiles() -> F32:
 
 
 @kernel
-def word(key: np.uint64, place: int) -> np.uint64:
+def _word(key: np.uint64, place: int) -> np.uint64:
     """64 random bits of a place."""
     x = key + np.uint64(place + 1) * STEP
     x = (x ^ (x >> S30)) * FIRST
@@ -92,7 +92,7 @@ def word(key: np.uint64, place: int) -> np.uint64:
 
 
 @kernel
-def normal(bits: np.uint64, table: F32) -> np.float32:
+def _normal(bits: np.uint64, table: F32) -> np.float32:
     """A standard normal number from 32 random bits: a cell of the table, and a place in it."""
     cell = bits >> CELL_BITS
     low = table[cell]
@@ -104,12 +104,12 @@ def normal(bits: np.uint64, table: F32) -> np.float32:
 def _normals(key: np.uint64, count: int, table: F32) -> F64:
     out = np.empty(count, np.float64)
     for i in range(count):
-        out[i] = normal(word(key, i) >> S32, table)
+        out[i] = _normal(_word(key, i) >> S32, table)
     return out
 
 
 @kernel
-def least(a: np.float32, b: np.float32) -> np.float32:
+def _least(a: np.float32, b: np.float32) -> np.float32:
     """The one of two numbers that is nearer to 0."""
     return a if abs(a) < abs(b) else b
 
@@ -132,7 +132,7 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
     flat = np.float32(noise.grazing_sin * noise.grazing_sin)
     lost_below = np.uint64(noise.dropout * 4294967295.0)
     flat_below = np.uint64(noise.grazing_dropout * 4294967295.0)
-    patch_key = word(key, -2)
+    patch_key = _word(key, -2)
     patches = (width + noise.patch_px - 1) // noise.patch_px
     lost = np.empty(patches, np.uint64)
     inverse = np.float32(1.0) / depth_m
@@ -140,10 +140,12 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
     for row in range(height):
         if row % noise.patch_px == 0:
             for k in range(patches):
-                lost[k] = word(patch_key, row * width + k)
+                # One word serves a patch in all its rows: a stereo matcher loses patches, not single pixels.
+                lost[k] = _word(patch_key, row * width + k)
         v = (np.float32(row) + HALF - HALF * np.float32(height)) * per_focal
         above, below = max(row - 1, 0), min(row + 1, height - 1)
         leftmost = np.float32(2.0 * width)
+        # From the right: what hides a pixel from the right imager stands to its right in this picture.
         for i in range(width - 1, -1, -1):
             z, q = depth_m[row, i], inverse[row, i]
             at = np.float32(i) - shift * q
@@ -157,13 +159,13 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
                 continue
             if flat > 0.0 and bits & LOW32 < flat_below:
                 u = (np.float32(i) + HALF - HALF * np.float32(width)) * per_focal
-                a = focal * least(inverse[row, min(i + 1, width - 1)] - q, q - inverse[row, max(i - 1, 0)])
-                b = focal * least(inverse[below, i] - q, q - inverse[above, i])
+                a = focal * _least(inverse[row, min(i + 1, width - 1)] - q, q - inverse[row, max(i - 1, 0)])
+                b = focal * _least(inverse[below, i] - q, q - inverse[above, i])
                 c = q - u * a - v * b
                 if q * q < flat * (a * a + b * b + c * c) * (u * u + v * v + np.float32(1.0)):
                     depth_m[row, i] = 0.0
                     continue
-            px = match * q + sigma * normal(word(key, row * width + i) >> S32, table)
+            px = match * q + sigma * _normal(_word(key, row * width + i) >> S32, table)
             if per_step > 0.0:
                 px = step * np.rint(px * per_step)
             measured = match / px if px > least_px else range_m
@@ -183,17 +185,17 @@ def disturb_classes(class_id: U8, key: np.uint64, noise: ClassNoise) -> None:
     span = np.uint64(2 * reach + 1)
     frayed_below = np.uint64(noise.border_share * 65536.0)
     lost_below = np.uint64(noise.dropout * 4294967295.0)
-    patch_key = word(key, -2)
+    patch_key = _word(key, -2)
     patch_of, grain_of = np.arange(width) // noise.patch_px, np.arange(width) // grain
     lost = np.zeros(patch_of[-1] + 1, np.bool_)
     down, right = np.zeros(grain_of[-1] + 1, np.int64), np.zeros(grain_of[-1] + 1, np.int64)
     for row in range(height):
         if row % noise.patch_px == 0:
             for k in range(len(lost)):
-                lost[k] = word(patch_key, row * width + k) >> S32 < lost_below
+                lost[k] = _word(patch_key, row * width + k) >> S32 < lost_below
         if row % grain == 0:
             for k in range(len(down)):
-                bits = word(key, row * width + k)
+                bits = _word(key, row * width + k)
                 frayed = np.int64(bits & LOW16 < frayed_below)
                 down[k] = frayed * (np.int64((bits >> S32 & LOW16) * span >> S16) - reach)
                 right[k] = frayed * (np.int64((bits >> S16 & LOW16) * span >> S16) - reach)
@@ -210,8 +212,8 @@ def disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
     scale = np.float32(sigma)
     for row in range(height):
         for i in range(width):
-            bits = word(key, row * width + i)
+            bits = _word(key, row * width + i)
             for k in range(3):
-                value = np.float32(rgb[row, i, k]) + scale * normal((bits & LOW21) << S11, table)
+                value = np.float32(rgb[row, i, k]) + scale * _normal((bits & LOW21) << S11, table)
                 rgb[row, i, k] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)) + HALF)
                 bits >>= np.uint64(21)

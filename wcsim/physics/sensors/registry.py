@@ -17,14 +17,14 @@ from wcsim.physics.sensors.odometry import Odometry
 from wcsim.types import CameraFrame, Reading, SensorFrame
 
 
-class SeatCameras(Sensor):
+class _SeatCameras(Sensor):
     """All cameras of one seat."""
 
     def __init__(self, rig: CameraRig, seat: int) -> None:
         self._rig, self._seat = rig, seat
 
     @classmethod
-    def fitted(cls, _: object, mount: Mount) -> SeatCameras:
+    def fitted(cls, _: object, mount: Mount) -> _SeatCameras:
         """Those of the mount's seat; where they look is in the rig. Raises ConfigError without one."""
         if mount.rig is None:
             raise ConfigError(f"seat {mount.seat} has cameras and no rig; expected the rig that draws their pictures")
@@ -43,7 +43,7 @@ Maker = Callable[[Any, Mount], Sensor]  # from its section of the configuration
 
 SENSORS: Mapping[str, Maker] = MappingProxyType(
     {
-        "cameras": SeatCameras.fitted,
+        "cameras": _SeatCameras.fitted,
         "imu": Imu.fitted,
         "odometry": Odometry.fitted,
     }

@@ -10,7 +10,7 @@ from wcsim.core.rotations import Vec3
 from wcsim.errors import ConfigError
 
 
-class BodyBox(Protocol):
+class _BodyBox(Protocol):
     """A box of the chair or its user, in B."""
 
     @property
@@ -22,7 +22,7 @@ class BodyBox(Protocol):
         """Its edges."""
 
 
-def refuse_cameras_inside(cameras: Sequence[CameraConfig], boxes: Iterable[BodyBox]) -> None:
+def refuse_cameras_inside(cameras: Sequence[CameraConfig], boxes: Iterable[_BodyBox]) -> None:
     """Check that no camera sits inside the chair or its user.
 
     Raises:

@@ -85,7 +85,7 @@ def speed_mps(axle_mps: float, wheels_mps: float) -> float:
 
 
 @exact_kernel
-def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
+def _target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, float]:
     """The speeds that a joystick position asks for: forward in m/s, turn to the left in rad/s.
 
     The position is pulled to the unit disc first. The faster of reference speed and speed asked for limits the turn;
@@ -102,7 +102,7 @@ def target(x: float, y: float, v_ref_mps: float, setting: F64) -> tuple[float, f
 
 
 @exact_kernel
-def motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
+def _motor_torque_Nm(wheel_radps: float, setting: F64) -> float:
     """What a motor gives at most at a wheel speed: falling from the stall torque to the no-load speed."""
     return float(setting[_STALL] * max(setting[_LEAST_SHARE], 1.0 - abs(wheel_radps) / setting[_NO_LOAD]))
 
@@ -114,6 +114,7 @@ def _control(state: F64, v_mps: float, setting: F64) -> None:
     A PI controller with a feed-forward part; its integral rests while the output is at a bound.
     """
     dt_s, v_ref = setting[_DT_S], state[V_REF_MPS]
+    # At a reference of exactly 0 the acceleration says which way the chair is about to go.
     forward = 1.0 if v_ref + 1e-9 * state[A_REF_MPS2] >= 0.0 else -1.0
     error = forward * (v_ref - v_mps)
     out = forward * state[A_REF_MPS2] + PI_KP_PER_S * error
@@ -123,12 +124,15 @@ def _control(state: F64, v_mps: float, setting: F64) -> None:
     else:
         charge, rest = BRAKE_MPS2, THROTTLE_MPS2
         low, high = -2.0 * setting[_DECEL], 0.0
+    # The controller that takes over begins without the memory of its last turn.
     state[rest] = 0.0
     out += state[charge]
     held = min(max(out, low), high)
+    # Anti-windup: an integral that grows at the bound would overshoot once the bound is left.
     if out == held:
         state[charge] += PI_KI_PER_S2 * error * dt_s
     motor = state[V_MOTOR_MPS] + forward * held * dt_s
+    # A chair that is held, as at a kerb, must not wind its motors' speed up.
     state[V_MOTOR_MPS] = min(max(motor, v_ref - SPEED_BAND_MPS), v_ref + SPEED_BAND_MPS)
 
 
@@ -169,7 +173,7 @@ def step(
         Target speeds in rad/s and torque limits in Nm of the motors: left, right, left, right.
     """
     _damped(state, x, y, setting)
-    v_wanted, w_wanted = target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
+    v_wanted, w_wanted = _target(state[STICK_X], state[STICK_Y], state[V_REF_MPS], setting)
     idle = v_wanted == 0.0 and w_wanted == 0.0
     state[V_REF_MPS], state[A_REF_MPS2] = follow_speed(
         state[V_REF_MPS], state[A_REF_MPS2], v_wanted, setting, setting[_DT_S]
@@ -177,6 +181,7 @@ def step(
     state[W_REF_RADPS] = towards(state[W_REF_RADPS], w_wanted, setting[_YAW_ACCEL] * setting[_DT_S])
     state[IDLE_S] = state[IDLE_S] + setting[_DT_S] if idle else 0.0
     if idle and abs(state[V_REF_MPS]) < STILL_MPS and abs(state[W_REF_RADPS]) < _STILL_RADPS:
+        # Nothing is left over for the next start: the controllers begin it from rest.
         state[:IDLE_S] = 0.0
         if state[IDLE_S] >= setting[_BRAKE_AFTER]:
             return 0.0, 0.0, setting[_BRAKE_TORQUE], setting[_BRAKE_TORQUE]
@@ -190,6 +195,6 @@ def step(
     return (
         left,
         right,
-        motor_torque_Nm(left_radps, setting) * _steered(ahead, left - left_radps),
-        motor_torque_Nm(right_radps, setting) * _steered(-ahead, right - right_radps),
+        _motor_torque_Nm(left_radps, setting) * _steered(ahead, left - left_radps),
+        _motor_torque_Nm(right_radps, setting) * _steered(-ahead, right - right_radps),
     )

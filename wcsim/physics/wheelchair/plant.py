@@ -36,7 +36,7 @@ _MOST_PUSH: Final = 0.8  # of the weight, by the springs of all casters
 MARGIN_M: Final = 0.01  # by which the centre of mass must lie inside the wheels' support
 
 
-def check_plant(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float, name: str) -> None:
+def _check_plant(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float, name: str) -> None:
     """Raise ConfigError with everything about a plant that cannot be.
 
     Args:
@@ -301,5 +301,5 @@ def varied(spec: PlantSpec, values: Mapping[str, float]) -> PlantSpec:
 
 def _checked(file: PlantFile, name: str) -> PlantSpec:
     spec = PlantSpec(**{item.name: getattr(file, item.name) for item in fields(PlantSpec)})
-    check_plant(file, spec.frame_mass_kg, spec.frame_com_m[2], name)
+    _check_plant(file, spec.frame_mass_kg, spec.frame_com_m[2], name)
     return spec

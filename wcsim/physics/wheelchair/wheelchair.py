@@ -22,11 +22,17 @@ from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.registry import SensorSet
 from wcsim.physics.wheelchair import drive_controller
-from wcsim.physics.wheelchair.contacts import ContactLog, ContactPoint
-from wcsim.physics.wheelchair.false_contacts import MOST_IN_A_ROW, SUSPECT_N, Motion, coast, is_ghost
+from wcsim.physics.wheelchair.contacts import (
+    MOST_IN_A_ROW,
+    SUSPECT_N,
+    ContactLog,
+    ContactPoint,
+    Motion,
+    coast,
+    is_ghost,
+)
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
-from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body
-from wcsim.physics.wheelchair.plant_urdf import urdf
+from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body, urdf
 from wcsim.physics.wheelchair.wheel_track import WheelTrack
 from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
 
@@ -158,7 +164,8 @@ class Wheelchair:
         x, y, z = (float(value) for value in p_W_m)
         if not all(math.isfinite(value) for value in (x, y, z, yaw_rad)):
             raise PhysicsError(f"place({p_W_m}, {yaw_rad}) is not finite; expected a point on the ground and a heading")
-        self.park()  # or it would stand on itself
+        # Out of the way first: the rays that find the ground would hit its own body, and it would stand on itself.
+        self.park()
         z_W_m, tilt = self._stance((x, y, z), yaw_rad)
         self._pose((x, y, z_W_m + _PLACE_LIFT_M), tilt)
         self._wake(True)
@@ -197,6 +204,7 @@ class Wheelchair:
         if self._parked:
             return
         joints, stick = self._joints, self._joystick
+        # Kept for after the step: contacts are judged by the motion before them, and a step may be taken back.
         self._before = Motion(self._p_com_W_m, self._q_WB, self._v_W_mps, self._w_W_radps, joints)
         left, right = joints[0][1], joints[1][1]
         v_mps = drive_controller.speed_mps(self._axle_mps(), 0.5 * (left + right) * self._wheel_radius_m)
@@ -224,6 +232,7 @@ class Wheelchair:
                 touches.append(point)
             if point[9] > SUSPECT_N and point[3] in body.tyres:
                 suspects.append(point)
+        # Without a suspect, too, while it coasts: that ends the count of steps in a row.
         if suspects or self._coasted:
             self._coast_over_ghosts(suspects, touches)
         self._read()
@@ -241,7 +250,7 @@ class Wheelchair:
         """
         self.sensors.end_tick(noise)
         self._contacts = self._log.close()
-        self._tell()
+        self._update_tag()
 
     def state(self) -> PlantState:
         """The true state as of the last substep."""
@@ -293,6 +302,7 @@ class Wheelchair:
             return p_W_m[2], quaternion(yaw_rad)
         columns = np.array([(1.0, x, y) for x, y in wheels_B_m])
         (base, ahead, left), *_ = np.linalg.lstsq(columns, heights, rcond=None)
+        # The plane of least squares passes above some wheel's ground: raised until no wheel is in it.
         lift = float((heights - columns @ (base, ahead, left)).max())
         roll_rad = math.asin(left / math.sqrt(1.0 + ahead**2 + left**2))
         return float(base) + lift, quaternion(yaw_rad, math.atan(ahead), roll_rad)
@@ -310,9 +320,10 @@ class Wheelchair:
         self._contacts = ()
         self._track.clear()
         self._read()
-        self._set_motors(_MOTORS_OFF)  # a motor that turns would wake a parked chair
+        # A motor that turns would wake a parked chair.
+        self._set_motors(_MOTORS_OFF)
         self.sensors.reset(BodyMotion(self._rotation))
-        self._tell()
+        self._update_tag()
 
     def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:
         """Target speeds and torque limits of the drive wheels."""
@@ -351,6 +362,7 @@ class Wheelchair:
     def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:
         """Undo the step when the ground pushed a wheel hard where it was not, and nothing else touched the chair."""
         body, client = self._body, self._engine.client
+        # With another touch in the step the push may be real; after three steps in a row it counts as real.
         if not suspects or self._coasted == MOST_IN_A_ROW or touches:
             self._coasted = 0
         elif any(is_ghost(point, body.id, body.tyres[point[3]], self._before, client) for point in suspects):
@@ -379,7 +391,7 @@ class Wheelchair:
         ahead, _, _ = rotate_back(self._rotation, point_W_m[0] - px, point_W_m[1] - py, point_W_m[2] - pz)
         return "footplate" if ahead + self._com_B_m[0] > self._footplate_from_x_m else "body"
 
-    def _tell(self) -> None:
+    def _update_tag(self) -> None:
         tag = BodyTag(
             role=Role.CHAIR,
             kind=Role.CHAIR.value,
@@ -389,4 +401,3 @@ class Wheelchair:
             yaw_rate_radps=self._w_W_radps[2],
         )
         self._engine.tag(self.body_id, tag)
-

@@ -9,9 +9,10 @@ from functools import cache, partial
 
 import numpy as np
 
-from wcsim.physics.renderer.models import riders, special_vehicles, vehicles
+from wcsim.physics.renderer.models import people, vehicles
 from wcsim.physics.renderer.models.paint import Paint
-from wcsim.physics.renderer.models.people import CHILD, GROWN, LONG_HAIRED, POSTURES, STANDING, BodyPart, walker
+from wcsim.physics.renderer.models.people import CHILD, GROWN, LONG_HAIRED, POSTURES, STANDING, walker
+from wcsim.physics.renderer.models.primitives import BodyPart
 from wcsim.types import F32, F64, I32, U8, ActorKind, ActorLook, ClassId
 
 FIGURES = (GROWN, LONG_HAIRED, CHILD)  # the builds of those on foot
@@ -121,33 +122,33 @@ def _makers() -> dict[Template, Callable[[], list[BodyPart]]]:
         Template.TRUCK: vehicles.truck,
         Template.BUS: vehicles.bus,
         Template.TRAM: vehicles.tram,
-        Template.MOTORCYCLE: riders.motorcycle,
-        Template.BICYCLE: riders.bicycle,
-        Template.SCOOTER: riders.scooter,
-        Template.WHEELCHAIR: riders.wheelchair,
+        Template.MOTORCYCLE: people.motorcycle,
+        Template.BICYCLE: people.bicycle,
+        Template.SCOOTER: people.scooter,
+        Template.WHEELCHAIR: people.wheelchair,
         Template.OTHER: vehicles.other,
-        Template.VAN: partial(special_vehicles.van, ClassId.CAR),
-        Template.TAXI: special_vehicles.taxi,
-        Template.POLICE: special_vehicles.police,
-        Template.AMBULANCE: special_vehicles.ambulance,
-        Template.DELIVERY: partial(special_vehicles.van, ClassId.TRUCK),
-        Template.COACH: special_vehicles.coach,
-        Template.MOPED: riders.moped,
-        Template.TRACTOR: special_vehicles.tractor,
-        Template.TRAILER: special_vehicles.trailer,
-        Template.BUS_FRONT: special_vehicles.bus_front,
-        Template.BUS_REAR: special_vehicles.bus_rear,
-        Template.TRAM_FRONT: special_vehicles.tram_front,
-        Template.TRAM_MIDDLE: special_vehicles.tram_middle,
-        Template.TRAM_REAR: special_vehicles.tram_rear,
-        Template.SIGNAL_OFF: partial(special_vehicles.signal_lamps, (False, False, False), red_amber_green),
-        Template.SIGNAL_RED: partial(special_vehicles.signal_lamps, (True, False, False), red_amber_green),
-        Template.SIGNAL_RED_AMBER: partial(special_vehicles.signal_lamps, (True, True, False), red_amber_green),
-        Template.SIGNAL_AMBER: partial(special_vehicles.signal_lamps, (False, True, False), red_amber_green),
-        Template.SIGNAL_GREEN: partial(special_vehicles.signal_lamps, (False, False, True), red_amber_green),
-        Template.WALK_OFF: partial(special_vehicles.signal_lamps, (False, False), red_green),
-        Template.WALK_RED: partial(special_vehicles.signal_lamps, (True, False), red_green),
-        Template.WALK_GREEN: partial(special_vehicles.signal_lamps, (False, True), red_green),
+        Template.VAN: partial(vehicles.van, ClassId.CAR),
+        Template.TAXI: vehicles.taxi,
+        Template.POLICE: vehicles.police,
+        Template.AMBULANCE: vehicles.ambulance,
+        Template.DELIVERY: partial(vehicles.van, ClassId.TRUCK),
+        Template.COACH: vehicles.coach,
+        Template.MOPED: people.moped,
+        Template.TRACTOR: vehicles.tractor,
+        Template.TRAILER: vehicles.trailer,
+        Template.BUS_FRONT: vehicles.bus_front,
+        Template.BUS_REAR: vehicles.bus_rear,
+        Template.TRAM_FRONT: vehicles.tram_front,
+        Template.TRAM_MIDDLE: vehicles.tram_middle,
+        Template.TRAM_REAR: vehicles.tram_rear,
+        Template.SIGNAL_OFF: partial(vehicles.signal_lamps, (False, False, False), red_amber_green),
+        Template.SIGNAL_RED: partial(vehicles.signal_lamps, (True, False, False), red_amber_green),
+        Template.SIGNAL_RED_AMBER: partial(vehicles.signal_lamps, (True, True, False), red_amber_green),
+        Template.SIGNAL_AMBER: partial(vehicles.signal_lamps, (False, True, False), red_amber_green),
+        Template.SIGNAL_GREEN: partial(vehicles.signal_lamps, (False, False, True), red_amber_green),
+        Template.WALK_OFF: partial(vehicles.signal_lamps, (False, False), red_green),
+        Template.WALK_RED: partial(vehicles.signal_lamps, (True, False), red_green),
+        Template.WALK_GREEN: partial(vehicles.signal_lamps, (False, True), red_green),
     }
 
 

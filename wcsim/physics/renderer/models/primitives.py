@@ -1,4 +1,4 @@
-"""Convex primitives in metres, from which the models of the actors are put together.
+"""Convex primitives in metres, and the pieces with class and paint that the models of the actors are lists of.
 
 Every primitive is closed and its faces are counter-clockwise seen from outside: the rasteriser may skip back faces.
 """
@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.types import F64
+from wcsim.physics.renderer.models.paint import Paint
+from wcsim.types import F64, ClassId
 
 Point = tuple[float, float, float]
 
@@ -23,6 +24,18 @@ class Part:
 
     vertices_m: F64  # (V, 3)
     faces: npt.NDArray[np.int64]  # (T, 3) indices into vertices_m, counter-clockwise seen from outside
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPart:
+    """A part of a model with its class and paint; faces that look towards `top_along` take the paint `top`."""
+
+    part: Part
+    class_id: ClassId
+    paint: Paint
+    top: Paint | None = None
+    top_along: Point = (0.0, 0.0, 1.0)  # unit vector
+    top_from: float = 0.9  # least cosine between a face's normal and it
 
 
 def box(low: Point, high: Point, top: float = 1.0) -> Part:
@@ -121,3 +134,13 @@ def _outward(vertices: F64, faces: Sequence[tuple[int, int, int]]) -> Part:
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0 - vertices.mean(axis=0)) < 0.0
     index[inward] = index[inward][:, [0, 2, 1]]
     return Part(vertices, index)
+
+
+def each(parts: list[Part], class_id: ClassId, paint: Paint) -> list[BodyPart]:
+    """Parts of one class and paint."""
+    return [BodyPart(part, class_id, paint) for part in parts]
+
+
+def rod(start: Point, end: Point, radius: float = 0.022) -> Part:
+    """A tube."""
+    return limb(start, end, radius, radius, sides=4)

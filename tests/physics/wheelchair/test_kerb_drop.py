@@ -9,10 +9,9 @@ import pytest
 from tests.physics.rig import FORWARD, mesh, rig, step_street
 from tests.support.samples import strip_street
 from tests.support.worlds import open_world
-from wcsim.bridge.ego.kerb_drop import fell
 from wcsim.config import load_run_config
-from wcsim.physics.wheelchair.wheel_track import SAMPLE_S
-from wcsim.supervisor.rewards import crash_term
+from wcsim.physics.wheelchair.wheel_track import SAMPLE_S, fell
+from wcsim.supervisor.rewards import _crash_term
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import ClassId, Command, Joystick, SeatSpec, StartSpec, StreetGrid, WayKind
@@ -189,7 +188,7 @@ def test_in_the_world_a_fall_ends_the_episode_where_it_is_set(corner, counts):
             if client.events.crashed:
                 break
         assert (client.events.crash_reason == "drop") == counts
-        assert not counts or crash_term(client.events.crashed, world.config.reward) == -100.0
+        assert not counts or _crash_term(client.events.crashed, world.config.reward) == -100.0
 
 
 def test_the_setting_is_on_but_in_preset_paper():

@@ -1,4 +1,4 @@
-"""The test yard: plain streets, and one chair on one of them that is driven tick by tick."""
+"""The test rig: plain streets, and one chair on one of them that is driven tick by tick."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Ride:
         return float(np.max(self.peaks_mps2))
 
 
-class Yard:
+class Rig:
     """An engine with a street and one chair, placed at the origin.
 
     Args:
@@ -127,9 +127,7 @@ class Yard:
     def links(self) -> dict[str, int]:
         """Link indices by name."""
         count = pybullet.getNumJoints(self.body, physicsClientId=self.client)
-        return {
-            pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)
-        }
+        return {pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)}
 
     def drive(
         self,
