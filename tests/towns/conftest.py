@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene

@@ -63,9 +63,4 @@ def facts_from_line(text: str) -> SceneFacts:
 
 def facts_line(facts: SceneFacts) -> str:
     """Facts as one line of JSON."""
-    return json.dumps(facts_of(facts))
-
-
-def facts_of(facts: SceneFacts) -> dict[str, bool | float]:
-    """Facts by name, for a JSON file."""
-    return asdict(facts)
+    return json.dumps(asdict(facts))

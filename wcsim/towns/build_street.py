@@ -12,27 +12,23 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import TownError
-from wcsim.towns.cache.street_arrays import pack_street
+from wcsim.towns.cache.street_cache import pack_street
 from wcsim.towns.furniture.author_obstacles import author_things
 from wcsim.towns.furniture.buildings import Building, buildings_of
 from wcsim.towns.furniture.everything import fittings_of
-from wcsim.towns.furniture.lane_marks import lane_marks
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import FreeGround, HeightAt, footprints_of, set_on_ground
+from wcsim.towns.furniture.road_marks import lane_marks, unmarked_crossings
 from wcsim.towns.furniture.traffic_lights import all_phases
-from wcsim.towns.ground.crossing_paint import unmarked_crossings
-from wcsim.towns.ground.kerb_faces import kerb_walls
 from wcsim.towns.ground.kerb_heights import Kerbing, kerbing_of
-from wcsim.towns.ground.landcover import covered
-from wcsim.towns.ground.mesh import build_mesh
-from wcsim.towns.ground.raster import GridMaker
+from wcsim.towns.ground.mesh import GridMaker, build_mesh, kerb_walls
+from wcsim.towns.ground.plane_geometry import buffered
 from wcsim.towns.ground.relief import on_land, relief_of
 from wcsim.towns.ground.solid_shapes import Solid, prism
-from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
-from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.ground.surfaces import Surfaces, covered, surfaces_of
 from wcsim.towns.ground.tiles import Packed, pack_tiles
 from wcsim.towns.ground.triangulation import build_ground
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import with_included
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.walking.graph import build_walk_graph, free_space

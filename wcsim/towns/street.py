@@ -13,8 +13,7 @@ from threading import Event, Thread
 from types import MappingProxyType
 
 from wcsim.core.sources import sources_of
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.cache.street_cache import cached_street
+from wcsim.towns.cache.street_cache import cached_street, street_of
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import Street

@@ -13,7 +13,7 @@ from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import Findings, check_town, demand_classes, faults_of, notes_of
+from wcsim.towns.checks.check import Findings, Overlap, check_town, demand_classes, faults_of, notes_of
 from wcsim.towns.importing.importer import build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
 from wcsim.towns.osm.clean import filter_osm
@@ -23,7 +23,6 @@ from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 from wcsim.towns.walking.islands import islands_by_links, share_of, walkable_parts
-from wcsim.towns.walking.overlaps import Overlap
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FINE = Findings(

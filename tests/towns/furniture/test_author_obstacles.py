@@ -12,7 +12,7 @@ from shapely import Polygon, box
 from tests.towns.furniture.standing_samples import authored
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.furniture.author_obstacles import author_things
 from wcsim.towns.furniture.buildings import buildings_of
 from wcsim.towns.furniture.everything import fittings_of

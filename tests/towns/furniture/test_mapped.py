@@ -12,10 +12,9 @@ from wcsim.towns.furniture.everything import LOOK_OF, look_of, things_of
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, stood
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.plane import cross_z
+from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.solid_shapes import Solid
-from wcsim.towns.osm.lengths import metres
-from wcsim.towns.osm.levels import off_ground
+from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import AUTHOR_KINDS
 from wcsim.types import ClassId
 

@@ -7,8 +7,8 @@ import pytest
 import shapely
 
 from tests.towns.made.nets import DRIVE, WALK, WAYS, assert_sound, edge, lane, write_net
-from wcsim.towns.ground.kerb_faces import kerb_walls
 from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing, kerbing_of
+from wcsim.towns.ground.mesh import kerb_walls
 from wcsim.towns.ground.surfaces import surfaces_of
 from wcsim.towns.ground.triangulation import build_ground
 from wcsim.towns.sumo.additional import Item

@@ -10,7 +10,7 @@ import shapely
 
 from tests.towns.made.nets import PAVED, WAYS, assert_sound, edge, generated, hilly, lane, street, write_net
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.checks.check import mesh_faults
 from wcsim.towns.ground.relief import on_land, relief_of
 from wcsim.towns.ground.surfaces import surfaces_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.ground import tiles
 from wcsim.towns.ground.tiles import RASTER_M, Packed, TileStore
 from wcsim.towns.scenario.town import Town

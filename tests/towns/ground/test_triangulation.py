@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import shapely
 
-from wcsim.towns.ground.kerb_faces import kerb_walls
 from wcsim.towns.ground.kerb_heights import STEEPEST, kerbing_of
-from wcsim.towns.ground.plane import cross_z
+from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
 from wcsim.towns.ground.triangulation import GroundMesh, build_ground
 from wcsim.towns.scenario.town import Town

@@ -14,6 +14,7 @@ from wcsim.towns.importing.elevation import (
     Dem,
     Heights,
     heights_at,
+    lift_net,
     make_dem,
     own_projections,
     scaled,
@@ -21,7 +22,6 @@ from wcsim.towns.importing.elevation import (
     write_dem,
 )
 from wcsim.towns.importing.importer import ImportOrder, import_town
-from wcsim.towns.importing.lift import lift_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes

@@ -17,10 +17,10 @@ from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.check import check_town, unroutable_trips
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.ground.surfaces import walkable_lanes
-from wcsim.towns.importing import jam_trial
+from wcsim.towns.importing import demand
 from wcsim.towns.importing.elevation import Heights
+from wcsim.towns.importing.folder_texts import clear_stale, workplace
 from wcsim.towns.importing.importer import ImportOrder, import_town
-from wcsim.towns.importing.work_folder import clear_stale, workplace
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.town import Town
@@ -33,7 +33,7 @@ SHARED = Path(__file__).resolve().parents[4] / "shared" / "towns"
 
 @pytest.fixture
 def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
-    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    monkeypatch.setattr(demand, "TRIAL_S", 20)
     osm = tmp_path / "tiny.osm"
     osm.write_text(tiny_osm(), encoding="utf-8")
     return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
@@ -164,7 +164,7 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["leeds", "neukolln"])
 def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    monkeypatch.setattr(demand, "TRIAL_S", 20)
     west, south, east, north = (float(text) for text in (SHARED / f"{name}.bbox").read_text("utf-8").split(","))
     made = import_town(
         ImportOrder(

@@ -11,11 +11,10 @@ from tests.cli.towns import tiny_osm
 from tests.towns.furniture.standing_samples import item
 from tests.towns.made.nets import street, write_net
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.ground.crossing_paint import CrossingMark, unmarked_crossings, unpainted
-from wcsim.towns.ground.landcover import covered
-from wcsim.towns.ground.surfaces import lane_area, surfaces_of
-from wcsim.towns.importing import jam_trial
+from wcsim.towns.cache.street_cache import street_of
+from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_crossings, unpainted
+from wcsim.towns.ground.surfaces import covered, lane_area, surfaces_of
+from wcsim.towns.importing import demand
 from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -60,7 +59,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Imported:
     folder = tmp_path_factory.mktemp("marked")
     (folder / "marked.osm").write_text(marked_osm(), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jam_trial, "TRIAL_S", 20)
+        patch.setattr(demand, "TRIAL_S", 20)
         return import_town(ImportOrder(osm=folder / "marked.osm", name="marked", split="test", out=folder / "town"))
 
 

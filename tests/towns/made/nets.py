@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from wcsim.towns.ground.kerb_faces import kerb_walls
 from wcsim.towns.ground.kerb_heights import STEEPEST, kerbing_of
-from wcsim.towns.ground.plane import cross_z
+from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.surfaces import lane_area, surfaces_of
 from wcsim.towns.ground.triangulation import LOW_CLASSES, GroundMesh, build_ground
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net, read_net

@@ -12,8 +12,7 @@ from wcsim.core.seeding import generator
 from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.making.drawn_map import build_blocks, draw_map, dress
 from wcsim.towns.making.maker import Signals, streets_of, write_net
-from wcsim.towns.making.plan import draw_plan
-from wcsim.towns.making.shaping import shape_plan
+from wcsim.towns.making.plan import draw_plan, shape_plan
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
 

@@ -10,8 +10,7 @@ import pytest
 
 from wcsim.core.seeding import generator
 from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
-from wcsim.towns.making.plan import StreetPlan, connected, draw_plan, merged
-from wcsim.towns.making.shaping import ShapedPlan, least_angle_rad, shape_plan
+from wcsim.towns.making.plan import ShapedPlan, StreetPlan, connected, draw_plan, least_angle_rad, merged, shape_plan
 from wcsim.towns.making.wishes import KINDS
 
 DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]

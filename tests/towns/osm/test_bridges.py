@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from wcsim.towns.checks.check import overlaps_of
 from wcsim.towns.importing.importer import BuiltNet, build_net
 from wcsim.towns.importing.netconvert import NetOrder
-from wcsim.towns.osm.bridges import cut_bridges
+from wcsim.towns.osm.clean import cut_bridges, quicken_motorways
 from wcsim.towns.osm.read import read_extract
-from wcsim.towns.osm.sidewalk_rules import quicken_motorways
 from wcsim.towns.sumo.net import LaneKind
 from wcsim.towns.sumo.xml_io import parse_root
-from wcsim.towns.walking.overlaps import overlaps_of
 
 NODES = {
     **{1: (0, 0), 2: (300, 0), 3: (300, 300), 4: (0, 300), 5: (150, 0), 6: (150, 300), 8: (0, 150), 9: (300, 150)},

@@ -10,7 +10,7 @@ from wcsim.towns.osm.left_out import (
     LeftOut,
     MapWay,
     NetWays,
-    crossings_inside,
+    count_inside,
     left_out_notes,
     left_out_of,
     ways_inside,
@@ -92,4 +92,4 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
 
 
 def test_crossings_of_the_map_are_those_in_the_box() -> None:
-    assert crossings_inside(ElementTree.fromstring(TEXT.format(more="")), BOX) == 1  # noqa: S314 - our own
+    assert count_inside(ElementTree.fromstring(TEXT.format(more="")), BOX, "crossing") == 1  # noqa: S314 - our own

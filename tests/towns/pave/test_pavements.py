@@ -15,8 +15,8 @@ from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.pave import PaveOptions
 from wcsim.errors import TownError
+from wcsim.towns.pave.elements import SignalLinks, VehicleLink, padded
 from wcsim.towns.pave.pavements import Paved, edited, pave_town
-from wcsim.towns.pave.signals import SignalLinks, VehicleLink, padded
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import run_tool

@@ -11,10 +11,10 @@ import pytest
 from tests.towns.furniture.standing_samples import signal_net
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.checks.check import _for_routes, demand_classes, notes_of, unroutable_trips
 from wcsim.towns.checks.cures import routes_cure
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.town import Town, content_hash, open_town
 from wcsim.towns.street import street_key
 from wcsim.towns.sumo.net import read_net

@@ -8,7 +8,7 @@ import pytest
 
 from wcsim.errors import ConfigError, SumoError, TownError
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import content_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene, list_scenes

@@ -12,11 +12,11 @@ from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.scenes.run import open_scene, play
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scene_folders.build import build_scene, scene_of
-from wcsim.towns.scene_folders.families.catalogue import FAMILIES, scooter_cuts_in, write_scene
-from wcsim.towns.scene_folders.families.draft import Push, mirrored, way_of
+from wcsim.towns.scene_folders.draft import Push, mirrored, way_of
+from wcsim.towns.scene_folders.families import FAMILIES, scooter_cuts_in, write_scene
 from wcsim.types import ClassId
 
 LONGEST_S = 25.0

@@ -17,9 +17,11 @@ import pytest
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import net_middle
 from wcsim.towns.sumo.additional import read_items
-from wcsim.towns.sumo.unpack import MAX_MEMBERS, bunzip2, gunzip
 from wcsim.towns.sumo.xml_io import (
+    MAX_MEMBERS,
     MAX_NESTING,
+    bunzip2,
+    gunzip,
     is_true,
     parse_root,
     read_bytes,

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.lit_road import lit_road
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import street_of
 from wcsim.towns.walking.routes import Router
 from wcsim.types import WalkEdge, WalkGraph, WayKind
 

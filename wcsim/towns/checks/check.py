@@ -8,13 +8,14 @@ from __future__ import annotations
 import re
 import shlex
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
 from wcsim.core.seeding import generator
@@ -33,22 +34,20 @@ from wcsim.towns.checks.cures import (
     walkers_cure,
 )
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.ground.plane import length_of
+from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import on_land, relief_of, steepest_grade
+from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.ground.tiles import CELL_M
-from wcsim.towns.scenario.files import FilteredFiles
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, with_included
 from wcsim.towns.scenario.manifest import changes_of
-from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.stage import require_files
 from wcsim.towns.scenario.town import Town, polygons_among
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.additional import read_items
-from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.net import WALK_KINDS, Edge, LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.towns.walking.islands import CutOff, cut_off, share_of, walkable_parts
-from wcsim.towns.walking.overlaps import LEAST_M2, Overlap, overlaps_of
 from wcsim.types import F64, ClassId, Street
 
 _ENOUGH_SHARE = 0.95
@@ -59,6 +58,8 @@ AROUND_M = 100.0  # of the streets: what lies farther outside belongs to somethi
 _BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
 _PROJECT = "build the net again from the same files, with netconvert's option --proj.utm"
+LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
+APART_M = 2.0  # ways with more between their heights pass over each other
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -386,3 +387,38 @@ def _members(element: Element) -> tuple[str, ...]:
 
 def _walk_km(street: Street) -> float:
     return sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlap:
+    """A carriageway on a pavement."""
+
+    street: str  # edge ids
+    pavement: str
+    area_m2: float
+
+
+def overlaps_of(net: Net) -> tuple[Overlap, ...]:
+    """All overlaps of more than LEAST_M2, the largest first."""
+    streets, driven = _areas(net, lambda kind: kind is LaneKind.MOTOR)
+    paved, walked = _areas(net, lambda kind: kind in WALK_KINDS)
+    found: list[Overlap] = []
+    if not driven or not walked:
+        return ()
+    for i, j in shapely.STRtree(walked).query(driven, predicate="intersects").T.tolist():
+        street, other = streets[i], paved[j]
+        if {street.start, street.end} & {other.start, other.end} or abs(_z_m(street) - _z_m(other)) > APART_M:
+            continue
+        area_m2 = float(driven[i].intersection(walked[j]).area)
+        if area_m2 > LEAST_M2:
+            found.append(Overlap(street=street.id, pavement=other.id, area_m2=area_m2))
+    return tuple(sorted(found, key=lambda item: (-item.area_m2, item.street, item.pavement)))
+
+
+def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
+    edges = [e for e in net.edges if not e.function and any(wanted(lane.kind) for lane in e.lanes)]
+    return edges, [shapely.union_all([lane_area(lane) for lane in e.lanes if wanted(lane.kind)]) for e in edges]
+
+
+def _z_m(edge: Edge) -> float:
+    return float(sum(lane.z_m.mean() for lane in edge.lanes) / len(edge.lanes))

@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element
 from wcsim.errors import TownError
 from wcsim.towns.osm.area import bbox_option, grown, size_m
 from wcsim.towns.osm.read import MARGIN_M, holds_more
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.stage import seconds_of

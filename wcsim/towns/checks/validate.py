@@ -12,8 +12,7 @@ from xml.etree.ElementTree import Element
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import pave_cure, traffic_alone
-from wcsim.towns.scenario.files import FilteredFiles
-from wcsim.towns.scenario.outputs import OutputNames
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes

@@ -10,9 +10,8 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.seeding import generator
-from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
-from wcsim.towns.osm.lengths import metres
-from wcsim.towns.osm.levels import STOREY_M, number, rise_m
+from wcsim.towns.ground.plane_geometry import Patches, buffered, valid
+from wcsim.towns.osm.tags import STOREY_M, metres, number, rise_m
 from wcsim.towns.sumo.additional import Item
 
 GAP_M = 0.1  # between a wall and walkable ground or road

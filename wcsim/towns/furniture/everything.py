@@ -20,9 +20,8 @@ from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood_if_free
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.tiled_geometry import Patches, valid
-from wcsim.towns.osm.lengths import metres
-from wcsim.towns.osm.levels import off_ground
+from wcsim.towns.ground.plane_geometry import Patches, valid
+from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net
 from wcsim.types import F64, ClassId

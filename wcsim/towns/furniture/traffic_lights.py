@@ -44,7 +44,7 @@ _Groups = list[tuple[str, int]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Approach:
+class _Approach:
     """Where those who drive along an edge stop before a junction."""
 
     edge_id: str
@@ -92,9 +92,9 @@ def sign_things(
     return found
 
 
-def approaches_of(net: Net) -> list[Approach]:
+def approaches_of(net: Net) -> list[_Approach]:
     """The end of every edge that vehicles use."""
-    found: list[Approach] = []
+    found: list[_Approach] = []
     for edge in net.edges:
         lanes = [] if edge.function else _driven(edge)
         if lanes:
@@ -103,7 +103,7 @@ def approaches_of(net: Net) -> list[Approach]:
             ahead = along / max(1e-6, float(np.hypot(*along)))
             right = np.array([ahead[1], -ahead[0]])
             found.append(
-                Approach(
+                _Approach(
                     edge_id=edge.id,
                     stop_m=lane.points_m[-1],
                     ahead=ahead,
@@ -165,7 +165,7 @@ def _groups(links: list[Connection], columns: dict[str, list[str]]) -> _Groups:
     return list(found.values())
 
 
-def _at_kerb(approach: Approach, groups: _Groups, place: FreeGround, taken: Taken) -> StandingObject:
+def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround, taken: Taken) -> StandingObject:
     """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
     xy_m = _first_free(_beside(approach), place, taken)
     if xy_m is not None:
@@ -221,7 +221,7 @@ def _arm(start_m: F64, end_m: F64) -> Solid:
     return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
 
 
-def _beside(approach: Approach) -> F64:
+def _beside(approach: _Approach) -> F64:
     """Places (n, 2) for a post at the kerb, best first."""
     back_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(_BACK_M, ASIDE_M, indexing="ij"))
     return np.asarray(approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside)

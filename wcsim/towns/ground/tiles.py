@@ -18,7 +18,7 @@ from wcsim.types import F64, U8, GroundPaint, Relief, StreetGrid, StreetMesh, Ti
 from wcsim.types.street import AROUND_M
 
 if TYPE_CHECKING:  # what makes streets is heavy, and no world needs it where a street is built
-    from wcsim.towns.ground.raster import GridMaker
+    from wcsim.towns.ground.mesh import GridMaker
 
 CELL_M = 0.1  # of the rasters
 CHUNK_M = 40.0  # side of the mesh's chunks

@@ -1,26 +1,46 @@
-"""Make a town folder of somebody's ready scenario: byte-for-byte copies of the files it names, and a town.toml."""
+"""Make a town folder of somebody's ready scenario: byte-for-byte copies of the files it names, and a town.toml.
+
+Only files that SUMO reads go with the copy, and the author's notices; private files of other kinds stay behind.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import tempfile
 from pathlib import Path
 
-from wcsim.core.reading import is_file
+from wcsim.core.reading import FileKind, is_file, opened, read_text
+from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.importing.adopt_files import copy_file, copy_notices, copy_settings, is_picture, require_kind
 from wcsim.towns.importing.folder_texts import foreign_license_text, town_toml_text
-from wcsim.towns.scenario.border import require_file, require_inside
-from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, require_file, require_inside
 from wcsim.towns.scenario.options import Configuration, Content, Treatment, read_configuration
-from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
-from wcsim.towns.sumo.xml_io import content_digest
+from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, scan
 
 _MAX_FILES = 500
 _SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its author likes it
+_NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
+_NOTICE_BYTES = 1 << 20
+ROOTS = frozenset(
+    (
+        "net", "routes", "trips", "vehicles", "additional", "additionals", "add", "vTypes", "vss",
+        "variableSpeedSign", "rerouter", "calibrator", "snapshot", "meandata", "data", "netstats",
+        "edgedata", "weights", "interval", "tlLogics", "tls", "shapes", "polygons", "pois", "detectors",
+        "busStops", "stops", "taz", "tazs", "viewsettings", "gui-settings", "fcd-export", "emission-export",
+        "edgeRelations", "routes-info", "persons"
+    )
+)  # fmt: skip
+"""Root elements of what SUMO reads."""
+
+_PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"BM")
+_SELECTED = ("edge:", "lane:")
+_SELECTION = FileKind(what="a list of edges", limit_bytes=16 << 20, error=TownError)
+_NOTICE = FileKind(what="a notice", limit_bytes=_NOTICE_BYTES, error=TownError)
+_COPIED = FileKind(what="a file of a scenario", limit_bytes=MAX_XML_BYTES, error=TownError)
 
 
 def adopt_scenario(
@@ -102,9 +122,9 @@ def copy_scenario(
     for path in files:
         place = work / path.relative_to(base)
         place.parent.mkdir(parents=True, exist_ok=True)
-        (copy_settings if path in settings else copy_file)(path, place)
+        (_copy_settings if path in settings else copy_file)(path, place)
     _stay_inside(read_configuration(work / start.relative_to(base)), work)
-    notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
+    notices = _copy_notices(start.parent, work / start.relative_to(base).parent, border)
     if not (work / "LICENSE-DATA").exists():
         (work / "LICENSE-DATA").write_text(foreign_license_text(start.name, notices), encoding="utf-8")
     return base, files
@@ -128,8 +148,8 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
                 for path in item.files(config.path.parent):
                     met.place_option(item.option, path, config.path)
         for path in met.read:
-            require_kind(path, text=path in met.texts)
-        found = {config.path, *met.read, *(path for path in met.pictures if is_picture(path, border))}
+            _check_kind(path, text=path in met.texts)
+        found = {config.path, *met.read, *(path for path in met.pictures if _is_picture(path, border))}
     for path in filter(is_file, config.files(_SETTINGS)):
         require_inside(path, border, config.path)
         found.add(path)
@@ -178,3 +198,64 @@ def _stay_inside(config: Configuration, folder: Path) -> None:
 
 def _listed(paths: tuple[Path, ...]) -> str:
     return ", ".join(str(path) for path in paths) or "none"
+
+
+def copy_file(path: Path, place: Path) -> None:
+    """Copy a regular file. Raises TownError when it is none."""
+    with opened(path, _COPIED) as source, place.open("wb") as target:
+        shutil.copyfileobj(source, target)
+
+
+def _copy_settings(path: Path, place: Path) -> None:
+    """Copy the settings of a window; of what is none of SUMO's goes an empty one, for SUMO wants the file."""
+    try:
+        _check_root(path)
+    except TownError:
+        place.write_text("<viewsettings/>\n", encoding="utf-8")
+    else:
+        copy_file(path, place)
+
+
+def _copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...]:
+    """Copy the licence and the readme that lie beside a scenario, and not elsewhere; returns their names."""
+    names = set()
+    for path in (path for mask in _NOTICES for path in source.glob(mask)):
+        try:
+            require_inside(path, border, source)
+            notice = read_plain(path, _NOTICE)
+        except TownError:  # a link to elsewhere, or no notice
+            continue
+        names.add(path.name)
+        if not (out / path.name).exists():
+            (out / path.name).write_bytes(notice)
+    return tuple(sorted(names))
+
+
+def _check_kind(path: Path, *, text: bool) -> None:
+    """Return for a file of SUMO's, XML or else a list of edges. Raises TownError."""
+    if not text:
+        _check_root(path)
+    elif not all(line.startswith(_SELECTED) for line in read_text(path, _SELECTION).split()):
+        raise TownError(
+            f"{path}: is not a list of edges; expected lines such as edge:ID: remove it, or correct its lines"
+        )
+
+
+def _check_root(path: Path) -> None:
+    """Raise TownError for XML that is none of SUMO's: it may be anybody's, and a town is made to be passed on."""
+    tags: list[str] = []
+    scan(read_bytes(path, MAX_XML_BYTES), str(path), lambda tag, _: tags.append(tag) if not tags else None)
+    if tags[0].rpartition(":")[2] not in ROOTS:
+        raise TownError(
+            f"{path}: begins with <{tags[0][:40]}>, which is no SUMO file; expected routes, additional, ..."
+        )
+
+
+def _is_picture(path: Path, border: Path | None) -> bool:
+    """Whether a picture that sumo-gui would show can go with the copy."""
+    try:
+        require_file(path, border, path)
+        with opened(path, _COPIED) as file:
+            return file.read(8).startswith(_PICTURES)
+    except TownError:
+        return False

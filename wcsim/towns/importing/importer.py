@@ -18,30 +18,38 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.importing.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
-from wcsim.towns.importing.elevation import Heights, make_dem, require_rasterio, write_dem
-from wcsim.towns.importing.folder_texts import license_text, sumocfg_text, town_toml_text
-from wcsim.towns.importing.jam_trial import write_tried
-from wcsim.towns.importing.lift import lift_net
-from wcsim.towns.importing.map_marks import MapMarks, map_marks
+from wcsim.towns.importing.demand import (
+    Way,
+    build_ways,
+    check_rates,
+    flows_text,
+    vtypes_text,
+    without_ways,
+    write_tried,
+)
+from wcsim.towns.importing.elevation import Heights, lift_net, make_dem, require_rasterio, write_dem
+from wcsim.towns.importing.folder_texts import (
+    check_place,
+    check_words,
+    license_text,
+    move_in_place,
+    sumocfg_text,
+    town_toml_text,
+    workplace,
+)
+from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
 from wcsim.towns.importing.netconvert import NetOrder, convert_net, convert_polygons
-from wcsim.towns.importing.parking import Parking, find_parking
-from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
-from wcsim.towns.osm.area import Box, bbox_option, check_box, middle_of, size_m
-from wcsim.towns.osm.bridges import cut_bridges
-from wcsim.towns.osm.clean import filter_osm, strip_orphans
-from wcsim.towns.osm.driving_side import Side, side_at
+from wcsim.towns.osm.area import Box, Side, bbox_option, check_box, middle_of, side_at, size_m
+from wcsim.towns.osm.clean import cut_bridges, filter_osm, strip_orphans, unpaved_ways, wrongly_paved
 from wcsim.towns.osm.left_out import (
     LeftOut,
     NetWays,
-    crossings_inside,
+    count_inside,
     left_out_notes,
     left_out_of,
-    stops_inside,
     ways_inside,
 )
 from wcsim.towns.osm.read import Extract, read_extract
-from wcsim.towns.osm.sidewalk_rules import unpaved_ways, wrongly_paved
 from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hashes_of
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
@@ -243,7 +251,9 @@ def _build(
     stage: Stage,
 ) -> Imported:
     name, mapped = order.name, ways_inside(extract.root, extract.box)
-    crossings_mapped, stops_mapped = (of(extract.root, extract.box) for of in (crossings_inside, stops_inside))
+    crossings_mapped, stops_mapped = (
+        count_inside(extract.root, extract.box, kind) for kind in ("crossing", "bus_stop")
+    )
     stage(f"building the net of {_size(extract.box)}")
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())

@@ -13,7 +13,7 @@ from osmium.index import IdSet
 from wcsim.towns.osm.area import Box
 
 
-def cut(source: str, file_format: str, out: str, box: Box | None) -> None:
+def _cut(source: str, file_format: str, out: str, box: Box | None) -> None:
     """Write the nodes in a box, the ways that have one of them, their other nodes, and the relations of those."""
     file = osmium.io.File(source, file_format)
     header = osmium.io.Reader(file, osmium.osm.osm_entity_bits.NOTHING).header()
@@ -58,4 +58,4 @@ def _box(text: str) -> Box:
 
 
 if __name__ == "__main__":
-    cut(sys.argv[1], sys.argv[2], sys.argv[3], _box(sys.argv[4]) if len(sys.argv) > 4 else None)
+    _cut(sys.argv[1], sys.argv[2], sys.argv[3], _box(sys.argv[4]) if len(sys.argv) > 4 else None)

@@ -48,7 +48,7 @@ class NetWays:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LostWay:
+class _LostWay:
     """A way on foot that the net has not."""
 
     id: str
@@ -66,7 +66,7 @@ class LeftOut:
     streets_left_out_m: float = 0.0
     footways_left_out_m: float = 0.0
     names: tuple[str, ...] = ()  # of streets that are left out, longest first
-    footways: tuple[LostWay, ...] = ()  # all that are left out, longest first
+    footways: tuple[_LostWay, ...] = ()  # all that are left out, longest first
 
 
 def ways_inside(root: Element, box: Box) -> tuple[MapWay, ...]:
@@ -121,18 +121,10 @@ def _why_by_tags(tags: dict[str, str]) -> str:
     return "closed to the public" if tags.get("foot", tags.get("access")) in _CLOSED else ""
 
 
-def crossings_inside(root: Element, box: Box) -> int:
-    """How many crossings of streets the map itself has in the box, those that it calls unmarked too."""
-    return sum(tags_of(node).get("highway") == "crossing" and _is_inside(node, box) for node in root.iterfind("node"))
-
-
-def _is_inside(node: Element, box: Box) -> bool:
-    return is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box)
-
-
-def stops_inside(root: Element, box: Box) -> int:
-    """How many bus stops the map has in the box."""
-    return sum(tags_of(node).get("highway") == "bus_stop" and _is_inside(node, box) for node in root.iterfind("node"))
+def count_inside(root: Element, box: Box, highway: str) -> int:
+    """How many nodes with this value of `highway` the map has in the box; crossings without paint count too."""
+    nodes = (node for node in root.iterfind("node") if tags_of(node).get("highway") == highway)
+    return sum(is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box) for node in nodes)
 
 
 def left_out_of(ways: Collection[MapWay], made: NetWays) -> LeftOut:
@@ -144,7 +136,7 @@ def left_out_of(ways: Collection[MapWay], made: NetWays) -> LeftOut:
             by_name[way.name] = by_name.get(way.name, 0.0) + way.inside_m
     rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
     lost = [
-        LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
+        _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
         for way in gone
         if not way.street
     ]

@@ -30,9 +30,8 @@ from wcsim.towns.checks.cures import (
     speeds_mps,
 )
 from wcsim.towns.importing.adopt import copy_scenario
-from wcsim.towns.pave.elements import Paving, edits_of, note_routes
+from wcsim.towns.pave.elements import Paving, edits_of, links_of, note_routes
 from wcsim.towns.pave.lanes import lane_map
-from wcsim.towns.pave.signals import links_of
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.files import NOWHERE, FilteredFiles, OutputNames
 from wcsim.towns.scenario.options import (
     Configuration,
     GivenOption,
@@ -20,7 +20,6 @@ from wcsim.towns.scenario.options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
 from wcsim.towns.scenario.overrides import (
     AGGREGATED,
     JUMPING,

@@ -12,8 +12,7 @@ from pathlib import Path
 from wcsim.config import TownFile, parse
 from wcsim.core.reading import FileKind, is_file, is_folder, read_toml, shown
 from wcsim.errors import ConfigError, TownError, meant
-from wcsim.towns.scenario.border import require_file, require_inside
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import require_file, require_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
 from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
 

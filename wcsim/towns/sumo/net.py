@@ -85,7 +85,7 @@ class Connection:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Junction:
+class _Junction:
     """The outline of a junction; empty for those that have none."""
 
     id: str
@@ -100,7 +100,7 @@ class Net:
 
     edges: tuple[Edge, ...]
     connections: tuple[Connection, ...]
-    junctions: tuple[Junction, ...]
+    junctions: tuple[_Junction, ...]
     lefthand: bool = False  # traffic keeps to the left
     phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
@@ -247,6 +247,6 @@ def _connection(element: Element) -> Connection:
     )
 
 
-def _junction(element: Element, origin_m: tuple[int, int]) -> Junction:
+def _junction(element: Element, origin_m: tuple[int, int]) -> _Junction:
     outline_m, z_m = _shape(element.get("shape", ""), origin_m)
-    return Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)
+    return _Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)

@@ -15,9 +15,8 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane import cross_z, length_of
+from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, valid
 from wcsim.towns.ground.surfaces import walkable_lanes
-from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
 

@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.towns.ground.plane_geometry import buffered
 from wcsim.towns.ground.relief import on_land, relief_of
 from wcsim.towns.ground.surfaces import lane_area, surfaces_of
-from wcsim.towns.ground.tiled_geometry import buffered
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 from wcsim.towns.sumo.xml_io import read_root
 

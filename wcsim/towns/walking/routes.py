@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from wcsim.errors import TownError
-from wcsim.towns.ground.plane import length_of
+from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
 
 SPACING_M = 1.0  # of a route's points

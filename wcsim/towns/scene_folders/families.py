@@ -20,30 +20,28 @@ import numpy as np
 
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, meant
-from wcsim.towns.scene_folders.families.draft import (
+from wcsim.towns.scene_folders.draft import (
     AFT_M,
     CASTER_M,
+    END_M,
     FORE_M,
     HALF_M,
-    XY,
-    Draft,
-    Node,
-    Place,
-    Push,
-    files_of,
-    mirrored,
-    way_of,
-)
-from wcsim.towns.scene_folders.families.scene_streets import (
-    END_M,
     KERB_Y_M,
     LANE_M,
     WALKER,
+    XY,
+    Draft,
+    Node,
     Pavement,
+    Place,
+    Push,
+    files_of,
     house,
+    mirrored,
     path_types,
     row,
     street,
+    way_of,
 )
 
 _AHEAD_M = 30.0  # the destination, beyond what is reached

@@ -10,8 +10,8 @@ import pytest
 import shapely
 
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.furniture.lane_marks import lane_marks
+from wcsim.towns.cache.street_cache import street_of
+from wcsim.towns.furniture.road_marks import lane_marks
 from wcsim.towns.ground.relief import on_land, relief_of
 from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
 from wcsim.towns.scenario.town import Town
