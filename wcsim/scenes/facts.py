@@ -10,7 +10,7 @@ from wcsim.config.scene import SceneExpect
 ALONE_M = 99.0
 """The gap to others when there are none."""
 FASTEST_MPS = 99.0
-"""The slowest speed when nobody drives."""
+"""The slowest speed when no vehicle drives."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,7 +37,7 @@ _PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX5
 
 _RUN_TIMEOUT_S = 240
 _BAD_SCENE = 2
-"""Exit code of a scene's process that has said what is wrong with the scene."""
+"""Exit code of a scene's process that has printed what is wrong with the scene."""
 TRACE_EVERY = 10
 """Ticks from one record of a golden trace to the next; its last tick has one, and a hash covers all ticks up to it."""
 
@@ -119,9 +119,9 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
     except subprocess.TimeoutExpired:
         raise TownError(f"scene {folder.name} did not end within {_RUN_TIMEOUT_S} s; shorten it") from None
     if done.returncode != 0:
-        told = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
         known = done.returncode == _BAD_SCENE
-        raise TownError(told if known else f"{folder}: its process ended with exit code {done.returncode}: {told}")
+        raise TownError(reason if known else f"{folder}: its process ended with exit code {done.returncode}: {reason}")
     return facts_from_line(done.stdout)
 
 

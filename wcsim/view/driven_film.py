@@ -46,7 +46,7 @@ class FilmDriver:
 
     policy: str  # as `wcsim test` names it
     profile: str  # of the user whose stick the policy sees
-    network: str = ""  # somebody's own, module:Class, that the policy may look with
+    network: str = ""  # a custom one, module:Class, that the policy may look with
     settings: tuple[str, ...] = ()  # section.key=value, laid over the policy's own
 
 
@@ -136,8 +136,8 @@ class DrivenFilm:
         rgb = now.client.sensors.cameras[-1].rgb
         if rgb is None:
             raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
-        said = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
-        picture = captioned(rgb, said + ("   CRASH" if now.client.events.crashed else ""))
+        caption = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
+        picture = captioned(rgb, caption + ("   CRASH" if now.client.events.crashed else ""))
         with_sticks(picture, now.asked, now.given, warning=now.warning)
         frame = side_by_side(picture, map_view(self._map, self._world))
         self._writer.write(frame)
@@ -223,8 +223,8 @@ def _film_frame(view: MapView, steps: Sequence[PlayedStep], number: int, config:
     large = cv2.resize(seen, (width, _FILM_PX), interpolation=cv2.INTER_NEAREST)
     before_s = (len(steps) - 1 - number) * config.world.tick_s
     street = around_picture(view, step, steps[: number + 1])
-    said = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  user {sticks(step)[0]}  driven {sticks(step)[1]}"
-    return side_by_side(np.asarray(large, np.uint8), captioned(street, said))
+    caption = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  user {sticks(step)[0]}  driven {sticks(step)[1]}"
+    return side_by_side(np.asarray(large, np.uint8), captioned(street, caption))
 
 
 def sticks(step: PlayedStep) -> tuple[str, str]:

@@ -24,7 +24,7 @@ _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= Cl
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
 MAP_SPAN_M = 60.0
-FILMED_USER = "competent"  # who drives where nobody is named
+FILMED_USER = "competent"  # who drives where no user is named
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 
 
@@ -58,11 +58,11 @@ class _FilmedDrive:
 
     def busiest_moment(self, seconds: float) -> Shot:
         """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""
-        kept = BusiestMoment(self)
+        busiest = BusiestMoment(self)
         for tick in range(max(1, round(seconds / self.tick_s))):
             self.go_on()
-            kept.look((tick + 1) * self.tick_s)
-        return kept.shot
+            busiest.look((tick + 1) * self.tick_s)
+        return busiest.shot
 
     def film(self, path: Path) -> _Film:
         """Begin a video of what comes."""
@@ -140,7 +140,7 @@ class BusiestMoment:
 
         Args:
             after_s: Since the beginning.
-            fits: Whether it is what whoever looks wants; one that is not is never taken after one that is.
+            fits: Whether it is what the caller wants; one that is not is never taken after one that is.
         """
         now = (fits, self._stage.business())
         if now <= self._best:
@@ -174,8 +174,8 @@ class _Film:
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
         speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
-        told = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
-        self._writer.write(side_by_side(captioned(frame.rgb, told), chart))
+        caption = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
+        self._writer.write(side_by_side(captioned(frame.rgb, caption), chart))
 
     def __enter__(self) -> Self:
         self._writer.__enter__()

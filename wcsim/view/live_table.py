@@ -19,7 +19,7 @@ from wcsim.server.specs import ClientStatus, WorldStatus
 
 PAYS = "acts/learns/waits %"
 _LINE_S = 10.0  # between two lines where there is no terminal
-_WAITS_S = 0.5  # who is waited for is said when it takes so long ...
+_WAITS_S = 0.5  # who is waited for is shown when it takes so long ...
 _SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
 _ENOUGH_S = 1.0  # ... once that is worth a word
 
@@ -35,11 +35,11 @@ class LiveTable:
         self._nobody_reads = False
 
     def show(self, state: LaunchState) -> None:
-        """Say how things are; a terminal that is gone must not end what is shown on it."""
+        """Print the status; a terminal that is gone must not end the program."""
         try:
             if not self._nobody_reads:
                 self._say(state)
-        except (OSError, SystemExit):  # rich ends a program whose output nobody reads
+        except (OSError, SystemExit):  # rich ends a program whose output is not read
             self._nobody_reads = True
 
     def _say(self, state: LaunchState) -> None:
@@ -108,15 +108,15 @@ def waits_of(world: WorldStatus) -> str:
 def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
     status = client.status
     master = world is not None and bool(world.master) and world.master == client.name
-    told = ("-",) * 6
+    cells = ("-",) * 6
     if status is not None:
         kpi1 = "-" if status.kpi1 is None else f"{status.kpi1:.3f}"
         progress = f"{status.step}/{status.total_steps}"
-        told = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1, pays_of(status))
+        cells = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1, pays_of(status))
     return (
         f"{client.name}{' *' if master else ''}",
         str(client.seat),
-        *told,
+        *cells,
         escape(_standing(client, world)),
         str(client.restarts),
     )

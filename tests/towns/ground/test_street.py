@@ -15,7 +15,7 @@ from wcsim.towns.ground.tiles import RASTER_M, TILE_M, Packed
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
-from wcsim.towns.walking.islands import share_of, walkable_parts
+from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import ClassId, Street, WayKind
 
 WALKABLE = (ClassId.SIDEWALK, ClassId.CROSSWALK)
@@ -117,7 +117,7 @@ def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Pat
 @pytest.mark.proof
 def test_helsinki_hangs_together() -> None:
     town = find_town("helsinki")
-    assert share_of(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95
+    assert largest_share(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95
     wanted = {"passenger", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "tram"}
     assert set(demand_classes(town)) >= wanted
 

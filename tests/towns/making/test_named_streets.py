@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wcsim.core.seeding import generator
-from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
+from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, make_streets
 from wcsim.towns.making.plan import ShapedPlan, StreetPlan, connected, draw_plan, least_angle_rad, merged, shape_plan
 from wcsim.towns.making.wishes import KINDS
 
@@ -38,7 +38,7 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
 @pytest.mark.parametrize(("kind", "seed"), DRAWS)
 def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int, tmp_path: Path) -> None:
     shaped = shaped_plan(kind, seed, tmp_path)
-    streets = streets_of(shaped, generator(seed, "streets"))
+    streets = make_streets(shaped, generator(seed, "streets"))
     assert sorted(link for street in streets for link in street.links) == list(range(len(shaped.plan.links)))
     driven = networkx.DiGraph()
     for street in streets:
@@ -55,7 +55,7 @@ def test_one_way_streets_and_streets_for_walkers_exist(tmp_path: Path) -> None:
     streets = [
         street
         for seed in range(6)
-        for street in streets_of(shaped_plan("grid", seed, tmp_path), generator(seed, "streets"))
+        for street in make_streets(shaped_plan("grid", seed, tmp_path), generator(seed, "streets"))
     ]
     assert any(street.oneway and street.kind is RESIDENTIAL for street in streets)
     assert any(street.kind is WALK for street in streets)

@@ -23,7 +23,7 @@ _KEY = "[0-9a-f]{32}"
 _STREET = re.compile(rf"street-{_KEY}\.npz")
 _VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
 _KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc|lock)")  # machine code, with the list of it and the lock for each kernel
-# Folders: generated scenes that somebody drove in, and generated towns of suites; see `bridge/drives/made_scene.py` and
+# Folders: generated scenes of the driving page, and generated towns of suites; see `bridge/drives/made_scene.py` and
 # `drive/starting.py`.
 _DRIVEN = {"drive-scenes": re.compile(r"[a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8}"), "drive-towns": re.compile(r"made-\d+")}
 _BEGUN = re.compile(rf"tmp[a-z0-9_]{{8}}\.(npz|ok)|street-{_KEY}\.lock")
@@ -41,13 +41,13 @@ def shown_cache() -> str:
 
 
 def write_verdict(path: Path) -> None:
-    """Keep that something was found sound, as an empty word under its hash; of each kind the newest ones stay."""
+    """Save that a check passed, as a small file under its hash; of each kind the newest ones stay."""
     write_whole(path, lambda temporary: temporary.write_text("ok\n", encoding="utf-8"))
-    kept = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
-    if len(kept) > MOST_VERDICTS:
+    verdicts = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
+    if len(verdicts) > MOST_VERDICTS:
         with suppress(OSError):
-            kept.sort(key=lambda each: each.stat().st_mtime_ns)
-            for old in kept[: len(kept) - MOST_VERDICTS // 2]:
+            verdicts.sort(key=lambda each: each.stat().st_mtime_ns)
+            for old in verdicts[: len(verdicts) - MOST_VERDICTS // 2]:
                 old.unlink(missing_ok=True)
 
 
@@ -69,14 +69,14 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _CacheFacts:
-    """What is kept and can be made again; other files in the folder, as the key of one's own runs, do not count."""
+    """What is cached and can be made again; other files in the folder, as the key of one's own runs, do not count."""
 
     folder: Path
     streets: int
     verdicts: int  # on nets and scenarios that were tried
-    kernels: int  # whose machine code is kept here: those of a package that cannot be written
-    driven: int  # scenes and towns that were generated so that somebody could drive in them
-    unfinished: int  # begun by somebody and left
+    kernels: int  # whose machine code is cached here: those of a read-only package
+    driven: int  # scenes and towns that were generated for the driving page
+    unfinished: int  # begun and left
     size_bytes: int
 
 
@@ -97,14 +97,14 @@ def cache_facts() -> _CacheFacts:
 def clear_cache() -> _CacheFacts:
     """Remove what wcsim keeps there and can make again; returns what is left of it.
 
-    A world that uses a street goes on: its open file lives until it closes it. What somebody writes at this moment has
+    A world that uses a street goes on: its open file lives until it closes it. A file that is being written has
     another name until it is whole, and is left alone, as is every file that wcsim has not named. Who drives in a
     generated scene or town drives on, and has to begin anew for another place in it.
     """
     for folder in _folders():
         shutil.rmtree(folder, ignore_errors=True)
     for path in _files():
-        with suppress(OSError):  # somebody else's, or gone already
+        with suppress(OSError):  # of another user, or gone already
             path.unlink()
     return cache_facts()
 
@@ -129,7 +129,7 @@ def _folders() -> list[Path]:
 
 
 def _is_left(folder: Path) -> bool:
-    """Whether it is a folder of its own that nobody is just making; those have a point before their names."""
+    """Whether it is a finished folder; the name of an unfinished one begins with a dot."""
     with suppress(OSError):
         status = folder.lstat()
         made = not folder.name.startswith(".") or time.time() - status.st_mtime > WRITTEN_S

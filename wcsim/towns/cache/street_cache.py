@@ -47,7 +47,7 @@ def pack_street(
     return arrays
 
 
-def street_of(packed: Packed) -> Street:
+def unpack_street(packed: Packed) -> Street:
     """The inverse of `pack_street`. Raises KeyError or ValueError for arrays that are none."""
     (x_m, y_m, cell_m), (east_m, north_m, up_m) = packed["relief_place"].tolist(), packed["net_origin_m"].tolist()
     relief = Relief(origin_W_m=(x_m, y_m), cell_m=cell_m, z_m=packed["relief_z_m"])
@@ -136,18 +136,20 @@ class PreadFile(io.RawIOBase):
 
 
 def cached_street(key: str, build: Callable[[], Packed]) -> Street:
-    """The street kept under `key`, or a new one, which is kept where that is possible."""
+    """The street cached under `key`, or a new one, which is cached where that is possible."""
     path = cache_folder() / f"street-{key}.npz"
     found = _read(path)
     if found is not None:
         return found
     with alone(path.with_suffix(".lock")):  # worlds that begin together build it once
-        found = _read(path)  # somebody else may have built it meanwhile
+        found = _read(path)  # another process may have built it meanwhile
         if found is not None:
             return found
         packed = build()
         write_whole(path, lambda file: _save(file, packed))
-    return _read(path) or street_of(packed)  # from the file, if there is one, so that only what is used is in memory
+    return _read(path) or unpack_street(
+        packed
+    )  # from the file, if there is one, so that only what is used is in memory
 
 
 def _save(path: Path, packed: Packed) -> None:
@@ -164,7 +166,7 @@ def _read(path: Path) -> Street | None:
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
     try:
-        return street_of(data)
+        return unpack_street(data)
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
         data.close()
         return None

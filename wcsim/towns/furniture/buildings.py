@@ -46,7 +46,9 @@ class _Body:
     part: bool
 
 
-def buildings_of(items: list[Item], street: BaseGeometry, hull: BaseGeometry) -> tuple[list[Building], list[Building]]:
+def make_buildings(
+    items: list[Item], street: BaseGeometry, hull: BaseGeometry
+) -> tuple[list[Building], list[Building]]:
     """Buildings that stand beside the street, and those that hang over it: skywalks, and houses over a passage.
 
     What stands on the street (arcades, passages) or outside the town is cut off.

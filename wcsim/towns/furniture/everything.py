@@ -47,7 +47,7 @@ _TYPE_KEYS = {
 }
 
 
-def things_of(
+def place_mapped(
     items: list[Item], place: FreeGround, standing: list[StandingObject] | None = None
 ) -> list[StandingObject]:
     """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
@@ -93,7 +93,7 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
         kind, step_m = _ROW_STEPS_M[item.kind]
         places = _along(shapely.LineString(item.points_W_m).intersection(site.place.hull), step_m)
         return [thing for xy in places if (thing := _stood(item, kind, xy, site)) is not None]
-    kind = look_of(item)
+    kind = pick_look(item)
     if not kind or (len(item.points_W_m) > 1 and not item.filled):
         return []
     middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
@@ -101,8 +101,8 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
     return [thing] if thing is not None else []
 
 
-def look_of(item: Item) -> str:
-    """The look of a mapped point, "" for what nobody would see standing there."""
+def pick_look(item: Item) -> str:
+    """The look of a mapped point, "" for what would not be visible there."""
     full = f"{item.group}.{item.detail}"
     if full in _KNOWN_TYPES:
         by_type = _KNOWN_TYPES[full]
@@ -293,7 +293,7 @@ def _first(
     return []
 
 
-def fittings_of(
+def place_furniture(
     items: list[Item], net: Net, additional: tuple[Path, ...], place: FreeGround, placed: list[StandingObject]
 ) -> list[StandingObject]:
     """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
@@ -301,5 +301,5 @@ def fittings_of(
     things += signal_things(net, additional, place, things)
     things += stop_things(items, place, things, net.lefthand)
     things += sign_things(items, net, place, things)
-    things += things_of(items, place, things)
+    things += place_mapped(items, place, things)
     return things

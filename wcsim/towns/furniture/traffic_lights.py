@@ -17,13 +17,13 @@ from wcsim.towns.furniture.placement import FreeGround, StandingObject, Taken, s
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.sumo.additional import Item
-from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, phases_of
+from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, read_phases
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes
 from wcsim.types import F64, ClassId, SignalHead, SignalState
 
 _HEAD_LWH_M = (0.3, 0.3, 0.9)  # three lamps, one above the other
 _WALK_HEAD_LWH_M = (0.3, 0.3, 0.6)  # two
-HEAD_LOW_M = 2.3  # nobody hits it with the head
+HEAD_LOW_M = 2.3  # no head can hit it
 _HANGING_LOW_M = 4.8  # over a road without room for a post
 _POST_M = 0.07
 APART_M = 0.4  # between two posts
@@ -73,7 +73,7 @@ def sign_things(
 ) -> list[StandingObject]:
     """Stop and give-way signs that a map has on the road: they stand at the kerb of the approach they are meant for."""
     wanted = [item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"]
-    approaches = approaches_of(net) if wanted else []
+    approaches = find_approaches(net) if wanted else []
     if not approaches:
         return []
     taken = Taken(standing)
@@ -92,7 +92,7 @@ def sign_things(
     return found
 
 
-def approaches_of(net: Net) -> list[_Approach]:
+def find_approaches(net: Net) -> list[_Approach]:
     """The end of every edge that vehicles use."""
     found: list[_Approach] = []
     for edge in net.edges:
@@ -131,7 +131,7 @@ def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
     for path in files:
         data = read_bytes(path)
         if b"<tlLogic" in data:
-            yield from phases_of(parse_root(data, str(path)))
+            yield from read_phases(parse_root(data, str(path)))
 
 
 def _columns(phases: tuple[SignalState, ...]) -> dict[str, list[str]]:
@@ -149,7 +149,7 @@ def _vehicle_signals(
     for link in net.connections:
         if link.tls_id and link.tls_link >= 0:
             links[link.start].append(link)
-    for approach in approaches_of(net):
+    for approach in find_approaches(net):
         groups = _groups(links.get(approach.edge_id, []), columns)
         if groups:
             yield _at_kerb(approach, groups, place, taken)
@@ -292,5 +292,5 @@ def _at_crossing(
     post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
     head = solid_shapes.box(xy_m, _WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
     p_W_m = np.array([*xy_m, HEAD_LOW_M + _WALK_HEAD_LWH_M[2] / 2])
-    shown = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
-    return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(shown,))
+    signal = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
+    return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(signal,))

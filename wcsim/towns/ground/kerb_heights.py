@@ -55,7 +55,7 @@ class Kerbing:
         return rounded
 
 
-def kerbing_of(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[Item] = ()) -> Kerbing:
+def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[Item] = ()) -> Kerbing:
     """Kerbs are lowered where the edge of a crossing touches pavement, and where they are mapped as lowered.
 
     A crossing whose kerb is mapped as raised keeps it.

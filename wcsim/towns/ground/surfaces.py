@@ -61,7 +61,7 @@ class Surfaces:
     parking: BaseGeometry = field(default_factory=MultiPolygon)  # part of the terrain: car parks
 
 
-def surfaces_of(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[str] = ()) -> Surfaces:
+def make_surfaces(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[str] = ()) -> Surfaces:
     """Derive the areas from a net: a carriageway wins over a footway drawn on it, a crossing wins over both.
 
     Args:

@@ -1,4 +1,4 @@
-"""Make a town folder of somebody's ready scenario: byte-for-byte copies of the files it names, and a town.toml.
+"""Make a town folder of an author's ready scenario: byte-for-byte copies of the files it names, and a town.toml.
 
 Only files that SUMO reads go with the copy, and the author's notices; private files of other kinds stay behind.
 """
@@ -16,7 +16,7 @@ from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.importing.folder_texts import foreign_license_text, town_toml_text
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames, require_file, require_inside
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, check_file, check_inside
 from wcsim.towns.scenario.options import Configuration, Content, Treatment, read_configuration
 from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, scan
@@ -62,7 +62,7 @@ def adopt_scenario(
         name: The town's name.
         out: A folder that is not there yet, or is empty.
         split: "train" or "test".
-        source: Where it comes from; default: that it is somebody else's.
+        source: Where it comes from; default: that it is of another author.
         outside: Whether it may name files outside of its own folder.
         cycle_paths: Whether chairs drive on its cycle paths.
 
@@ -80,8 +80,8 @@ def adopt_scenario(
     start = Path(os.path.normpath(sumocfg.absolute()))
     config = read_configuration(start)
     border = None if outside else start.parent
-    require_inside(start, border, start)
-    files_of(config, border)  # what is missing is said before SUMO opens a large net
+    check_inside(start, border, start)
+    files_of(config, border)  # missing files are reported before SUMO opens a large net
     validate_net(_net_of(config, border), border=border)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
@@ -151,7 +151,7 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
             _check_kind(path, text=path in met.texts)
         found = {config.path, *met.read, *(path for path in met.pictures if _is_picture(path, border))}
     for path in filter(is_file, config.files(_SETTINGS)):
-        require_inside(path, border, config.path)
+        check_inside(path, border, config.path)
         found.add(path)
     if len(found) > _MAX_FILES:
         raise TownError(f"{config.path}: names {len(found)} files; expected at most {_MAX_FILES}")
@@ -162,14 +162,14 @@ def _net_of(config: Configuration, border: Path | None) -> Path:
     nets = config.files("net-file")
     if len(nets) != 1:
         raise TownError(f"{config.path}: expected one <net-file value=...> that exists, got {_listed(nets)}")
-    require_file(nets[0], border, config.path)
+    check_file(nets[0], border, config.path)
     return nets[0]
 
 
 def _town_toml(
-    config: Configuration, name: str, told: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
+    config: Configuration, name: str, labels: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
 ) -> str:
-    split, source = told
+    split, source = labels
     text = town_toml_text(
         name=name,
         split=split,
@@ -221,7 +221,7 @@ def _copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ..
     names = set()
     for path in (path for mask in _NOTICES for path in source.glob(mask)):
         try:
-            require_inside(path, border, source)
+            check_inside(path, border, source)
             notice = read_plain(path, _NOTICE)
         except TownError:  # a link to elsewhere, or no notice
             continue
@@ -254,7 +254,7 @@ def _check_root(path: Path) -> None:
 def _is_picture(path: Path, border: Path | None) -> bool:
     """Whether a picture that sumo-gui would show can go with the copy."""
     try:
-        require_file(path, border, path)
+        check_file(path, border, path)
         with opened(path, _COPIED) as file:
             return file.read(8).startswith(_PICTURES)
     except TownError:

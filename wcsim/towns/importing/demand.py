@@ -291,7 +291,7 @@ def write_tried(sumocfg: Path, ways: tuple[Way, ...], text_of: Callable[[tuple[W
 
 
 def _stuck_ways(sumocfg: Path, ways: tuple[Way, ...]) -> tuple[Way, ...]:
-    """The walking ways on which somebody got stuck within a trial of TRIAL_S; none when the trial fails.
+    """The walking ways on which people got stuck within a trial of TRIAL_S; none when the trial fails.
 
     A trial that fails says nothing about ways; the town is then opened as it is, and `check_town` says what is wrong.
     """

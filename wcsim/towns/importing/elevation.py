@@ -143,7 +143,7 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
     return np.asarray(height_m * field / field.max())
 
 
-def require_rasterio() -> None:
+def check_rasterio() -> None:
     """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
     if find_spec("rasterio") is None:
         raise TownError("--dem and --hill need rasterio, which is not installed: pip install 'wcsim[dem]'")

@@ -86,7 +86,7 @@ def license_text(name: str, source: str = "", heights: bool = False) -> str:
 
 
 def foreign_license_text(config: str, notices: tuple[str, ...]) -> str:
-    """The notice that lies beside somebody's scenario."""
+    """The notice that lies beside a copied scenario."""
     beside = f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
     return _FOREIGN.format(config=config, beside=beside)
 
@@ -134,7 +134,7 @@ def check_words(name: str, split: str) -> None:
 
 
 def check_place(out: Path, *, overwrite: bool) -> None:
-    """Raise TownError when a folder holds something else than a town, or a town that somebody has worked on."""
+    """Raise TownError when a folder holds something else than a town, or a town that was edited."""
     if out.exists() and not out.is_dir():
         raise TownError(f"{out} is a file; choose another folder, or remove it")
     if out.is_dir() and any(out.iterdir()) and not (out / "town.toml").is_file():

@@ -2,7 +2,7 @@
 
 What fills the blocks between streets: houses along the pavement, parks, squares and car parks.
 
-What stands along the pavements: trees, lamps, benches, signs, stops, and things that somebody left in the way.
+What stands along the pavements: trees, lamps, benches, signs, stops, and things left in the way.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wcsim.types import F64
 _ENDS_M = 5.0  # at both ends of a pavement nothing stands: people wait and turn there
 _KERB_M = 0.35  # from the kerb to the middle of a post
 _WIDE_M = 2.2  # narrower pavements have lamps and signs alone
-_IN_WAY_M = 2.4  # narrower ones nobody leaves anything on
+_IN_WAY_M = 2.4  # nothing is left on narrower ones
 _WALL_M = 0.45  # from the inner edge of a pavement
 _STOP_EVERY_M = 180.0
 _STOP_LANE_M = 40.0
@@ -109,7 +109,7 @@ def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: _Dressing
 
 
 def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: _Dressing, rng: np.random.Generator) -> None:
-    """Things that somebody left on a wide pavement, off its middle: a chair must go round them."""
+    """Things left on a wide pavement, off its middle: a chair must go round them."""
     number = int(rng.poisson(per_m * max(0.0, line.length - 2.0 * _ENDS_M)))
     for along_m in np.sort(rng.uniform(_ENDS_M, max(_ENDS_M, line.length - _ENDS_M), number)).tolist():
         side, kind = float(rng.choice((-1.0, 1.0))), str(rng.choice(_LEFT))

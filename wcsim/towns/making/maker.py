@@ -34,12 +34,12 @@ from wcsim.towns.importing.map_marks import Parking, find_parking, map_marks
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.plan import ShapedPlan, draw_plan, shape_plan
 from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
-from wcsim.towns.scenario.manifest import chair_ways, hashes_of
+from wcsim.towns.scenario.manifest import chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
-from wcsim.towns.walking.islands import share_of, walkable_parts
+from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import F64
 
 _STRAIGHT_RAD = rad(38.0)  # a street goes on where it bends by less
@@ -105,7 +105,7 @@ class _NamedStreet:
         return self.kind.closed.removeprefix("tram ") if self.tram else self.kind.closed
 
 
-def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
+def make_streets(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
     """All streets of a plan with their classes: the longest ones are main streets.
 
     A street is one-way, or for walkers alone, only where everybody still gets everywhere.
@@ -152,7 +152,7 @@ def _drawn(
 
 
 def _if_reachable(shaped: ShapedPlan, streets: list[_NamedStreet], changed: _NamedStreet) -> _NamedStreet:
-    """The changed street, or the one that it was when somebody could not get somewhere then."""
+    """The changed street, or the one before where a place would be cut off by the change."""
     graph = networkx.DiGraph()
     for street in (*streets[: changed.number], changed, *streets[changed.number + 1 :]):
         if street.kind is not WALK:
@@ -345,7 +345,7 @@ def make_town(
     *,
     name: str = "",
     overwrite: bool = False,
-    stage: Stage = lambda told: None,
+    stage: Stage = lambda text: None,
 ) -> Town:
     """Generate a town from a seed; it replaces a generated town in the folder that was not edited.
 
@@ -393,10 +393,10 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
         rng = generator(seed, "making", "streets", attempt)
         try:
             shaped = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
-            streets = streets_of(shaped, rng)
+            streets = make_streets(shaped, rng)
             path = write_net(name, shaped, streets, _draw_signals(rng), work, rng)
             net = read_net(path)
-            share = share_of(walkable_parts(net, chair_ways(cycle_paths=False)))
+            share = largest_share(walkable_parts(net, chair_ways(cycle_paths=False)))
         except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines
             log.info("town %s, attempt %d: %s", name, attempt, error)
             continue
@@ -443,7 +443,7 @@ def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, sta
         origin_m=net_middle(work / f"{name}.net.xml.gz"),
         source=SOURCE,
         rebuild=_rebuild_command(name, seed, wishes),
-        hashes=hashes_of(work, name),
+        hashes=hash_files(work, name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 

@@ -75,7 +75,7 @@ def bbox_option(box: Box) -> str:
 
 def _core(box: Box) -> Box:
     """A kilometre in the middle of a box, in 1e-5 degrees."""
-    west, south, east, north = grown((*middle_of(box), *middle_of(box)), 500.0)
+    west, south, east, north = grown((*box_centre(box), *box_centre(box)), 500.0)
     return round(west, 5), round(south, 5), round(east, 5), round(north, 5)
 
 
@@ -93,7 +93,7 @@ def is_within(place: tuple[float, float], box: Box) -> bool:
     return west <= place[0] <= east and south <= place[1] <= north
 
 
-def middle_of(box: Box) -> tuple[float, float]:
+def box_centre(box: Box) -> tuple[float, float]:
     """Longitude and latitude of the middle of a box."""
     west, south, east, north = box
     return (west + east) / 2, (south + north) / 2

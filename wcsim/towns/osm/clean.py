@@ -27,7 +27,7 @@ import shapely
 
 from wcsim.core.frames import rad
 from wcsim.towns.sumo.net import LaneKind, Net
-from wcsim.towns.walking.islands import ways_of
+from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
 
 _COURTYARD = "courtyard"
@@ -88,7 +88,7 @@ _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 def filter_osm(root: Element) -> None:
     """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
-    root[:] = [item for item in root if item.tag != "way" or not is_hidden(tags_of(item))]
+    root[:] = [item for item in root if item.tag != "way" or not is_hidden(read_tags(item))]
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
@@ -115,17 +115,17 @@ def _is_senseless(key: str, value: str) -> bool:
         return True
     if not _NUMBERS.match(key):
         return False
-    told = value.strip()
-    return not (_NUMBER.match(told) or told in _WORDS or ":" in told)  # as "DE:urban"
+    plain = value.strip()
+    return not (_NUMBER.match(plain) or plain in _WORDS or ":" in plain)  # as "DE:urban"
 
 
-def tags_of(item: Element) -> dict[str, str]:
+def read_tags(item: Element) -> dict[str, str]:
     """The tags of a node or a way."""
     return {tag.get("k", ""): tag.get("v", "") for tag in item.iterfind("tag")}
 
 
 def is_hidden(tag: dict[str, str]) -> bool:
-    """True for what nobody in the street sees or drives on."""
+    """True for what is neither seen nor driven on from the street."""
     if "building" in tag or "building:part" in tag:
         return (
             tag.get("building", "yes") in _NO_BUILDING
@@ -153,9 +153,9 @@ def _level(tag: dict[str, str], key: str) -> float:
 
 
 def quicken_motorways(root: Element) -> None:
-    """Make slow motorways of an extract as fast as netconvert needs to see that nobody crosses them on foot."""
+    """Make slow motorways of an extract as fast as netconvert needs to leave out crossings on foot."""
     for way in root.iterfind("way"):
-        if not _is_motorway(tags_of(way)):
+        if not _is_motorway(read_tags(way)):
             continue
         for tag in [tag for tag in way.findall("tag") if tag.get("k") in _SPEEDS]:
             if _kmh(tag.get("v", "")) < _SLOWEST_KMH:
@@ -164,14 +164,14 @@ def quicken_motorways(root: Element) -> None:
 
 def unpaved_ways(root: Element) -> frozenset[str]:
     """Ids, without a sign, of the ways of an extract that have no pavement of their own."""
-    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way") if _is_unpaved(tags_of(way)))
+    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way") if _is_unpaved(read_tags(way)))
 
 
 def wrongly_paved(net: Net, net_path: Path, ways: frozenset[str]) -> tuple[str, ...]:
     """Edges of a net that have a pavement although all ways that they were made of have none; sorted."""
     if not ways:
         return ()
-    made_of = ways_of(net_path)
+    made_of = osm_ways_by_edge(net_path)
     paved = (edge.id for edge in net.edges if any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes))
     return tuple(sorted(edge for edge in paved if made_of.get(edge) and ways.issuperset(made_of[edge])))
 
@@ -242,7 +242,7 @@ def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
     scale_m = _M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
     found: list[_Way] = []
     for element in root.iterfind("way"):
-        tag = tags_of(element)
+        tag = read_tags(element)
         nodes = tuple(ref for nd in element.iterfind("nd") if (ref := nd.get("ref", "")) in places)
         if len(nodes) < 2 or len(nodes) != len(element.findall("nd")) or not _is_built(tag, keep_service):
             continue
@@ -317,5 +317,5 @@ def _remove(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
 
 
 def _called(way: Element) -> str:
-    tag = tags_of(way)
+    tag = read_tags(way)
     return tag.get("name") or tag.get("ref") or f"a {tag.get('highway') or tag.get('railway')} without a name"

@@ -21,7 +21,7 @@ def _cut(source: str, file_format: str, out: str, box: Box | None) -> None:
     if box is not None:
         west, south, east, north = box
         for node in osmium.FileProcessor(file, osmium.osm.NODE):
-            assert isinstance(node, osmium.osm.Node)  # noqa: S101 - it was asked for nodes
+            assert isinstance(node, osmium.osm.Node)  # noqa: S101 - only nodes were requested
             place = node.location
             if place.valid() and west <= place.lon <= east and south <= place.lat <= north:
                 nodes.add_node(node.id)

@@ -24,14 +24,14 @@ from wcsim.towns.sumo.xml_io import (
     MAX_TAGS,
     MAX_XML_BYTES,
     bunzip2,
+    check_plain_xml,
     parse_root,
     read_bytes,
-    require_plain,
     xml_bytes,
 )
 
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory
-MARGIN_M = 150.0  # kept around the box: buildings and trees beside streets that reach out of it
+MARGIN_M = 150.0  # around the box: buildings and trees beside streets that reach out of it
 FAR_M = 20_000.0  # nodes farther outside are left out of their ways: ferries, or the other side of the 180th meridian
 EXPECTED = "expected an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf"
 _EXTRACT = FileKind(what=EXPECTED.removeprefix("expected "), limit_bytes=1 << 40, error=TownError)
@@ -76,9 +76,9 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
         raise TownError(f"{path}: {error}") from None
     _cut(root, places, box)
     if not _streets(root):
-        told = ",".join(f"{value:.5f}" for value in cover)
+        cover_text = ",".join(f"{value:.5f}" for value in cover)
         raise TownError(
-            f"{path}: no street lies in the bounding box {box}; its streets are in {told}: choose a box there"
+            f"{path}: no street lies in the bounding box {box}; its streets are in {cover_text}: choose a box there"
         )
     return Extract(root=root, box=box, bounded=named is not None)
 
@@ -103,7 +103,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
     data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
     if len(data) > SMALL_BYTES and box is not None:
-        require_plain(data, shown(path), 8 * MAX_TAGS)
+        check_plain_xml(data, shown(path), 8 * MAX_TAGS)
         return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
     return data
 

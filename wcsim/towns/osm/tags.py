@@ -33,7 +33,7 @@ def _one(text: str) -> float | None:
 
 
 def off_ground(tags: Mapping[str, str]) -> bool:
-    """True for things that nobody meets on the street: under ground, indoors, on bridges or upper floors.
+    """True for things that are not on the street: under ground, indoors, on bridges or upper floors.
 
     >>> off_ground({"level": "0;1"}), off_ground({"level": "-1"}), off_ground({"layer": "1"}), off_ground({})
     (False, True, True, False)

@@ -14,7 +14,7 @@ from wcsim.errors import TownError
 from wcsim.towns.pave.lanes import LaneMap
 
 SAME_M = 0.01  # as nets are written
-FAR_M = 0.05  # a place that moved farther is told
+FAR_M = 0.05  # a place that moved farther is reported
 LEAST_M = 1.0  # of a stop or an area of which a junction has taken the rest
 _SPANS = frozenset(
     (
@@ -60,7 +60,7 @@ class Paving:
     placed: int = 0  # elements that lie on a lane
     programs: int = 0
     moved_m: dict[str, float] = field(default_factory=dict)  # element -> how far, where that is farther than FAR_M
-    lost: list[str] = field(default_factory=list)  # lanes within junctions that nobody finds again
+    lost: list[str] = field(default_factory=list)  # lanes within junctions that are not found again
     never_green: list[_NeverGreen] = field(default_factory=list)
     overridden: set[str] = field(default_factory=set)  # signals of which SUMO loads a program after the net's
     parking: list[str] = field(default_factory=list)  # parking areas beside lanes that have a pavement now
@@ -85,7 +85,7 @@ def _first_member(distribution: Element) -> str:
     return names[0] if names else next((child.get("refId", "") for child in distribution), "")
 
 
-def edits_of(root: Element, paving: Paving, *, in_net: bool = False) -> dict[int, dict[str, str]]:
+def find_edits(root: Element, paving: Paving, *, in_net: bool = False) -> dict[int, dict[str, str]]:
     """Attributes of a file, or of the net, that get other values: number of the element -> attribute -> value."""
     found: dict[int, dict[str, str]] = {}
     number_of = {element: number for number, element in enumerate(root.iter())}
@@ -166,7 +166,7 @@ def _note_moved(element: Element, lane: str, along_m: float, paving: Paving) -> 
 
 
 def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
-    """Where somebody departs and arrives: lanes by number, positions on the first and the last edge or the one named.
+    """Where a traveller departs and arrives: lanes by number, positions on the first and last edge or the one named.
 
     https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html (departEdge, arrivalEdge)
     """
@@ -191,7 +191,7 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
 
 
 def _begin(person: Element, paving: Paving) -> Way | None:
-    """The edge where somebody's plan begins, that of its first stage or of one after stops at named places."""
+    """The edge where a person's plan begins, that of its first stage or of one after stops at named places."""
     for stage in person:
         if _tag(stage) == "stop":
             edge = stage.get("edge") or stage.get("lane", "").rpartition("_")[0]
@@ -206,17 +206,17 @@ def _begin(person: Element, paving: Paving) -> Way | None:
 
 def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool]:
     """The edge that an attribute names by number, `way[last]` without one; whether it is that one for sure."""
-    asked = element.get(key)
-    if asked is None:
+    number = element.get(key)
+    if number is None:
         return way[last], True
     is_trip = element.get("from") is not None or element.get("to") is not None  # numbers count along what is routed
-    if is_trip or not asked.isdigit() or int(asked) >= len(way):  # "random"
+    if is_trip or not number.isdigit() or int(number) >= len(way):  # "random"
         return way[last], False
-    return way[int(asked)], True
+    return way[int(number)], True
 
 
 def _way(element: Element, paving: Paving) -> Way | None:
-    """The edges of somebody's way, at least the first and the last, "" for one that is not named; None for neither."""
+    """The edges of a route, at least the first and the last, "" for one that is not named; None for neither."""
     inner = next((child for child in element.iter() if child.get("edges")), None)
     if edges := inner.get("edges", "").split() if inner is not None else []:
         return tuple(edges)
@@ -299,7 +299,7 @@ class SignalLinks:
     crossings: dict[int, frozenset[str]] = field(default_factory=dict)  # link -> the edges that it crosses
 
 
-def links_of(before: Element, after: Element, shifts: Mapping[str, int]) -> dict[str, SignalLinks]:
+def find_links(before: Element, after: Element, shifts: Mapping[str, int]) -> dict[str, SignalLinks]:
     """The links of all traffic lights of a net that has crossings now; `shifts` says how lane indices moved."""
     old: dict[tuple[str, str, str, int, int], int] = {}
     for link in before.iterfind("connection"):
@@ -347,7 +347,7 @@ def padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLin
 
 
 def _all_red(states: Sequence[str], links: SignalLinks) -> tuple[str, ...]:
-    """The states of a program, in their order, with each new crossing at red, and nobody else's letter changed.
+    """The states of a program, in their order, with each new crossing at red, and all other letters unchanged.
 
     So it is for a NEMA controller: it shows a state of each ring at once, and none of them alone tells who drives.
     """
@@ -391,7 +391,7 @@ def _moved(state: str, links: SignalLinks) -> list[str]:
 
 
 def _free(letters: Sequence[str], edges: frozenset[str], drives: Sequence[VehicleLink]) -> bool:
-    """Whether nobody with a green or yellow light comes over a crossing who need not yield to walkers."""
+    """Whether no vehicle with a green or yellow light crosses without having to yield to walkers."""
     return not any(
         letters[drive.link] not in _RED and (drive.start in edges or (drive.end in edges and drive.straight))
         for drive in drives

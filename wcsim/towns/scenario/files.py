@@ -39,7 +39,7 @@ _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*
 _GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
 
 
-def require_inside(path: Path, border: Path | None, named_by: Path) -> None:
+def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
     """Return when a file lies in the folder `border`, links followed; None is no border.
 
     Raises:
@@ -69,9 +69,9 @@ def _trust(named_by: Path) -> str:
     )
 
 
-def require_file(path: Path, border: Path | None, named_by: Path) -> None:
+def check_file(path: Path, border: Path | None, named_by: Path) -> None:
     """Return when a file lies in the folder `border` and is a regular one. Raises TownError."""
-    require_inside(path, border, named_by)
+    check_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
             f"{shown(named_by)}: names a file that does not exist: {shown(path)}; restore it or correct "
@@ -107,7 +107,7 @@ def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dic
     found[real] = path
     for name in _included(path):
         there = path.parent / name
-        require_file(there, border, path)
+        check_file(there, border, path)
         _follow(there, border, (*above, real), found)
 
 
@@ -273,7 +273,7 @@ class FilteredFiles:
     def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
         """The file, or the filtered copy of it, that an option names to be read. Raises TownError as `place` does."""
         if option.reads is Content.FOLDER:
-            require_inside(path, self._border, named_by)
+            check_inside(path, self._border, named_by)
             return path.absolute()
         return self.place(path, named_by) if option.reads is Content.XML else self.place_text(path, named_by)
 
@@ -299,7 +299,7 @@ class FilteredFiles:
 
     def _note(self, path: Path, named_by: Path) -> Path:
         whole = path.absolute()
-        require_file(whole, self._border, named_by)
+        check_file(whole, self._border, named_by)
         self.read[whole] = None
         return whole
 

@@ -142,9 +142,9 @@ def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override
     for name, value in forced(settings, author_scale(config)):
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
-            told = f"{default} (default)" if author is None and name == STEP else author or ""
+            given = f"{default} (default)" if author is None and name == STEP else author or ""
             why = _WHY[name] + _faster(author or default, config, settings) * (name == STEP)
-            yield Override(option=name, author=told, wcsim=value, why=why)
+            yield Override(option=name, author=given, wcsim=value, why=why)
 
 
 def _aggregated_rows(config: Configuration) -> Iterator[Override]:
@@ -164,16 +164,16 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
 
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:
-    """What shorter steps than the author's do to the traffic, unless somebody says how often drivers decide."""
-    said = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
-    return _FASTER if _seconds(author) > settings.step_s and not said else ""
+    """What shorter steps than the author's do to the traffic, unless the drivers' decision interval is set."""
+    chosen = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    return _FASTER if _seconds(author) > settings.step_s and not chosen else ""
 
 
 def _seconds(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        return 0.0  # as hours:minutes:seconds, which nobody gives a step
+        return 0.0  # as hours:minutes:seconds, which no step is written in
 
 
 def author_scale(config: Configuration) -> float:

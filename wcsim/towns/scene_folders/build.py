@@ -16,7 +16,7 @@ from wcsim.core.reading import FileKind, is_file, read_toml, shown
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.adopt import copy_file
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames, require_file
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, check_file
 from wcsim.towns.scenario.town import Town, expanded, open_town, town_roots
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
@@ -109,17 +109,17 @@ def _only(folder: Path, kind: str, *, needed: bool) -> Path | None:
             f"scene {folder}: has {len(found)} files *.{kind}.xml; expected {'one' if needed else 'at most one'}"
         )
     for path in found:
-        require_file(path, folder, folder)
+        check_file(path, folder, folder)
     return found[0] if found else None
 
 
 def scene_digest(folder: Path) -> str:
     """SHA-256 (hex) over the names and bytes of a scene's files."""
-    said = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in sorted(folder.iterdir()):
         data = path.read_bytes()
-        said.update(f"{path.name} {len(data)}\n".encode() + data)
-    return said.hexdigest()
+        digest.update(f"{path.name} {len(data)}\n".encode() + data)
+    return digest.hexdigest()
 
 
 def seat_specs(folder: Path, scene: SceneFile, origin_m: XY) -> tuple[SeatSpec, ...]:
@@ -144,7 +144,7 @@ def _spec(folder: Path, wanted: SceneSeat, origin_m: XY) -> SeatSpec:
     profile = wanted.profile
     if wanted.recording is not None:
         file = folder / wanted.recording
-        require_file(file, folder, folder / "scene.toml")
+        check_file(file, folder, folder / "scene.toml")
         profile = f"{RECORDED}{file}"
     return SeatSpec(
         profile=profile,

@@ -111,7 +111,7 @@ def mirrored(draft: Draft) -> Draft:
     )
 
 
-def way_of(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s: float) -> F64:
+def predict_path(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s: float) -> F64:
     """Where the stick alone leads a chair of the usual settings, on flat ground, obeyed 0.2 s late.
 
     Returns:

@@ -137,8 +137,8 @@ def read_root(path: Path, limit: int = MAX_XML_BYTES) -> ElementTree.Element:
 
 
 def parse_root(data: bytes, where: str) -> ElementTree.Element:
-    """Root element of XML text that every parser reads alike, see `require_plain`. Raises TownError."""
-    require_plain(data, where)
+    """Root element of XML text that every parser reads alike, see `check_plain_xml`. Raises TownError."""
+    check_plain_xml(data, where)
     try:
         root = ElementTree.fromstring(data)  # noqa: S314 - entity declarations are refused above
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -164,9 +164,9 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
     """Go through XML text without keeping it: `visit` gets each tag and its attributes (name, value, name, ...).
 
     Raises:
-        TownError: It is not well-formed, or not what every parser reads alike, see `require_plain`.
+        TownError: It is not well-formed, or not what every parser reads alike, see `check_plain_xml`.
     """
-    require_plain(data, where)
+    check_plain_xml(data, where)
     parser, depth = expat.ParserCreate(), 0
     parser.ordered_attributes = True
 
@@ -188,7 +188,7 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
         raise _malformed(where, error) from None
 
 
-def require_plain(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
+def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     """Refuse what one parser may read in another way than the next one, or only in a very long time.
 
     That is: another encoding than UTF-8, ASCII, or one of their 8-bit relatives, whatever the declaration says; another
@@ -204,8 +204,8 @@ def require_plain(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     if _DECLARED.match(head):
         found = _DECLARATION.match(head)
         if found is None or not _ENCODING.fullmatch((found["encoding"] or b"utf-8").decode("ascii")):
-            told = shown(ascii(head.partition(b">")[0][:120])[2:-1], 120)
-            raise TownError(f"{where}: begins with {told}; expected XML 1.0 in UTF-8: save it so")
+            beginning = shown(ascii(head.partition(b">")[0][:120])[2:-1], 120)
+            raise TownError(f"{where}: begins with {beginning}; expected XML 1.0 in UTF-8: save it so")
     if b"<!DOCTYPE" in data:
         raise TownError(f"{where}: has a document type definition; expected plain UTF-8 XML: remove it")
     if data.count(b"<") > most_tags:
