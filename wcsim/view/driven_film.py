@@ -138,7 +138,7 @@ class DrivenFilm:
             raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
         caption = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
         picture = captioned(rgb, caption + ("   CRASH" if now.client.events.crashed else ""))
-        with_sticks(picture, now.asked, now.given, warning=now.warning)
+        _with_sticks(picture, now.asked, now.given, warning=now.warning)
         frame = side_by_side(picture, map_view(self._map, self._world))
         self._writer.write(frame)
         return frame
@@ -152,7 +152,7 @@ class DrivenFilm:
         self._world.close()
 
 
-def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
+def _with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
     """Draw into an image (H, W, 3) where the user's stick is, where the executed one, and a warning."""
     height, width = image.shape[:2]
     side = max(24, round(_PAD_SHARE * height))

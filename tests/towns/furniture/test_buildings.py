@@ -12,7 +12,7 @@ from shapely import Polygon, box
 
 from tests.towns.furniture.standing_samples import item
 from wcsim.towns.furniture.buildings import PASSAGE_M, Building, make_buildings
-from wcsim.towns.osm.clean import filter_osm, mark_buildings
+from wcsim.towns.osm.clean import _mark_buildings, filter_osm
 from wcsim.towns.sumo.additional import Item, read_items
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root
@@ -192,7 +192,7 @@ OSM = """<osm>
 
 def test_courtyards_and_parts_are_said_in_tags_that_polyconvert_keeps() -> None:
     root = parse_root(OSM.encode(), "test")
-    mark_buildings(root)
+    _mark_buildings(root)
 
     def building(element_id: str) -> str | None:
         found = next(element for element in root if element.get("id") == element_id)

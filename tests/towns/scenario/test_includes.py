@@ -12,7 +12,7 @@ from tests.towns.furniture.standing_samples import signal_net
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
-from wcsim.towns.checks.check import _for_routes, demand_classes, find_notes, unroutable_trips
+from wcsim.towns.checks.check import _demand_classes, _find_notes, _for_routes, _unroutable_trips
 from wcsim.towns.checks.cures import routes_cure
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.town import Town, content_hash, open_town
@@ -79,9 +79,9 @@ def test_the_street_is_that_of_all_files(including: Town, plain: Town) -> None:
 
 
 def test_a_check_knows_who_travels_and_who_has_no_way(including: Town, plain: Town) -> None:
-    assert demand_classes(including) == demand_classes(plain) == ("pedestrian", "taxi")
-    assert unroutable_trips(including) == unroutable_trips(plain) == 1
-    assert not any("no buildings" in note for note in find_notes(including, read_net(including.net)))
+    assert _demand_classes(including) == _demand_classes(plain) == ("pedestrian", "taxi")
+    assert _unroutable_trips(including) == _unroutable_trips(plain) == 1
+    assert not any("no buildings" in note for note in _find_notes(including, read_net(including.net)))
 
 
 def test_what_is_included_stands_where_it_is_named(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scene_folders.build import build_scene, scene_of
 from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
-from wcsim.towns.scene_folders.families import FAMILIES, scooter_cuts_in, write_scene
+from wcsim.towns.scene_folders.families import FAMILIES, _scooter_cuts_in, write_scene
 from wcsim.types import ClassId
 
 LONGEST_S = 25.0
@@ -79,7 +79,7 @@ def test_who_only_follows_meets_the_danger_that_is_meant(family: str, tmp_path: 
 
 
 def test_a_mirror_turned_over_twice_changes_nothing() -> None:
-    draft = scooter_cuts_in(seeding.generator(1, "mirror"))
+    draft = _scooter_cuts_in(seeding.generator(1, "mirror"))
     other = mirrored(draft)
     assert other.place.edges != draft.place.edges
     assert other.lefthand

@@ -94,7 +94,7 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
+def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
     changes = find_changes(town)
     notes = [f"changed since the import: {name}" for name in changes.others]
@@ -265,11 +265,11 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         crossings=len(net.lanes(LaneKind.CROSSING)),
         walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
         walkable_largest_share=largest_share(parts) if share is None else share,
-        unroutable=unroutable_trips(town),
-        mesh_faults=mesh_faults(street),
+        unroutable=_unroutable_trips(town),
+        mesh_faults=_mesh_faults(street),
         rays=RAYS,
-        classes=demand_classes(town),
-        overlaps=find_overlaps(on_land(net, fit_relief(net))),
+        classes=_demand_classes(town),
+        overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
     )
     return TownReport(
@@ -283,11 +283,11 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         mesh_faults=found.mesh_faults,
         lefthand=net.lefthand,
         faults=faults_of(town, net, found),
-        notes=find_notes(town, net, found.overlaps),
+        notes=_find_notes(town, net, found.overlaps),
     )
 
 
-def demand_classes(town: Town) -> tuple[str, ...]:
+def _demand_classes(town: Town) -> tuple[str, ...]:
     """SUMO vehicle classes that the town's demand can hold, sorted."""
     class_of, members, used = dict(_DEFAULT_CLASSES), {}, set()
     for path in with_included((*town.additional, *town.routes), town.border):
@@ -304,7 +304,7 @@ def demand_classes(town: Town) -> tuple[str, ...]:
     return tuple(sorted({class_of.get(name, "passenger") for name in types}))
 
 
-def unroutable_trips(town: Town) -> int:
+def _unroutable_trips(town: Town) -> int:
     """How many trips and flows that start in the first ten minutes have no way through the net."""
     if not town.routes:
         return 0
@@ -343,7 +343,7 @@ def _needed_of(path: Path) -> Iterator[Element]:
             yield element
 
 
-def mesh_faults(street: Street, rays: int = RAYS) -> int:
+def _mesh_faults(street: Street, rays: int = RAYS) -> int:
     """How many rays straight down, on road and pavement, meet no face with the class and height of the grid."""
     grid, mesh = street.grid, street.mesh
     xy_m = _places(street, rays)
@@ -398,7 +398,7 @@ class Overlap:
     area_m2: float
 
 
-def find_overlaps(net: Net) -> tuple[Overlap, ...]:
+def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
     """All overlaps of more than LEAST_M2, the largest first."""
     streets, driven = _areas(net, lambda kind: kind is LaneKind.MOTOR)
     paved, walked = _areas(net, lambda kind: kind in WALK_KINDS)

@@ -40,7 +40,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
     verdict = cache_folder() / f"net-{hashlib.sha256(data + bytes([_CHECK])).hexdigest()[:32]}.ok"
     if verdict.is_file():
         return
-    scan_net(parse_root(data, str(net)), str(net))
+    _scan_net(parse_root(data, str(net)), str(net))
     with tempfile.TemporaryDirectory(prefix="wcsim-net-", ignore_cleanup_errors=True) as work:
         files = FilteredFiles(OutputNames(Path(work)), Path(work) / "inputs", border or net.parent)
         safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
@@ -55,7 +55,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
         write_verdict(verdict)
 
 
-def scan_net(root: Element, where: str) -> None:
+def _scan_net(root: Element, where: str) -> None:
     """Refuse what is no net at all, before any simulator sees it. Raises TownError."""
     if root.tag != "net":
         raise TownError(f"{where}: its root element is <{root.tag}>; expected <net>: build it with netconvert")

@@ -47,7 +47,7 @@ _TYPE_KEYS = {
 }
 
 
-def place_mapped(
+def _place_mapped(
     items: list[Item], place: FreeGround, standing: list[StandingObject] | None = None
 ) -> list[StandingObject]:
     """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
@@ -93,7 +93,7 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
         kind, step_m = _ROW_STEPS_M[item.kind]
         places = _along(shapely.LineString(item.points_W_m).intersection(site.place.hull), step_m)
         return [thing for xy in places if (thing := _stood(item, kind, xy, site)) is not None]
-    kind = pick_look(item)
+    kind = _pick_look(item)
     if not kind or (len(item.points_W_m) > 1 and not item.filled):
         return []
     middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
@@ -101,7 +101,7 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
     return [thing] if thing is not None else []
 
 
-def pick_look(item: Item) -> str:
+def _pick_look(item: Item) -> str:
     """The look of a mapped point, "" for what would not be visible there."""
     full = f"{item.group}.{item.detail}"
     if full in _KNOWN_TYPES:
@@ -227,7 +227,7 @@ STEP_M = 0.35
 ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
 
 
-def stop_things(
+def _stop_things(
     items: list[Item], place: FreeGround, standing: Iterable[StandingObject], lefthand: bool
 ) -> list[StandingObject]:
     """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
@@ -299,7 +299,7 @@ def place_furniture(
     """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
     things = list(placed)
     things += signal_things(net, additional, place, things)
-    things += stop_things(items, place, things, net.lefthand)
+    things += _stop_things(items, place, things, net.lefthand)
     things += sign_things(items, net, place, things)
-    things += place_mapped(items, place, things)
+    things += _place_mapped(items, place, things)
     return things

@@ -73,7 +73,7 @@ def sign_things(
 ) -> list[StandingObject]:
     """Stop and give-way signs that a map has on the road: they stand at the kerb of the approach they are meant for."""
     wanted = [item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"]
-    approaches = find_approaches(net) if wanted else []
+    approaches = _find_approaches(net) if wanted else []
     if not approaches:
         return []
     taken = Taken(standing)
@@ -92,7 +92,7 @@ def sign_things(
     return found
 
 
-def find_approaches(net: Net) -> list[_Approach]:
+def _find_approaches(net: Net) -> list[_Approach]:
     """The end of every edge that vehicles use."""
     found: list[_Approach] = []
     for edge in net.edges:
@@ -149,7 +149,7 @@ def _vehicle_signals(
     for link in net.connections:
         if link.tls_id and link.tls_link >= 0:
             links[link.start].append(link)
-    for approach in find_approaches(net):
+    for approach in _find_approaches(net):
         groups = _groups(links.get(approach.edge_id, []), columns)
         if groups:
             yield _at_kerb(approach, groups, place, taken)

@@ -81,7 +81,7 @@ def adopt_scenario(
     config = read_configuration(start)
     border = None if outside else start.parent
     check_inside(start, border, start)
-    files_of(config, border)  # missing files are reported before SUMO opens a large net
+    _files_of(config, border)  # missing files are reported before SUMO opens a large net
     validate_net(_net_of(config, border), border=border)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
@@ -104,7 +104,7 @@ def copy_scenario(
 
     Args:
         config: The scenario.
-        border: As for `files_of`.
+        border: As for `_files_of`.
         work: A folder that is not there yet.
         around: A folder that has a place in the copy too, whatever lies in it.
 
@@ -112,10 +112,10 @@ def copy_scenario(
         The folder whose place `work` takes, and the files as they lie below it.
 
     Raises:
-        TownError: as `files_of`, or the copy would still name a file elsewhere.
+        TownError: as `_files_of`, or the copy would still name a file elsewhere.
     """
     start = Path(os.path.normpath(config.path.absolute()))
-    files = files_of(config, border)
+    files = _files_of(config, border)
     whole = (Path(os.path.normpath(around.absolute())),) if around is not None else ()
     base = Path(os.path.commonpath([*(path.parent for path in files), *whole]))
     settings = {Path(os.path.normpath(path.absolute())) for path in config.files(_SETTINGS)}
@@ -130,7 +130,7 @@ def copy_scenario(
     return base, files
 
 
-def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
+def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
     """The configuration and every file that SUMO reads because of it, absolute, sorted.
 
     Raises:
@@ -188,7 +188,7 @@ def _toml(path: Path) -> str:
 def _stay_inside(config: Configuration, folder: Path) -> None:
     """Raise TownError when the copy still names a file elsewhere: by an absolute path, or through the environment."""
     inside = os.path.normpath(folder.absolute())
-    elsewhere = [path for path in files_of(config, None) if not path.is_relative_to(inside)]
+    elsewhere = [path for path in _files_of(config, None) if not path.is_relative_to(inside)]
     if elsewhere:
         raise TownError(
             f"{config.path.name}: names {elsewhere[0]} by a path that a copy cannot follow; name it relative to the "

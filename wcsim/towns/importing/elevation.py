@@ -95,7 +95,7 @@ def hill_over(hill_m: float, box_m: Box, seed: int) -> Dem:
     return Dem(height_m=_hill(hill_m, shape, seed), box=box_m)
 
 
-def heights_at(dem: Dem, places: F64) -> F64:
+def _heights_at(dem: Dem, places: F64) -> F64:
     """Heights (n,) at longitudes and latitudes (n, 2), bilinear between the middles of the cells."""
     west, south, east, north = dem.box
     rows, cols = dem.height_m.shape
@@ -108,14 +108,14 @@ def heights_at(dem: Dem, places: F64) -> F64:
     return np.asarray((1 - v) * upper + v * lower, np.float64)
 
 
-def smoothed(dem: Dem, sigma_m: float) -> Dem:
+def _smoothed(dem: Dem, sigma_m: float) -> Dem:
     """The same land with hills and dips narrower than about `sigma_m` taken out."""
     sigma = sigma_m / CELL_M
     blurred = cv2.GaussianBlur(dem.height_m, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     return replace(dem, height_m=np.asarray(blurred, np.float64))
 
 
-def scaled(dem: Dem, factor: float) -> Dem:
+def _scaled(dem: Dem, factor: float) -> Dem:
     """The same land with all heights `factor` times as far from their mean."""
     mean_m = dem.height_m.mean()
     return replace(dem, height_m=mean_m + factor * (dem.height_m - mean_m))
@@ -150,7 +150,7 @@ def check_rasterio() -> None:
 
 
 @contextmanager
-def own_projections() -> Iterator[None]:
+def _own_projections() -> Iterator[None]:
     """Let rasterio find its own coordinate systems: libsumo, once loaded, points the process to SUMO's older ones."""
     from rasterio.env import PROJDataFinder
 
@@ -215,7 +215,7 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     shape = _shape(area)
     found = np.full(shape, np.nan, np.float32)
     try:
-        with own_projections(), _quiet(), _opened(path) as file:
+        with _own_projections(), _quiet(), _opened(path) as file:
             _require_usable(path, file)
             if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
                 return _taken_as_it_is(path, file)
@@ -310,7 +310,7 @@ def write_dem(dem: Dem, relief: Heights, path: Path) -> None:
         "transform": from_bounds(*dem.box, cols, rows),
         "compress": "deflate",
     }
-    with own_projections(), rasterio.open(path, "w", **profile) as file:
+    with _own_projections(), rasterio.open(path, "w", **profile) as file:
         file.write(dem.height_m.astype(np.float32), 1)
         file.update_tags(**{_DONE: f"{relief.max_grade:g}"})
 
@@ -340,18 +340,18 @@ def _lifted(root: Element, path: Path, dem: Dem, relief: Heights, places_of: Cal
     driven = [element.tag == "lane" for element, _ in found]
 
     def steepest(land: Dem) -> float:
-        return steepest_run(np.split(heights_at(land, places), ends[:-1]), runs_m, driven)
+        return steepest_run(np.split(_heights_at(land, places), ends[:-1]), runs_m, driven)
 
     if relief.dem is None:  # the hill is as high as ordered where the streets are
-        height_m = float(np.ptp(heights_at(smoothed(dem, _SIGMAS_M[0]), places)))
-        dem = scaled(dem, relief.hill_m / max(height_m, 1e-3 * relief.hill_m))
+        height_m = float(np.ptp(_heights_at(_smoothed(dem, _SIGMAS_M[0]), places)))
+        dem = _scaled(dem, relief.hill_m / max(height_m, 1e-3 * relief.hill_m))
     used = _as_stored(_gentle(dem, relief, steepest))
-    for (element, points_m), z_m in zip(found, np.split(heights_at(used, places), ends[:-1]), strict=True):
+    for (element, points_m), z_m in zip(found, np.split(_heights_at(used, places), ends[:-1]), strict=True):
         rows = np.column_stack([points_m, z_m]).tolist()
         element.set("shape", " ".join(f"{x:.2f},{y:.2f},{z:.3f}" for x, y, z in rows))
     junctions = [element for element in root.iterfind("junction")]
     middles_m = np.array([[float(element.get("x", "0")), float(element.get("y", "0"))] for element in junctions])
-    for element, z in zip(junctions, heights_at(used, places_of(middles_m)).tolist(), strict=True):
+    for element, z in zip(junctions, _heights_at(used, places_of(middles_m)).tolist(), strict=True):
         element.set("z", f"{z:.3f}")
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return used
@@ -362,12 +362,12 @@ def _gentle(dem: Dem, relief: Heights, steepest: Callable[[Dem], float]) -> Dem:
         return dem
     land, grade = dem, 0.0
     for sigma_m in _SIGMAS_M:
-        land = smoothed(dem, sigma_m)
+        land = _smoothed(dem, sigma_m)
         grade = steepest(land)
         if grade <= relief.max_grade:
             return land
     log.warning("the land has grades up to %.2f; its heights were scaled down to the largest grade", grade)
-    return scaled(land, 0.99 * relief.max_grade / grade)
+    return _scaled(land, 0.99 * relief.max_grade / grade)
 
 
 def _points(element: Element) -> F64:
@@ -393,5 +393,5 @@ def _places(root: Element, points_m: F64, path: Path) -> F64:
         raise TownError(f"{path.name}: has no geographic projection; expected a net made from OpenStreetMap data")
     offset_m = np.array(location.attrib["netOffset"].split(","), np.float64)
     x_m, y_m = (points_m - offset_m).T
-    with own_projections():
+    with _own_projections():
         return np.column_stack(transform(projection, "EPSG:4326", x_m, y_m))

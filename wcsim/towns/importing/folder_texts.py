@@ -154,7 +154,7 @@ def workplace(name: str, out: Path) -> Iterator[Path]:
     It is named before it is made: a signal that comes right after its making ends the import, and the folder with it.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
-    clear_stale(name, out)
+    _clear_stale(name, out)
     work = out.parent / f".{name}-{os.getpid()}-{secrets.token_hex(8)}"
     try:
         work.mkdir(mode=0o700)
@@ -163,7 +163,7 @@ def workplace(name: str, out: Path) -> Iterator[Path]:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def clear_stale(name: str, out: Path) -> None:
+def _clear_stale(name: str, out: Path) -> None:
     """Remove what dead imports left; a town that one had just moved aside goes back to its place."""
     for place in sorted(out.parent.glob(f".{name}-*")):
         match = re.fullmatch(rf"\.{re.escape(name)}-(\d+)-\w+({_OLD})?", place.name)

@@ -81,7 +81,7 @@ class BuiltNet:
     ways: NetWays = field(default_factory=NetWays)
 
 
-def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
+def _build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     """Write <name>.net.xml and the cleaned extract that it was made of; `root` is changed.
 
     Raises:
@@ -272,7 +272,7 @@ def _build(
         keep_service=order.keep_service,
         chair_ways=chair_ways(order.cycle_paths),
     )
-    built = build_net(net_order, extract.root, work)
+    built = _build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
     left_out = find_left_out(mapped, built.ways)
     stage("adding buildings, trees, parked cars and routes")

@@ -75,7 +75,7 @@ _ROWS = (
 _LEFT = ("wcsim.board", "wcsim.bin", "wcsim.scooter", "wcsim.bicycle", "wcsim.box", "wcsim.planter", "wcsim.table")
 
 
-def dress(net: Net, rng: np.random.Generator) -> _Dressing:
+def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
     """Things along all pavements of a net, drawn for each pavement."""
     found = _Dressing()
     left_per_m = rng.uniform(0.0, 0.02)
@@ -217,7 +217,7 @@ class _Blocks:
     hedges: list[tuple[str, F64]] = field(default_factory=list)  # kind, and line (K, 2)
 
 
-def build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
+def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
     """Fill the blocks of a net; no house stands on a street, and none on another."""
     streets = _street_area(net)
     hull = streets.convex_hull.buffer(MARGIN_M + _OUTER_M, quad_segs=2)
@@ -353,7 +353,7 @@ def draw_map(net: Net, folder: Path, rng: np.random.Generator) -> tuple[Path, Pa
     Returns:
         Both files, and elements for the town's additional file: what stands exactly where it is placed.
     """
-    blocks, dressing = build_blocks(net, rng), dress(net, rng)
+    blocks, dressing = _build_blocks(net, rng), _dress(net, rng)
     poly, ground = _Writer(), _Writer()
     _write_blocks(blocks, poly, ground, rng)
     for kind, xy_m in dressing.mapped:

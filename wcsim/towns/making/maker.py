@@ -105,7 +105,7 @@ class _NamedStreet:
         return self.kind.closed.removeprefix("tram ") if self.tram else self.kind.closed
 
 
-def make_streets(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
+def _make_streets(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
     """All streets of a plan with their classes: the longest ones are main streets.
 
     A street is one-way, or for walkers alone, only where everybody still gets everywhere.
@@ -228,7 +228,7 @@ def _draw_signals(rng: np.random.Generator) -> Signals:
     return Signals(share=share, crossing_m=crossing_m, corner_m=corner_m, lefthand=bool(rng.random() < _LEFTHAND_SHARE))
 
 
-def write_net(
+def _write_net(
     name: str,
     shaped: ShapedPlan,
     streets: tuple[_NamedStreet, ...],
@@ -393,8 +393,8 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
         rng = generator(seed, "making", "streets", attempt)
         try:
             shaped = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
-            streets = make_streets(shaped, rng)
-            path = write_net(name, shaped, streets, _draw_signals(rng), work, rng)
+            streets = _make_streets(shaped, rng)
+            path = _write_net(name, shaped, streets, _draw_signals(rng), work, rng)
             net = read_net(path)
             share = largest_share(walkable_parts(net, chair_ways(cycle_paths=False)))
         except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines

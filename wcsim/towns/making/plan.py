@@ -80,10 +80,10 @@ def draw_plan(kind: str, size_m: float, seed: int, rng: np.random.Generator, fol
     plan = _middle(plan, size_m)
     if kind == "spider":  # netgenerate attaches streets to the innermost ring only
         return _with_stubs(plan, rng)
-    return _joined(merged(plan)) if kind == "random" else plan
+    return _joined(_merged(plan)) if kind == "random" else plan
 
 
-def connected(plan: StreetPlan) -> StreetPlan:
+def _connected(plan: StreetPlan) -> StreetPlan:
     """The largest part of a plan that hangs together, its junctions numbered anew."""
     graph = plan.graph()
     graph.remove_nodes_from([node for node, degree in list(graph.degree()) if degree == 0])
@@ -94,7 +94,7 @@ def connected(plan: StreetPlan) -> StreetPlan:
     return StreetPlan(nodes_m=plan.nodes_m[kept], links=links)
 
 
-def merged(plan: StreetPlan) -> StreetPlan:
+def _merged(plan: StreetPlan) -> StreetPlan:
     """With junctions that are too close made one: netgenerate keeps a distance to junctions, but not to streets."""
     nodes_m, links = plan.nodes_m.copy(), sorted(plan.links)
     while links:
@@ -105,7 +105,7 @@ def merged(plan: StreetPlan) -> StreetPlan:
         nodes_m[kept] = 0.5 * (nodes_m[kept] + nodes_m[gone])
         moved = [tuple(kept if node == gone else node for node in link) for link in links]
         links = sorted({(min(a, b), max(a, b)) for a, b in moved if a != b})
-    return connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
+    return _connected(StreetPlan(nodes_m=nodes_m, links=tuple(links)))
 
 
 def _grid(size_m: float, rng: np.random.Generator) -> list[str]:
@@ -169,7 +169,7 @@ def _joined(plan: StreetPlan) -> StreetPlan:
         ):
             links.append((min(a, b), max(a, b)))
             lines.append(line)
-    return connected(StreetPlan(nodes_m=plan.nodes_m, links=tuple(sorted(set(links)))))
+    return _connected(StreetPlan(nodes_m=plan.nodes_m, links=tuple(sorted(set(links)))))
 
 
 def _crowded(
@@ -204,7 +204,7 @@ def _middle(plan: StreetPlan, size_m: float) -> StreetPlan:
     nodes_m = plan.nodes_m - 0.5 * (plan.nodes_m.min(axis=0) + plan.nodes_m.max(axis=0))
     inside = np.abs(nodes_m).max(axis=1) <= 0.5 * size_m + 1.0
     links = tuple((a, b) for a, b in plan.links if inside[a] and inside[b])
-    return connected(StreetPlan(nodes_m=nodes_m, links=links))
+    return _connected(StreetPlan(nodes_m=nodes_m, links=links))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,7 +246,7 @@ def _thinned(plan: StreetPlan, share: float, rng: np.random.Generator) -> Street
             else:
                 graph.add_edge(a, b, link=number)
     links = tuple(link for number, link in enumerate(plan.links) if number not in dropped)
-    return connected(StreetPlan(nodes_m=plan.nodes_m, links=links))
+    return _connected(StreetPlan(nodes_m=plan.nodes_m, links=links))
 
 
 def _go_on(plan: StreetPlan, graph: networkx.Graph, node: int, without: int) -> bool:
@@ -307,7 +307,7 @@ def _has_room(plan: StreetPlan, lines: Sequence[F64]) -> bool:
         stub = min(degree[a], degree[b]) == 1
         if np.hypot(*(line[-1] - line[0])) < (_LEAST_STUB_M if stub else _LEAST_LINK_M):
             return False
-    if least_angle_rad(plan, lines) < _LEAST_ANGLE_RAD:
+    if _least_angle_rad(plan, lines) < _LEAST_ANGLE_RAD:
         return False
     shapes = [shapely.LineString(line) for line in lines]
     tree = shapely.STRtree(shapes)
@@ -318,7 +318,7 @@ def _has_room(plan: StreetPlan, lines: Sequence[F64]) -> bool:
     )
 
 
-def least_angle_rad(plan: StreetPlan, lines: Sequence[F64]) -> float:
+def _least_angle_rad(plan: StreetPlan, lines: Sequence[F64]) -> float:
     """The smallest angle between two streets at one junction."""
     ways: dict[int, list[float]] = {}
     for (a, b), line in zip(plan.links, lines, strict=True):

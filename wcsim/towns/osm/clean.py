@@ -45,7 +45,7 @@ _TRAINS = _RAILS - {"tram"}
 _NO_WAY = {"steps", "track", "proposed", "platform", "bus_stop", "raceway", "rest_area", "services", "razed"}
 
 
-def mark_buildings(root: Element) -> None:
+def _mark_buildings(root: Element) -> None:
     """Mark courtyards and parts of buildings; changes `root`."""
     ways = {way.get("id", ""): way for way in root.iterfind("way")}
     for thing in (*ways.values(), *root.iterfind("relation")):
@@ -92,8 +92,8 @@ def filter_osm(root: Element) -> None:
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
-    mark_buildings(root)
-    quicken_motorways(root)
+    _mark_buildings(root)
+    _quicken_motorways(root)
 
 
 def strip_orphans(root: Element) -> None:
@@ -152,7 +152,7 @@ def _level(tag: dict[str, str], key: str) -> float:
         return 0.0
 
 
-def quicken_motorways(root: Element) -> None:
+def _quicken_motorways(root: Element) -> None:
     """Make slow motorways of an extract as fast as netconvert needs to leave out crossings on foot."""
     for way in root.iterfind("way"):
         if not _is_motorway(read_tags(way)):

@@ -241,7 +241,7 @@ def _program(
     given = [phase.get("state", "") for phase in phases]
     durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
     rings = logic.get("type") == _RINGS
-    states = _all_red(given, links) if rings else padded(given, durations_s, links)
+    states = _all_red(given, links) if rings else _padded(given, durations_s, links)
     never = [min(links.crossings[link]) for link in links.crossings if all(state[link] == "r" for state in states)]
     paving.never_green += [_NeverGreen(signal=signal, edge=edge, in_net=in_net, rings=rings) for edge in never]
     return {
@@ -329,7 +329,7 @@ def find_links(before: Element, after: Element, shifts: Mapping[str, int]) -> di
     return dict(found)
 
 
-def padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLinks) -> tuple[str, ...]:
+def _padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLinks) -> tuple[str, ...]:
     """The states of a program, in their order, with a letter for each new crossing.
 
     A crossing is green while no vehicle may drive over it, except those that turn into its street and have to yield;

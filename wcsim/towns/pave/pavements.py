@@ -71,7 +71,7 @@ _TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
 _DECLARED = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)""")
 
 
-def edited(data: bytes, edits: _Edits, where: str) -> bytes:
+def _edited(data: bytes, edits: _Edits, where: str) -> bytes:
     """XML text in which elements have other values of attributes that they have already.
 
     Args:
@@ -267,7 +267,7 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
         except TownError as error:
             raise TownError(f"{path.name}: {error}") from None
         if edits:
-            _write(path, edited(data, edits, path.name))
+            _write(path, _edited(data, edits, path.name))
 
 
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:

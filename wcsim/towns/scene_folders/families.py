@@ -228,7 +228,7 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
     )
 
 
-def scooter_cuts_in(rng: np.random.Generator) -> Draft:
+def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
     """A rider passes on a track beside the path, which ends there: it cuts in in front of the chair and slows down."""
     speed_mps, slow_mps = float(rng.uniform(3.2, 4.5)), float(rng.uniform(0.25, 0.5))
     kind, length_m, _ = _rider(rng, speed_mps, "center", f' decel="{_DECEL_MPS2}"')
@@ -435,7 +435,7 @@ _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
         "overtaking-rider": _overtaking_rider,
         "person-turns-round": _person_turns_round,
         "reversing-off-kerb": _reversing_off_kerb,
-        "scooter-cuts-in": scooter_cuts_in,
+        "scooter-cuts-in": _scooter_cuts_in,
         "turning-beside-drop": _turning_beside_drop,
         "twisted-ramp": _twisted_ramp,
     }

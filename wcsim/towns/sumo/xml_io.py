@@ -76,7 +76,7 @@ class _Gunzip:
         return part
 
 
-def gunzip(file: BinaryIO, most: int) -> bytes:
+def _gunzip(file: BinaryIO, most: int) -> bytes:
     """The first `most` bytes of what a gzip file holds. Raises EOFError, OSError or zlib.error when it is broken."""
     return _unpack(file, most, _Gunzip)
 
@@ -126,7 +126,7 @@ def read_head(path: Path, size: int) -> bytes:
         with opened(path, XML) as file:
             packed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
-            return gunzip(file, size) if packed else file.read(size)
+            return _gunzip(file, size) if packed else file.read(size)
     except (EOFError, zlib.error) as error:
         raise TownError(f"{shown(path)}: cannot be read ({error}); expected {XML.what}") from None
 
