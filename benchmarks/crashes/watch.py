@@ -22,7 +22,7 @@ from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole,
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.fault import fault, hardest
 from wcsim.supervisor.rewards import GROUND_KINDS
-from wcsim.towns.importing.parking import CAR
+from wcsim.towns.importing.map_marks import CAR
 from wcsim.types import F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street
 from wcsim.users.recorded import RecordedUser
 

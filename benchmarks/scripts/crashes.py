@@ -111,7 +111,8 @@ def _policies(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(some_words("--policy", text)))
     for name in names:
         if not is_baseline(name):
-            raise ConfigError(f"--policy {name!r}: expected a baseline, one of: {', '.join((*BASELINES, *UPPER_BOUNDS))}")
+            known = ", ".join((*BASELINES, *UPPER_BOUNDS))
+            raise ConfigError(f"--policy {name!r}: expected a baseline, one of: {known}")
     return names
 
 

@@ -43,7 +43,7 @@ def test_nothing_waits_by_a_clock_that_may_be_set_back() -> None:
         re.compile(r"\btime\.time(_ns)?\(|from time import .*\btime\b|datetime\.(utc)?now\("),
     )
     found = {str(file.relative_to(package)) for file in package.rglob("*.py") if names.search(file.read_text("utf-8"))}
-    assert found == {"server/launch/event_log.py", "towns/cache/files.py"}
+    assert found == {"server/launch/event_log.py", "towns/cache/folder.py"}
 
 
 @pytest.mark.parametrize("room_kb", [0, 4, 8, 12, 16])

@@ -11,7 +11,7 @@ import pytest
 
 from wcsim.agents.runs.own_code import KEY_FILE
 from wcsim.core.files import KERNELS
-from wcsim.towns.cache.files import WRITTEN_S
+from wcsim.towns.cache.folder import WRITTEN_S
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
@@ -30,7 +30,7 @@ def corner_town(tmp_path_factory: pytest.TempPathFactory) -> Town:
 
 @pytest.fixture(scope="session")
 def corner(corner_town: Town) -> Street:
-    return street_of(build_street(corner_town))
+    return unpack_street(build_street(corner_town))
 
 
 @pytest.fixture(scope="session")
@@ -45,4 +45,4 @@ def manhattan_packed(manhattan_town: Town) -> Packed:
 
 @pytest.fixture(scope="session")
 def manhattan(manhattan_packed: Packed) -> Street:
-    return street_of(manhattan_packed)
+    return unpack_street(manhattan_packed)

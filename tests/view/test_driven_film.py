@@ -6,14 +6,14 @@ import pytest
 from wcsim.errors import PolicyError
 from wcsim.types import Joystick
 from wcsim.view import driven_film
-from wcsim.view.driven_film import ASKED_RGB, GIVEN_RGB, DrivenFilm, FilmDriver, with_sticks
-from wcsim.view.map import draw_scale
+from wcsim.view.driven_film import ASKED_RGB, GIVEN_RGB, DrivenFilm, FilmDriver, _with_sticks
+from wcsim.view.map import _draw_scale
 
 
 @pytest.mark.parametrize("width", [320, 480, 960])
 def test_the_words_of_both_sticks_stand_apart_on_dark_ground(width):
     image = np.full((width * 3 // 4, width, 3), 255, np.uint8)
-    with_sticks(image, Joystick(0.0, 1.0), Joystick(0.0, 1.0), warning=False)
+    _with_sticks(image, Joystick(0.0, 1.0), Joystick(0.0, 1.0), warning=False)
     top = round(image.shape[0] * (1 - 0.28)) - 8
     above, rows = image[:top].astype(int), {}
     for colour in (ASKED_RGB, GIVEN_RGB):
@@ -87,7 +87,7 @@ def test_a_policy_that_fails_at_once_leaves_no_half_video(corner, tmp_path, monk
 def test_the_bar_of_the_scale_is_ten_metres_long(size, span_m):
     ground = np.full((size, size, 3), 200, np.uint8)
     image = ground.copy()
-    draw_scale(image, size / span_m)
+    _draw_scale(image, size / span_m)
     white = (image == 250).all(axis=2)
     low = int(white.sum(axis=1).argmax())
     assert np.ptp(np.nonzero(white[low])[0]) == pytest.approx(10.0 * size / span_m, abs=1)

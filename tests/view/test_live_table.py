@@ -10,7 +10,7 @@ from rich.console import Console
 
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.specs import ClientStatus, Held, WorldStatus
-from wcsim.view.live_table import LiveTable, head_of, line_of, table_of, waits_of
+from wcsim.view.live_table import LiveTable, _head_of, _line_of, _table_of, _waits_of
 
 NAMES = ("fig6", "conv3d", "convlstm")
 
@@ -56,7 +56,7 @@ def test_a_row_a_client_and_a_line_for_the_world():
         client("new", 3, standing="starting", status=None),
         client("dead", 4, standing="down", reason="killed by SIGKILL"),
     )
-    lines = shown(table_of(state(seen=late, clients=clients)))
+    lines = shown(_table_of(state(seen=late, clients=clients)))
     for text in ("world 1, tick 70", "9.5 ticks/s", "collect", "waiting for convlstm (3.2 s)", "310 MB"):
         assert text in lines[0]
     assert row(lines, "fig6") == ["fig6", "0", "40/100", "2", "3", "1", "0.250", "-", "waiting", "2"]
@@ -67,32 +67,32 @@ def test_a_row_a_client_and_a_line_for_the_world():
 
 
 def test_a_client_that_has_no_seat_yet_joins():
-    lines = shown(table_of(state(seen=world(members=("fig6", "conv3d")))))
+    lines = shown(_table_of(state(seen=world(members=("fig6", "conv3d")))))
     assert row(lines, "convlstm")[-2] == "joining"
 
 
 def test_the_world_that_is_not_there():
-    assert head_of(state(standing="starting", seen=WorldStatus(stage="loading"))) == "the world is loading"
-    assert head_of(state(standing="down", restarts=2)) == "the world is down (started again 2 times)"
-    assert "ending" in head_of(state(stopping=True))
+    assert _head_of(state(standing="starting", seen=WorldStatus(stage="loading"))) == "the world is loading"
+    assert _head_of(state(standing="down", restarts=2)) == "the world is down (started again 2 times)"
+    assert "ending" in _head_of(state(stopping=True))
 
 
 def test_who_is_waited_for_now():
-    assert waits_of(world()) == ""
-    assert waits_of(world(late=("convlstm",), late_s=0.1)) == ""
-    assert waits_of(world(late=("convlstm", "fig6"), late_s=2.0)) == "waiting for convlstm, fig6 (2.0 s)"
-    assert waits_of(world(late=NAMES, late_s=2.0)) == ""  # nobody has acted, so nobody waits
+    assert _waits_of(world()) == ""
+    assert _waits_of(world(late=("convlstm",), late_s=0.1)) == ""
+    assert _waits_of(world(late=("convlstm", "fig6"), late_s=2.0)) == "waiting for convlstm, fig6 (2.0 s)"
+    assert _waits_of(world(late=NAMES, late_s=2.0)) == ""  # nobody has acted, so nobody waits
 
 
 def test_who_is_slow_in_the_mean():
     def held(*seconds):
         return tuple(Held(name=name, seconds=s) for name, s in zip(NAMES, seconds, strict=True))
 
-    assert waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client convlstm (70% of 10.0 s waiting)"
-    assert waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
-    assert waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
-    assert waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waiting for fig6")
-    assert waits_of(world(held=(Held(name="sole", seconds=9.0),))) == ""
+    assert _waits_of(world(held=held(1.0, 2.0, 7.0))) == "slowest client convlstm (70% of 10.0 s waiting)"
+    assert _waits_of(world(held=held(3.0, 3.0, 4.0))) == ""
+    assert _waits_of(world(held=held(0.0, 0.1, 0.2))) == ""
+    assert _waits_of(world(late=("fig6",), late_s=2.0, held=held(0.0, 0.0, 9.0))).startswith("waiting for fig6")
+    assert _waits_of(world(held=(Held(name="sole", seconds=9.0),))) == ""
 
 
 def test_a_line_every_ten_seconds_where_there_is_no_terminal():
@@ -102,7 +102,7 @@ def test_a_line_every_ten_seconds_where_there_is_no_terminal():
             table.show(state(elapsed_s=float(elapsed_s)))
     lines = out.getvalue().splitlines()
     assert [line.split()[0] for line in lines] == ["10", "20"]
-    assert lines[0] == line_of(state(elapsed_s=10.0))
+    assert lines[0] == _line_of(state(elapsed_s=10.0))
     assert "fig6 40/100, KPI 1 0.250; conv3d 41/100" in lines[0]
 
 

@@ -11,8 +11,7 @@ from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS
 from wcsim.types import ActorKind, ClassId, Route
 from wcsim.view.map import ROUTE_RGB, MapView
-from wcsim.view.pictures import captioned, class_colours, depth_colours, triptych, write_png
-from wcsim.view.video import VideoWriter, side_by_side
+from wcsim.view.pictures import VideoWriter, captioned, class_colours, depth_colours, side_by_side, triptych, write_png
 
 
 def test_every_class_has_a_colour_of_its_own():

@@ -10,7 +10,7 @@ import tyro
 from wcsim.cli.shared.common import OutFile, parse, write_json
 from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
-from wcsim.towns.cache.files import cache_facts, clear_cache
+from wcsim.towns.cache.folder import cache_facts, clear_cache
 
 
 @dataclass

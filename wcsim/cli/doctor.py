@@ -121,8 +121,7 @@ def _shared_memory() -> Finding:
 
 
 def _cache() -> Finding:
-    from wcsim.towns.cache.files import cache_facts
-    from wcsim.towns.cache.folder import shown_cache
+    from wcsim.towns.cache.folder import cache_facts, shown_cache
 
     facts = cache_facts()
     place = facts.folder

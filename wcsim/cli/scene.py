@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
-from wcsim.scenes.facts import SceneFacts, facts_of, faults
+from wcsim.scenes.facts import SceneFacts, faults
 from wcsim.scenes.template import write_scene
 from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 
@@ -140,10 +140,10 @@ def _run(options: RunOptions) -> int:
     if options.json is not None:
         write_json(
             options.json,
-            {o.name: {"ok": not o.faults, "faults": list(o.faults), **facts_of(o.facts)} for o in outcomes},
+            {o.name: {"ok": not o.faults, "faults": list(o.faults), **asdict(o.facts)} for o in outcomes},
         )
     if options.film is not None:
-        from wcsim.scenes.film import film_scene  # it takes seconds to load, and most runs need no film
+        from wcsim.scenes.run import film_scene  # it takes seconds to load, and most runs need no film
 
         film_scene(folders[0], options.film)
         print(f"{options.film}: {outcomes[0].name}")
@@ -208,9 +208,9 @@ def _new(options: NewOptions) -> int:
 
 
 def _make(options: SceneMakeOptions) -> int:
-    from wcsim.towns.scene_folders.families import catalogue  # loads numba, which --help must not
+    from wcsim.towns.scene_folders import families  # loads numba, which --help must not
 
-    folder = catalogue.write_scene(options.family, options.seed, options.out)
+    folder = families.write_scene(options.family, options.seed, options.out)
     print(f"created {folder}, a scene of the family {options.family}. Look at the result:")
     _print_ways_in(folder, folder.name)
     return 0

@@ -10,7 +10,7 @@ from wcsim.config.scene import SceneExpect
 ALONE_M = 99.0
 """The gap to others when there are none."""
 FASTEST_MPS = 99.0
-"""The slowest speed when nobody drives."""
+"""The slowest speed when no vehicle drives."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +63,4 @@ def facts_from_line(text: str) -> SceneFacts:
 
 def facts_line(facts: SceneFacts) -> str:
     """Facts as one line of JSON."""
-    return json.dumps(facts_of(facts))
-
-
-def facts_of(facts: SceneFacts) -> dict[str, bool | float]:
-    """Facts by name, for a JSON file."""
-    return asdict(facts)
+    return json.dumps(asdict(facts))

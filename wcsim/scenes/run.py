@@ -1,4 +1,7 @@
-"""Run a short hand-written street scene with a fixed seed, record its trace, and say what happened in it."""
+"""Run a short hand-written street scene with a fixed seed, record its trace, and report what happened; or film it.
+
+`python -m wcsim.scenes.run FOLDER TRACE` runs one scene and writes its facts as a line of JSON.
+"""
 
 from __future__ import annotations
 
@@ -22,24 +25,27 @@ from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.errors import TownError, WcsimError
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.scenes.facts import SceneFacts, facts_from_line
+from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
-from wcsim.towns.scene_folders.build import build_scene
-from wcsim.towns.scene_folders.seats import scene_config, seat_specs
+from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, Snapshot, StartSpec
+from wcsim.view.map import MapView, map_view
+from wcsim.view.pictures import VideoWriter, captioned, side_by_side
 
 _PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
 
 _RUN_TIMEOUT_S = 240
-BAD_SCENE = 2
-"""Exit code of a scene's process that has said what is wrong with the scene."""
+_BAD_SCENE = 2
+"""Exit code of a scene's process that has printed what is wrong with the scene."""
 TRACE_EVERY = 10
 """Ticks from one record of a golden trace to the next; its last tick has one, and a hash covers all ticks up to it."""
 
 _WORK = "wcsim-scene-"
 _SMALL_CAMERAS = (CameraConfig(width_px=16, height_px=12),)
-STREET = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.ROAD)
+_STREET = (ClassId.SIDEWALK, ClassId.CROSSWALK, ClassId.ROAD)
+_FILM_CAMERA = CameraConfig(width_px=480, height_px=360, rgb=True)
+_FILM_SPAN_M = 40.0
 
 
 def run_scene(folder: Path, trace: Path) -> SceneFacts:
@@ -100,7 +106,7 @@ def play(world: World, scene: SceneFile) -> Iterator[tuple[Snapshot, tuple[Comma
 
 def run_in_child(folder: Path, trace: Path) -> SceneFacts:
     """The same as `run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
-    command = [sys.executable, "-m", "wcsim.scenes.process", str(folder), str(trace)]
+    command = [sys.executable, "-m", "wcsim.scenes.run", str(folder), str(trace)]
     try:
         done = subprocess.run(
             command,
@@ -113,9 +119,9 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
     except subprocess.TimeoutExpired:
         raise TownError(f"scene {folder.name} did not end within {_RUN_TIMEOUT_S} s; shorten it") from None
     if done.returncode != 0:
-        told = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
-        known = done.returncode == BAD_SCENE
-        raise TownError(told if known else f"{folder}: its process ended with exit code {done.returncode}: {told}")
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
+        known = done.returncode == _BAD_SCENE
+        raise TownError(reason if known else f"{folder}: its process ended with exit code {done.returncode}: {reason}")
     return facts_from_line(done.stdout)
 
 
@@ -150,7 +156,7 @@ def _check_starts(world: World, scene: SceneFile, folder: Path) -> None:
     for i, (start, wanted) in enumerate(zip(_starts(world), scene.seats, strict=True)):
         here_W_m = np.array(start.p_W_m)
         inside = float(grid.clearance_at(here_W_m)) <= 0.0
-        if inside or int(grid.class_at(here_W_m)) not in STREET:
+        if inside or int(grid.class_at(here_W_m)) not in _STREET:
             where = "inside something solid" if inside else "on no pavement, crossing or road"
             raise TownError(
                 f"{folder / 'scene.toml'}: seat {i} starts at {list(wanted.start_m)}, which is {where}; "
@@ -172,3 +178,31 @@ def _joystick(client: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystic
         begun = [step for step in wanted.script if step[0] <= at_s + 1e-9]
         return Joystick(*begun[-1][1:]) if begun else Joystick(0.0, 0.0)
     return (client.first or client).user
+
+
+def film_scene(folder: Path, path: Path) -> None:
+    """Run a scene and write it as a video (.webm). Raises TownError or ConfigError as the parts do."""
+    with open_scene(folder, (_FILM_CAMERA,)) as (world, scene):
+        chart = MapView(world.street.mesh, _FILM_CAMERA.height_px, _FILM_SPAN_M)
+        size = (_FILM_CAMERA.width_px + _FILM_CAMERA.height_px, _FILM_CAMERA.height_px)
+        with VideoWriter(path, 1.0 / world.config.world.tick_s, size) as video:
+            for snapshot, _ in play(world, scene):
+                frame = snapshot.clients[0].sensors.cameras[0]
+                if frame.rgb is not None:
+                    picture = captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s")
+                    video.write(side_by_side(picture, map_view(chart, world)))
+
+
+def _main() -> int:
+    """Run the scene that the command line names."""
+    try:
+        facts = run_scene(Path(sys.argv[1]), Path(sys.argv[2]))
+    except WcsimError as error:
+        sys.stderr.write(f"{error}\n")
+        return _BAD_SCENE
+    sys.stdout.write(facts_line(facts) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(_main())

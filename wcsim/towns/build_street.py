@@ -12,27 +12,23 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import TownError
-from wcsim.towns.cache.street_arrays import pack_street
+from wcsim.towns.cache.street_cache import pack_street
 from wcsim.towns.furniture.author_obstacles import author_things
-from wcsim.towns.furniture.buildings import Building, buildings_of
-from wcsim.towns.furniture.everything import fittings_of
-from wcsim.towns.furniture.lane_marks import lane_marks
+from wcsim.towns.furniture.buildings import Building, make_buildings
+from wcsim.towns.furniture.everything import place_furniture
 from wcsim.towns.furniture.models import FOOT_M
-from wcsim.towns.furniture.placement import FreeGround, HeightAt, footprints_of, set_on_ground
+from wcsim.towns.furniture.placement import FreeGround, HeightAt, collect_footprints, set_on_ground
+from wcsim.towns.furniture.road_marks import lane_marks, unmarked_crossings
 from wcsim.towns.furniture.traffic_lights import all_phases
-from wcsim.towns.ground.crossing_paint import unmarked_crossings
-from wcsim.towns.ground.kerb_faces import kerb_walls
-from wcsim.towns.ground.kerb_heights import Kerbing, kerbing_of
-from wcsim.towns.ground.landcover import covered
-from wcsim.towns.ground.mesh import build_mesh
-from wcsim.towns.ground.raster import GridMaker
-from wcsim.towns.ground.relief import on_land, relief_of
+from wcsim.towns.ground.kerb_heights import Kerbing, make_kerbing
+from wcsim.towns.ground.mesh import GridMaker, build_mesh, kerb_walls
+from wcsim.towns.ground.plane_geometry import buffered
+from wcsim.towns.ground.relief import fit_relief, on_land
 from wcsim.towns.ground.solid_shapes import Solid, prism
-from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
-from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.ground.surfaces import Surfaces, covered, make_surfaces
 from wcsim.towns.ground.tiles import Packed, pack_tiles
 from wcsim.towns.ground.triangulation import build_ground
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import with_included
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.walking.graph import build_walk_graph, free_space
@@ -46,7 +42,7 @@ _GROUND_S = 0.6  # that a square km of tiles costs
 
 
 def build_street(town: Town, at: Callable[[str, float], object] = lambda part, left_s: None) -> Packed:
-    """Make the street of a town from its net and polygons, without any cache; `street_of` opens it.
+    """Make the street of a town from its net and polygons, without any cache; `unpack_street` opens it.
 
     Args:
         town: The town.
@@ -60,19 +56,19 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
     at("roads and pavements", areas_s + tiles_s)
     additional = with_included(town.additional, town.border)
     items = read_items(additional, town.file.origin_m, whole)
-    relief = relief_of(whole)
+    relief = fit_relief(whole)
     net = on_land(whole, relief)
-    surfaces = covered(surfaces_of(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
+    surfaces = covered(make_surfaces(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
         raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
     at("ground and kerbs", 0.45 * areas_s + tiles_s)
-    kerbing = kerbing_of(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
+    kerbing = make_kerbing(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
     ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
     placed = author_things(items, surfaces.hull)
     at("walkways and objects", 0.3 * areas_s + tiles_s)
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
-    buildings, overhead = buildings_of(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
+    buildings, overhead = make_buildings(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
     space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, additional)
@@ -80,12 +76,12 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
     place = FreeGround(
         low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull
     )
-    things = fittings_of(items, net, additional, place, placed)
+    things = place_furniture(items, net, additional, place, placed)
     pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
     paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
     mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
-    grid = GridMaker(ground, [*(b.outline for b in buildings), *footprints_of(things)], relief)
+    grid = GridMaker(ground, [*(b.outline for b in buildings), *collect_footprints(things)], relief)
     tiles = pack_tiles(mesh, grid, lambda share: at("tiles", share * tiles_s))
     return pack_street(tiles, walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
 

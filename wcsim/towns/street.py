@@ -1,4 +1,4 @@
-"""A town's street: built once, by `build_street.py`, and kept in a cache."""
+"""A town's street: built once, by `build_street.py`, and saved in a cache."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from threading import Event, Thread
 from types import MappingProxyType
 
 from wcsim.core.sources import sources_of
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.cache.street_cache import cached_street
+from wcsim.towns.cache.street_cache import cached_street, unpack_street
 from wcsim.towns.ground.tiles import Packed
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import Street
@@ -34,7 +33,7 @@ LIBRARIES = MappingProxyType(
 )
 """What a street is made with: modules, and the distributions they come from."""
 _BUILDER = "wcsim.towns.build_street"
-_EVERY_S = 5.0  # most streets are there before anything is said
+_EVERY_S = 5.0  # most streets are ready before the first message
 
 
 def load_street(town: Town, say: Callable[[str], object] | None = None) -> Street:
@@ -43,8 +42,8 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
     Args:
         town: The town.
         say: Called every few seconds while a street is built, from a thread of its own, with a line: which part, and
-            about how long it takes yet. By default a warning is logged: Python shows those on standard error to
-            whoever has set up no logging, as the user of an environment.
+            about how long it takes yet. By default a warning is logged: Python shows those on standard error
+            where no logging was set up, as by the user of an environment.
 
     Raises:
         TownError: The town cannot be used.
@@ -53,19 +52,19 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
     def built() -> Packed:
         from wcsim.towns.build_street import build_street  # heavy, and not needed where the street is there
 
-        with _telling(town, say or log.warning) as at:
+        with _progress(town, say or log.warning) as at:
             return build_street(town, at)
 
-    return street_of(built()) if town.passing else cached_street(street_key(town), built)
+    return unpack_street(built()) if town.passing else cached_street(street_key(town), built)
 
 
 @contextmanager
-def _telling(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str, float], object]]:
-    """Tell how far a street is, as long as it is built, from what the builder says of its parts."""
+def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str, float], object]]:
+    """Report the progress of a street while it is built, from what the builder reports of its parts."""
     over, began_s, marks = Event(), time.monotonic(), [("net", 0.0, time.process_time())]
     once = "" if town.passing else " (once, then cached)"
 
-    def tell() -> None:
+    def report() -> None:
         more = once
         while not over.wait(_EVERY_S):
             part, left_s, cpu_s = marks[-1]
@@ -77,13 +76,13 @@ def _telling(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str
                 say(f"street of {town.name}{more}: {part}{about}")
             more = ""
 
-    teller = Thread(target=tell, daemon=True)
-    teller.start()
+    reporter = Thread(target=report, daemon=True)
+    reporter.start()
     try:
         yield lambda part, left_s: marks.append((part, left_s, time.process_time()))
     finally:
         over.set()
-        teller.join()
+        reporter.join()
 
 
 def street_key(town: Town) -> str:

@@ -1,8 +1,13 @@
-"""A video of a chair that a policy drives: a camera for people beside a map, the user's stick and the one it got."""
+"""Films and pictures of driven episodes, for people.
+
+A video of a chair that a policy drives: a camera beside a map, the stick of the user and the one that was executed.
+Moments of a recorded episode: what the network saw, and the street around the chair.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,22 +19,24 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Chair, HeldLink
 from wcsim.agents.evaluation.suite.forks import users_alone
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
-from wcsim.agents.policy_api import VISIBLE_BOUND, SeesTruth, Warns, calling, tell_delay
+from wcsim.agents.evaluation.suite.playback import PlayedStep
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, SeesTruth, Warns, calling, tell_delay
 from wcsim.bridge.world import World
-from wcsim.config import CameraConfig
+from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.observation import Observation, decode_depth
 from wcsim.towns.scenario.town import Town
-from wcsim.types import U8, ClientSnapshot, Joystick, SeatSpec
+from wcsim.types import U8, ClientSnapshot, Joystick, Route, SeatSpec
 from wcsim.view.filming import MAP_SPAN_M, SIGHT_M
 from wcsim.view.map import MapView, map_view
-from wcsim.view.pictures import captioned
-from wcsim.view.video import VideoWriter, side_by_side
+from wcsim.view.pictures import VideoWriter, captioned, class_colours, depth_colours, side_by_side
 
 FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of it
 _PAD_SHARE: Final = 0.28  # of the picture's height
 _DARK, _RIM = (28, 32, 38), (150, 156, 164)
 ASKED_RGB, GIVEN_RGB, WARN_RGB = (90, 170, 255), (255, 170, 40), (230, 40, 40)
+_FILM_PX = 480
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +45,7 @@ class FilmDriver:
 
     policy: str  # as `wcsim test` names it
     profile: str  # of the user whose stick the policy sees
-    network: str = ""  # somebody's own, module:Class, that the policy may look with
+    network: str = ""  # a custom one, module:Class, that the policy may look with
     settings: tuple[str, ...] = ()  # section.key=value, laid over the policy's own
 
 
@@ -128,9 +135,9 @@ class DrivenFilm:
         rgb = now.client.sensors.cameras[-1].rgb
         if rgb is None:
             raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
-        said = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
-        picture = captioned(rgb, said + ("   CRASH" if now.client.events.crashed else ""))
-        with_sticks(picture, now.asked, now.given, warning=now.warning)
+        caption = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
+        picture = captioned(rgb, caption + ("   CRASH" if now.client.events.crashed else ""))
+        _with_sticks(picture, now.asked, now.given, warning=now.warning)
         frame = side_by_side(picture, map_view(self._map, self._world))
         self._writer.write(frame)
         return frame
@@ -144,7 +151,7 @@ class DrivenFilm:
         self._world.close()
 
 
-def with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
+def _with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
     """Draw into an image (H, W, 3) where the user's stick is, where the executed one, and a warning."""
     height, width = image.shape[:2]
     side = max(24, round(_PAD_SHARE * height))
@@ -176,3 +183,50 @@ def _with_word(image: U8, place: tuple[int, int], word: str, scale: float, colou
     strip[:] = (0.3 * strip + 0.7 * np.array(_DARK)).astype(np.uint8)
     cv2.putText(image, word, (left + 3, low - below - 1), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
     return top
+
+
+def seen_picture(seen: Observation, config: RunConfig) -> U8:
+    """What an observation shows, (2 H, W, 3): the newest classes above, their depth below."""
+    range_m = config.cameras[0].range_m
+    if CLASS_KEY in seen:
+        classes = class_colours(seen[CLASS_KEY][-1])
+        depth_m = decode_depth(seen[DEPTH_KEY][-1], range_m)
+    else:
+        classes = np.rint(255.0 * np.moveaxis(seen["segmentation"], 0, -1)).astype(np.uint8)
+        depth_m = seen["depth"][-1] * np.float32(range_m)
+    return np.asarray(np.vstack([classes, depth_colours(depth_m, range_m)]), np.uint8)
+
+
+def around_picture(view: MapView, step: PlayedStep, trail: Sequence[PlayedStep]) -> U8:
+    """The street around a chair at a step, with those near it; where it came from is a green line."""
+    points = np.array([item.p_W_m[:2] for item in trail], np.float64).reshape(-1, 2)
+    come = Route(points_W_m=points, arc_m=np.zeros(len(points)), edge_index=np.zeros(len(points), np.int32))
+    return view.draw(step.p_W_m, step.actors, step.chairs, come)
+
+
+def film_steps(path: Path, view: MapView, steps: Sequence[PlayedStep], config: RunConfig) -> None:
+    """A video of what was seen beside the street around, with sticks and speed. Raises ConfigError."""
+    tick_s = config.world.tick_s
+    frames = (_film_frame(view, steps, number, config) for number in range(len(steps)))
+    first = next(frames)
+    with VideoWriter(path, 1.0 / tick_s, (first.shape[1], first.shape[0])) as writer:
+        writer.write(first)
+        for frame in frames:
+            writer.write(frame)
+
+
+def _film_frame(view: MapView, steps: Sequence[PlayedStep], number: int, config: RunConfig) -> U8:
+    step = steps[number]
+    seen = seen_picture(step.seen, config)
+    width = round(_FILM_PX * seen.shape[1] / seen.shape[0])
+    large = cv2.resize(seen, (width, _FILM_PX), interpolation=cv2.INTER_NEAREST)
+    before_s = (len(steps) - 1 - number) * config.world.tick_s
+    street = around_picture(view, step, steps[: number + 1])
+    caption = f"-{before_s:.1f} s  {step.speed_mps:.2f} m/s  user {sticks(step)[0]}  driven {sticks(step)[1]}"
+    return side_by_side(np.asarray(large, np.uint8), captioned(street, caption))
+
+
+def sticks(step: PlayedStep) -> tuple[str, str]:
+    """The user's stick and the given one in words: x to the right, y ahead."""
+    asked, given = (f"{stick.x:+.2f} {stick.y:+.2f}" for stick in (step.asked, step.given))
+    return asked, given

@@ -18,14 +18,13 @@ from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, SeatSpec, Snapshot
 from wcsim.view.map import MapView, map_view
-from wcsim.view.pictures import captioned
-from wcsim.view.video import VideoWriter, side_by_side
+from wcsim.view.pictures import VideoWriter, captioned, side_by_side
 
 _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
 MAP_SPAN_M = 60.0
-FILMED_USER = "competent"  # who drives where nobody is named
+FILMED_USER = "competent"  # who drives where no user is named
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
 
 
@@ -40,7 +39,7 @@ class Shot:
     in_view: int  # actors in the camera's field of view, near enough to be seen
 
 
-class FilmedDrive:
+class _FilmedDrive:
     """A world with one chair, made to be looked at."""
 
     def __init__(
@@ -59,15 +58,15 @@ class FilmedDrive:
 
     def busiest_moment(self, seconds: float) -> Shot:
         """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""
-        kept = BusiestMoment(self)
+        busiest = BusiestMoment(self)
         for tick in range(max(1, round(seconds / self.tick_s))):
             self.go_on()
-            kept.look((tick + 1) * self.tick_s)
-        return kept.shot
+            busiest.look((tick + 1) * self.tick_s)
+        return busiest.shot
 
-    def film(self, path: Path) -> Film:
+    def film(self, path: Path) -> _Film:
         """Begin a video of what comes."""
-        return Film(self, path)
+        return _Film(self, path)
 
     def picture(self, chart: MapView) -> tuple[CameraFrame, U8]:
         """The camera's frame of now, and the map around the chair."""
@@ -131,7 +130,7 @@ class FilmedDrive:
 class BusiestMoment:
     """Keeps, while a stage goes on, the moment when most actors, and most of them, were in the picture."""
 
-    def __init__(self, stage: FilmedDrive, fits: bool = True) -> None:
+    def __init__(self, stage: _FilmedDrive, fits: bool = True) -> None:
         """Begins with now, which stays if nothing better comes; see `look`."""
         self._stage, self._best = stage, (fits, -1.0)
         self.shot = stage.shot(0.0)
@@ -141,7 +140,7 @@ class BusiestMoment:
 
         Args:
             after_s: Since the beginning.
-            fits: Whether it is what whoever looks wants; one that is not is never taken after one that is.
+            fits: Whether it is what the caller wants; one that is not is never taken after one that is.
         """
         now = (fits, self._stage.business())
         if now <= self._best:
@@ -150,10 +149,10 @@ class BusiestMoment:
         return True
 
 
-class Film:
+class _Film:
     """A video of a stage: the camera beside a map; a context manager."""
 
-    def __init__(self, stage: FilmedDrive, path: Path) -> None:
+    def __init__(self, stage: _FilmedDrive, path: Path) -> None:
         self._stage, self.tick_s, self._ticks = stage, stage.tick_s, 0
         height = stage.camera.height_px
         self._map = stage.open_map(height)
@@ -175,8 +174,8 @@ class Film:
         if frame.rgb is None:
             raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
         speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
-        told = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
-        self._writer.write(side_by_side(captioned(frame.rgb, told), chart))
+        caption = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
+        self._writer.write(side_by_side(captioned(frame.rgb, caption), chart))
 
     def __enter__(self) -> Self:
         self._writer.__enter__()
@@ -189,7 +188,7 @@ class Film:
 @contextmanager
 def open_stage(
     town: Town, seed: int, width: int, settings: tuple[str, ...] = (), profile: str = FILMED_USER
-) -> Iterator[FilmedDrive]:
+) -> Iterator[_FilmedDrive]:
     """A stage that is closed at the end.
 
     Args:
@@ -205,7 +204,7 @@ def open_stage(
     """
     if not 64 <= width <= 1920:
         raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-    stage = FilmedDrive(town, seed, width, settings, profile)
+    stage = _FilmedDrive(town, seed, width, settings, profile)
     try:
         yield stage
     finally:

@@ -19,7 +19,7 @@ from wcsim.server.specs import ClientStatus, WorldStatus
 
 PAYS = "acts/learns/waits %"
 _LINE_S = 10.0  # between two lines where there is no terminal
-_WAITS_S = 0.5  # who is waited for is said when it takes so long ...
+_WAITS_S = 0.5  # who is waited for is shown when it takes so long ...
 _SLOW_SHARE = 0.5  # ... or when one client causes so much of all waiting ...
 _ENOUGH_S = 1.0  # ... once that is worth a word
 
@@ -35,19 +35,19 @@ class LiveTable:
         self._nobody_reads = False
 
     def show(self, state: LaunchState) -> None:
-        """Say how things are; a terminal that is gone must not end what is shown on it."""
+        """Print the status; a terminal that is gone must not end the program."""
         try:
             if not self._nobody_reads:
                 self._say(state)
-        except (OSError, SystemExit):  # rich ends a program whose output nobody reads
+        except (OSError, SystemExit):  # rich ends a program whose output is not read
             self._nobody_reads = True
 
     def _say(self, state: LaunchState) -> None:
         if self.console.is_terminal:
-            self._live.update(table_of(state), refresh=True)
+            self._live.update(_table_of(state), refresh=True)
         elif state.elapsed_s - self._lined_s >= _LINE_S:
             self._lined_s = state.elapsed_s
-            self.console.print(line_of(state), soft_wrap=True, markup=False)
+            self.console.print(_line_of(state), soft_wrap=True, markup=False)
 
     def __enter__(self) -> Self:
         if self.console.is_terminal:
@@ -60,23 +60,23 @@ class LiveTable:
                 self._live.stop()
 
 
-def table_of(state: LaunchState) -> RenderableType:
+def _table_of(state: LaunchState) -> RenderableType:
     """A head line and a row for each client."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for title in ("client", "chair", "step", "phase", "episodes", "crashes", "KPI 1", PAYS, "state", "restarts"):
         table.add_column(title, justify="left" if title in ("client", "state") else "right", no_wrap=True)
     for client in state.clients:
         table.add_row(*_row(client, state.world))
-    return Group(Text(head_of(state), no_wrap=True, overflow="ellipsis"), table)
+    return Group(Text(_head_of(state), no_wrap=True, overflow="ellipsis"), table)
 
 
-def line_of(state: LaunchState) -> str:
+def _line_of(state: LaunchState) -> str:
     """Everything in one line, for log files."""
     clients = "; ".join(_brief(client) for client in state.clients)
-    return f"{state.elapsed_s:.0f} s: {head_of(state)}{' | ' if clients else ''}{clients}"
+    return f"{state.elapsed_s:.0f} s: {_head_of(state)}{' | ' if clients else ''}{clients}"
 
 
-def head_of(state: LaunchState) -> str:
+def _head_of(state: LaunchState) -> str:
     """The world, and for whom it waits."""
     world = state.world
     if world is None or state.world_standing != "running":
@@ -88,13 +88,13 @@ def head_of(state: LaunchState) -> str:
         f"{world.ticks_per_s:.1f} ticks/s",
         f"{world.step_ms:.1f} ms a tick",
         "ending" if state.stopping else world.stage,
-        waits_of(world),
+        _waits_of(world),
         f"{world.rss_mb:.0f} MB",
     ]
     return ", ".join(part for part in parts if part)
 
 
-def waits_of(world: WorldStatus) -> str:
+def _waits_of(world: WorldStatus) -> str:
     """For whom everybody waits: now when that is long, else in the mean when one stands out; "" else."""
     if world.late and world.late_s >= _WAITS_S and len(world.late) < max(2, len(world.members)):
         return f"waiting for {', '.join(world.late)} ({world.late_s:.1f} s)"
@@ -108,21 +108,21 @@ def waits_of(world: WorldStatus) -> str:
 def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
     status = client.status
     master = world is not None and bool(world.master) and world.master == client.name
-    told = ("-",) * 6
+    cells = ("-",) * 6
     if status is not None:
         kpi1 = "-" if status.kpi1 is None else f"{status.kpi1:.3f}"
         progress = f"{status.step}/{status.total_steps}"
-        told = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1, pays_of(status))
+        cells = (progress, str(status.phase), str(status.episodes), str(status.crashes), kpi1, _pays_of(status))
     return (
         f"{client.name}{' *' if master else ''}",
         str(client.seat),
-        *told,
+        *cells,
         escape(_standing(client, world)),
         str(client.restarts),
     )
 
 
-def pays_of(status: ClientStatus) -> str:
+def _pays_of(status: ClientStatus) -> str:
     """What share of its time a client spends on acting, learning and waiting, in percent.
 
     >>> pays_of(ClientStatus(name="a", inference_s=1.0, learning_s=6.0, simulation_s=2.0, barrier_s=2.0, overlap_s=1.0))

@@ -117,11 +117,11 @@ def map_view(view: MapView, world: World) -> U8:
         for client, seat in zip(snapshot.clients, world.seats, strict=True)
     ]
     image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, first.route)
-    draw_scale(image, view.px_per_m)
+    _draw_scale(image, view.px_per_m)
     return image
 
 
-def draw_scale(image: U8, px_per_m: float) -> None:
+def _draw_scale(image: U8, px_per_m: float) -> None:
     """Draw a bar of 10 m into the lower left corner of a map (H, W, 3)."""
     height = image.shape[0]
     away, size, word = max(6, round(_BAR_ALOFT * height)), max(0.35, height / 1000.0), f"{_BAR_M:g} m"

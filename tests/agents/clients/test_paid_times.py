@@ -13,7 +13,7 @@ from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.protocol.members import Member
 from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.types import SeatSpec
-from wcsim.view.live_table import PAYS, pays_of
+from wcsim.view.live_table import PAYS, _pays_of
 from wcsim.view.report.training.waiting import HEADINGS, waiting_rows
 
 
@@ -96,7 +96,7 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
     headings, rows = waiting_rows(log.times)
     assert headings == (*HEADINGS, "for a s", "for b s")
     assert rows == [["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0], ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None]]
-    assert PAYS.startswith("acts") and pays_of(ClientStatus(name="a")) == "-"
+    assert PAYS.startswith("acts") and _pays_of(ClientStatus(name="a")) == "-"
 
 
 def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning():

@@ -27,8 +27,8 @@ from tests.cli.towns import tiny_osm
 from tests.towns.fuzz.flipped_bytes import DISK, RAW, pick
 from wcsim.core.seeding import generator
 from wcsim.errors import WcsimError
-from wcsim.towns.checks.validate import scan_net
-from wcsim.towns.importing.elevation import Heights, make_dem, own_projections, write_dem
+from wcsim.towns.checks.validate import _scan_net
+from wcsim.towns.importing.elevation import Heights, _own_projections, make_dem, write_dem
 from wcsim.towns.osm.read import read_extract
 from wcsim.towns.scenario.town import open_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene, scene_of
@@ -242,7 +242,7 @@ def _heights(path: Path) -> bytes:
     rows, cols = np.meshgrid(np.linspace(0.0, 9.0, 60), np.linspace(0.0, 5.0, 60), indexing="ij")
     profile = {"driver": "GTiff", "width": 60, "height": 60, "count": 1, "dtype": "float32", "crs": "EPSG:4326"}
     profile |= {"transform": from_bounds(west, south, east, north, 60, 60), "compress": "deflate"}
-    with own_projections(), rasterio.open(path, "w", **profile) as file:
+    with _own_projections(), rasterio.open(path, "w", **profile) as file:
         file.write((rows + cols).astype(np.float32), 1)
         file.update_tags(note="x" * 20)
     return path.read_bytes()
@@ -264,7 +264,7 @@ def _take_extract(path: Path) -> None:
 
 def _take_net(path: Path) -> None:
     root = read_root(path)
-    scan_net(root, str(path))
+    _scan_net(root, str(path))
     first = read_net(path)
     copy = _again(path, "b.net.xml")
     copy.write_bytes(ElementTree.tostring(root, encoding="utf-8"))

@@ -22,7 +22,7 @@ from tests.attack.scenarios.twists import cleared
 from tests.towns.made import hostile
 from wcsim.core.seeding import generator
 from wcsim.errors import SumoError, WcsimError
-from wcsim.towns.importing.adopt import files_of
+from wcsim.towns.importing.adopt import _files_of
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import stage_scenario
@@ -83,7 +83,7 @@ def _filter(number: int, seed: int, work: Path) -> bool:
 def _taken_along(theirs: Theirs) -> list[str]:
     """What a copy of the scenario would take along that is not its author's."""
     try:
-        files = files_of(read_configuration(theirs.folder / "a.sumocfg"), theirs.folder)
+        files = _files_of(read_configuration(theirs.folder / "a.sumocfg"), theirs.folder)
     except WcsimError:
         return []
     inside = theirs.folder.resolve()

@@ -16,7 +16,7 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.types import SeatSpec
-from wcsim.view.live_table import line_of
+from wcsim.view.live_table import _line_of
 
 STEPS, SLOW = 60, 4
 THINK_MS = 5.0
@@ -70,4 +70,4 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
     assert last.world is not None and last.world.ticks > STEPS // 2
     held = {item.name: item.seconds for item in last.world.held}
     assert max(held, key=lambda name: held[name]) == f"c{SLOW}" and held[f"c{SLOW}"] > 0.5 * sum(held.values())
-    assert f"slowest client c{SLOW}" in line_of(last)
+    assert f"slowest client c{SLOW}" in _line_of(last)

@@ -14,9 +14,9 @@ import pytest
 import wcsim
 from wcsim.core import jit, seeding, sources
 from wcsim.towns import build_street, street
-from wcsim.towns.ground import raster, tiles
+from wcsim.towns.ground import mesh, tiles
 from wcsim.towns.importing import demand, importer
-from wcsim.towns.osm import download
+from wcsim.towns.osm import read
 from wcsim.towns.scenario import stage
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo import net
@@ -44,7 +44,7 @@ def edit(copy: Path, module: ModuleType, more: str = "# a comment\n") -> None:
 
 def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> None:
     keys = [street.street_key(corner_town)]
-    for module in (build_street, net, raster, tiles, street_types, arrays, seeding, jit):
+    for module in (build_street, net, mesh, tiles, street_types, arrays, seeding, jit):
         edit(copy, module)
         keys.append(street.street_key(corner_town))
     assert len(set(keys)) == len(keys)
@@ -52,7 +52,7 @@ def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> No
 
 def test_what_only_stands_beside_it_does_not(copy: Path, corner_town: Town) -> None:
     key = street.street_key(corner_town)
-    for module in (download, importer, demand, stage, episode, street, sys.modules["wcsim.config"], wcsim):
+    for module in (read, importer, demand, stage, episode, street, sys.modules["wcsim.config"], wcsim):
         edit(copy, module)
     assert street.street_key(corner_town) == key
 

@@ -17,7 +17,7 @@ from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import STEEPEST, faults_of, unroutable_trips
+from wcsim.towns.checks.check import STEEPEST, _unroutable_trips, faults_of
 from wcsim.towns.checks.cures import FASTEST_MPS, larger_cure, pave_cure, routes_cure, walkers_cure
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.town import Town, open_town
@@ -67,7 +67,7 @@ def _with_an_island(net: Path) -> None:
 
 
 def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_path: Path) -> None:
-    assert unroutable_trips(theirs) == 1
+    assert _unroutable_trips(theirs) == 1
     (fault,) = faults_of(theirs, read_net(theirs.net), replace(FINE, unroutable=1))
     assert "move each <calibrator> of u.add.xml into a file of its own" in fault
     _apart(theirs.folder / "u.add.xml", "calibrator")
@@ -76,7 +76,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
     assert code == 0, said
     better = named(theirs, "u.rou.xml", "better.rou.xml")
     text = better.routes[0].read_text(encoding="utf-8")
-    assert unroutable_trips(better) == 0 and 'id="found"' in text and 'id="lost"' not in text
+    assert _unroutable_trips(better) == 0 and 'id="found"' in text and 'id="lost"' not in text
     assert 'busStop="stop"' in text and 'departLane="0"' in text
     run = run_tool("sumo", ["-c", str(better.sumocfg), "--end", str(BEGIN_S + 60.0), "--no-step-log"], tmp_path)
     assert run.returncode == 0 and "Error" not in run.output, run.output
@@ -84,7 +84,7 @@ def test_trips_without_a_way_are_dropped_by_what_is_printed(theirs: Town, tmp_pa
 
 def test_a_demand_is_looked_at_from_its_own_begin(theirs: Town) -> None:
     named(theirs, '"50300"', '"0"')
-    assert unroutable_trips(open_town(theirs.sumocfg)) == 0  # nobody departs in those ten minutes
+    assert _unroutable_trips(open_town(theirs.sumocfg)) == 0  # nobody departs in those ten minutes
 
 
 def test_who_departs_before_the_begin_is_not_missed(theirs: Town) -> None:
@@ -92,7 +92,7 @@ def test_who_departs_before_the_begin_is_not_missed(theirs: Town) -> None:
     for depart_s, missed in ((BEGIN_S, 1), (100.0, 0)):  # SUMO drops who departs before its begin
         trip = f'<trip id="late" depart="{depart_s}" from="A0B0" to="alone"/>'
         theirs.routes[0].write_text(f"<routes>{trip}</routes>", encoding="utf-8")
-        assert unroutable_trips(theirs) == missed
+        assert _unroutable_trips(theirs) == missed
 
 
 def test_trips_between_districts_find_them(theirs: Town, tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_trips_between_districts_find_them(theirs: Town, tmp_path: Path) -> None
     districts = '<tazs><taz id="other" edges="C1B1"/></tazs><taz id="island" edges="alone"/></additional>'
     more.write_text(more.read_text(encoding="utf-8").replace("</additional>", districts), encoding="utf-8")
     _with_an_island(theirs.net)
-    assert unroutable_trips(theirs) == 1
+    assert _unroutable_trips(theirs) == 1
     _apart(more, "calibrator")
     code, said = typed(routes_cure(theirs).partition(": ")[2], tmp_path)
     assert code == 0, said

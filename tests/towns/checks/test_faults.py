@@ -13,8 +13,8 @@ from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import Findings, check_town, demand_classes, faults_of, notes_of
-from wcsim.towns.importing.importer import build_net
+from wcsim.towns.checks.check import Findings, Overlap, _demand_classes, _find_notes, check_town, faults_of
+from wcsim.towns.importing.importer import _build_net
 from wcsim.towns.importing.netconvert import NetOrder, convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
@@ -22,8 +22,7 @@ from wcsim.towns.scenario.manifest import chair_ways
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
-from wcsim.towns.walking.islands import islands_by_links, share_of, walkable_parts
-from wcsim.towns.walking.overlaps import Overlap
+from wcsim.towns.walking.islands import islands_by_links, largest_share, walkable_parts
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FINE = Findings(
@@ -53,7 +52,7 @@ def test_each_fault_comes_with_its_cure(corner_town: Town, change: dict[str, obj
     assert faults_of(corner_town, net, FINE) == ()
     (fault,) = faults_of(corner_town, net, replace(FINE, **change))  # type: ignore[arg-type]
     assert re.search(told, fault) and "\n" not in fault
-    assert len(notes_of(replace(corner_town, poly=None), net)) == 1
+    assert len(_find_notes(replace(corner_town, poly=None), net)) == 1
 
 
 def test_nobody_is_told_to_make_walkers_for_a_net_where_no_way_can_be_laid(corner_town: Town, tmp_path: Path) -> None:
@@ -67,7 +66,7 @@ def test_streets_over_the_pavements_of_others_are_a_note_however_many(corner_tow
     for area_m2 in (172.0, 1e6):
         over = (Overlap(street="a", pavement="b", area_m2=area_m2),)
         assert faults_of(corner_town, net, replace(FINE, overlaps=over)) == ()
-        (told,) = [note for note in notes_of(corner_town, net, over) if "edge b under a" in note]
+        (told,) = [note for note in _find_notes(corner_town, net, over) if "edge b under a" in note]
         assert f"{area_m2:.0f} m2 of pavement overlap the carriageway" in told and "places of more than 3 m2" in told
         assert shlex.split(printed(told, "move or delete"))[1:] == ["-s", str(corner_town.net)]
 
@@ -85,17 +84,17 @@ def test_types_that_a_distribution_names_count(tmp_path: Path) -> None:
     person = '<person id="p" type="all" depart="0"><walk edges="A0A1"/></person>'
     text = f"<routes>{types}</vTypeDistribution>{person}</routes>"
     town.routes[0].write_text(text, encoding="utf-8")
-    assert demand_classes(town) == ("pedestrian",)
+    assert _demand_classes(town) == ("pedestrian",)
 
 
 def test_buildings_of_a_file_of_any_name_are_seen(tmp_path: Path) -> None:
     town = open_town(made(tmp_path / "own", ("--grid", "--grid.number", "2"), persons=False))
     net = read_net(town.net, town.file.origin_m)
-    assert [note for note in notes_of(town, net) if "no buildings or trees" in note]
+    assert [note for note in _find_notes(town, net) if "no buildings or trees" in note]
     shapes = '<poly id="house" type="building" fill="1" shape="10,10 20,10 20,20 10,20 10,10"/></additional>'
     more = town.additional[0]
     more.write_text(more.read_text(encoding="utf-8").replace("</additional>", shapes), encoding="utf-8")
-    assert notes_of(town, net) == ()
+    assert _find_notes(town, net) == ()
 
 
 def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path) -> None:
@@ -123,8 +122,8 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     whole = convert_net(order, "all.osm.xml", tmp_path)
     found = islands_by_links(read_net(whole), whole)
     assert len(found.footways) >= 5 and found.share < 0.98
-    built = build_net(order, extract.root, tmp_path)
-    assert built.share == share_of(walkable_parts(built.net, chair_ways(cycle_paths=False))) > 0.95
+    built = _build_net(order, extract.root, tmp_path)
+    assert built.share == largest_share(walkable_parts(built.net, chair_ways(cycle_paths=False))) > 0.95
     assert islands_by_links(built.net, tmp_path / "x.net.xml").share > found.share
 
 
@@ -133,7 +132,7 @@ def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:
     text = tiny_osm().replace('<tag k="sidewalk" v="both"/>', '<tag k="maxspeed" v="40 mph"/>')
     osm.write_text(text.replace('v="residential"', 'v="primary"'), encoding="utf-8")
     extract = read_extract(osm)
-    net = build_net(NetOrder(name="x", box=extract.box, lefthand=False), extract.root, tmp_path).net
+    net = _build_net(NetOrder(name="x", box=extract.box, lefthand=False), extract.root, tmp_path).net
     streets = [edge for edge in net.edges if not edge.function]
     assert all(any(lane.permits("pedestrian") for lane in edge.lanes) for edge in streets)
     assert len([edge for edge in net.edges if edge.function == "crossing"]) >= 12

@@ -12,10 +12,10 @@ from shapely import Polygon, box
 from tests.towns.furniture.standing_samples import authored
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.furniture.author_obstacles import author_things
-from wcsim.towns.furniture.buildings import buildings_of
-from wcsim.towns.furniture.everything import fittings_of
+from wcsim.towns.furniture.buildings import make_buildings
+from wcsim.towns.furniture.everything import place_furniture
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import FreeGround, StandingObject
 from wcsim.towns.importing.folder_texts import sumocfg_text
@@ -155,8 +155,8 @@ def test_odd_attributes_are_said_or_harmless(
         return
     assert all(np.isfinite(thing.piece.vertices_W_m).all() for thing in placed)
     place = FreeGround(low=box(-3, -3, 3, 3), solids=Polygon(), lines=shapely.MultiLineString(), hull=TOWN)
-    fittings_of(items, corner_net, (), place, placed)
-    buildings_of(items, place.low, TOWN)
+    place_furniture(items, corner_net, (), place, placed)
+    make_buildings(items, place.low, TOWN)
 
 
 def test_an_unknown_kind_names_the_file_and_what_is_known(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_what_cannot_be_placed_is_an_error_for_the_author_s_and_left_out_else(tm
 def test_obstacles_stay_on_the_way_and_the_way_leads_around_them(corner_town: Town, tmp_path: Path) -> None:
     works = '<poly id="w" type="wcsim.roadworks" fill="1" shape="-20,-3.3 -14,-3.3 -14,-4.65 -20,-4.65 -20,-3.3"/>'
     cone = '<poi id="c" type="wcsim.cone" x="-30" y="-1.6"/><poi id="b" type="wcsim.bollard" x="-30" y="-4.5"/>'
-    street = street_of(build_street(with_things(corner_town, tmp_path, works + cone)))
+    street = unpack_street(build_street(with_things(corner_town, tmp_path, works + cone)))
     assert street.grid.clearance_at(np.array([[-17.0, -4.0], [-30.0, -1.6], [-30.0, -4.5]])).max() < 0.15
     ways = shapely.MultiLineString([edge.points_W_m for edge in street.walk.edges])
     assert ways.distance(shapely.box(-20, -4.65, -14, -3.3)) >= 0.4

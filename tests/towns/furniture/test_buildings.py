@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from shapely import Polygon, box
 
 from tests.towns.furniture.standing_samples import item
-from wcsim.towns.furniture.buildings import PASSAGE_M, Building, buildings_of
-from wcsim.towns.osm.clean import filter_osm, mark_buildings
+from wcsim.towns.furniture.buildings import PASSAGE_M, Building, make_buildings
+from wcsim.towns.osm.clean import _mark_buildings, filter_osm
 from wcsim.towns.sumo.additional import Item, read_items
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root
@@ -27,7 +27,7 @@ def block(x0: float, y0: float, x1: float, y1: float, kind: str = "building.yes"
 
 
 def standing(*items: Item, street: Polygon = NO_STREET) -> list[Building]:
-    return buildings_of(list(items), street, HULL)[0]
+    return make_buildings(list(items), street, HULL)[0]
 
 
 def ground(buildings: list[Building]) -> shapely.Geometry:
@@ -94,7 +94,7 @@ def test_parts_take_the_place_of_their_building_without_double_walls() -> None:
 def test_a_tower_on_its_base_hangs_over_what_is_below() -> None:
     base = block(0, 0, 40, 40, "building.part", building__levels="3")
     tower = block(10, 10, 20, 20, "building.part", building__levels="20", building__min_level="3")
-    low, high = buildings_of([block(0, 0, 40, 40), base, tower], NO_STREET, HULL)
+    low, high = make_buildings([block(0, 0, 40, 40), base, tower], NO_STREET, HULL)
     assert ground(low).area == pytest.approx(1600, rel=0.01) and low[0].height_m == pytest.approx(10.6)
     (above,) = high
     assert (above.low_m, above.height_m) == (pytest.approx(9.6), pytest.approx(65.0))
@@ -103,18 +103,18 @@ def test_a_tower_on_its_base_hangs_over_what_is_below() -> None:
 def test_below_a_raised_part_people_pass() -> None:
     grounded = block(0, 0, 40, 30, "building.part", height="20")
     arcade = block(0, 30, 40, 36, "building.part", height="20", min_height="4")
-    low, high = buildings_of([block(0, 0, 40, 36), grounded, arcade], NO_STREET, HULL)
+    low, high = make_buildings([block(0, 0, 40, 36), grounded, arcade], NO_STREET, HULL)
     assert ground(low).distance(shapely.Point(20, 33)) > 2.5
     assert [b.low_m for b in high] == [4.0]
 
 
 def test_no_floor_hangs_in_the_air_where_a_map_leaves_out_those_below() -> None:
     top = block(1, 1, 39, 39, "building.part", building__levels="9", building__min_level="6")
-    low, high = buildings_of([block(0, 0, 40, 40, height="30"), top], NO_STREET, HULL)
+    low, high = make_buildings([block(0, 0, 40, 40, height="30"), top], NO_STREET, HULL)
     assert ground(low).area == pytest.approx(1600, rel=0.01) and low[0].height_m == pytest.approx(19.2)
     assert [b.low_m for b in high] == [pytest.approx(19.2)]
     foot = block(0, 0, 40, 40, "building.part", building__levels="2")
-    low, high = buildings_of([block(0, 0, 40, 40), foot, top], NO_STREET, HULL)
+    low, high = make_buildings([block(0, 0, 40, 40), foot, top], NO_STREET, HULL)
     assert [b.low_m for b in high] == [low[0].height_m]
 
 
@@ -122,18 +122,18 @@ def test_no_floor_hangs_in_the_air_where_a_map_leaves_out_those_below() -> None:
     "tags", [{"layer": "-1"}, {"location": "underground"}, {"building__levels": "-2"}], ids=lambda tags: str(tags)
 )
 def test_what_lies_under_ground_is_not_there(tags: dict[str, str]) -> None:
-    assert buildings_of([block(0, 0, 20, 20, **tags)], NO_STREET, HULL) == ([], [])
+    assert make_buildings([block(0, 0, 20, 20, **tags)], NO_STREET, HULL) == ([], [])
 
 
 @pytest.mark.parametrize("kind", ["building.roof", "building.carport", "building.entrance", "building.no"])
 def test_roofs_on_posts_have_no_walls(kind: str) -> None:
-    assert buildings_of([block(0, 0, 20, 20, kind)], NO_STREET, HULL) == ([], [])
+    assert make_buildings([block(0, 0, 20, 20, kind)], NO_STREET, HULL) == ([], [])
 
 
 def test_a_skywalk_hangs_over_the_street_and_stands_on_nothing() -> None:
     street = box(-100, 5, 100, 15)
     for walk in (block(0, 0, 4, 20, "building.bridge"), block(0, 0, 4, 20, min_height="5", height="9")):
-        low, high = buildings_of([walk], street, HULL)
+        low, high = make_buildings([walk], street, HULL)
         assert low == []
         assert min(b.low_m for b in high) >= PASSAGE_M
         assert ground(high).intersects(shapely.Point(2, 10))
@@ -142,14 +142,14 @@ def test_a_skywalk_hangs_over_the_street_and_stands_on_nothing() -> None:
 def test_a_house_spans_the_passage_through_it_but_not_the_pavement_in_front() -> None:
     house = block(0, 0, 30, 12, height="15")
     passage = box(12, -20, 17, 40)
-    low, high = buildings_of([house], passage, HULL)
+    low, high = make_buildings([house], passage, HULL)
     assert len(low) == 2 and len(high) == 1
     assert (high[0].low_m, high[0].height_m) == (PASSAGE_M, 15.0)
     assert high[0].outline.buffer(0.02).covers(box(12, 0, 17, 12))
     in_front = box(-50, -5, 50, 2.5)
-    low, high = buildings_of([house], in_front, HULL)
+    low, high = make_buildings([house], in_front, HULL)
     assert len(low) == 1 and high == []
-    assert buildings_of([block(0, 0, 30, 12, height="4")], passage, HULL)[1] == []
+    assert make_buildings([block(0, 0, 30, 12, height="4")], passage, HULL)[1] == []
 
 
 POINT = st.tuples(st.integers(-20, 20), st.integers(-20, 20))
@@ -165,7 +165,7 @@ KINDS = st.sampled_from(["building.yes", "building.part", "building.courtyard", 
 def test_odd_outlines_never_crash_and_never_overlap(drawn: list[tuple[str, list[tuple[int, int]], str]]) -> None:
     items = [item(kind, *points, filled=True, min_height=text) for kind, points, text in drawn]
     street = box(-30, -2, 30, 2)
-    low, high = buildings_of(items, street, HULL)
+    low, high = make_buildings(items, street, HULL)
     total = sum(b.outline.area for b in low)
     # Outlines are thinned by up to 0.1 m after they were parted.
     assert ground(low).area == pytest.approx(total, abs=0.5)
@@ -192,7 +192,7 @@ OSM = """<osm>
 
 def test_courtyards_and_parts_are_said_in_tags_that_polyconvert_keeps() -> None:
     root = parse_root(OSM.encode(), "test")
-    mark_buildings(root)
+    _mark_buildings(root)
 
     def building(element_id: str) -> str | None:
         found = next(element for element in root if element.get("id") == element_id)
@@ -206,15 +206,19 @@ def nodes_of(*corners: tuple[int, float, float]) -> str:
     return "".join(f'<node id="{n}" lat="{60 + y / 1e4}" lon="{24 + x / 1e4}"/>' for n, x, y in corners)
 
 
-def way_of(number: int, *refs: int, **tags: str) -> str:
+def predict_path(number: int, *refs: int, **tags: str) -> str:
     inner = "".join(f'<nd ref="{ref}"/>' for ref in refs) + "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
     return f'<way id="{number}">{inner}</way>'
 
 
 def test_a_courtyard_and_a_part_come_through_polyconvert(tmp_path: Path) -> None:
     ring, yard = ((11, 5, 3), (12, 15, 3), (13, 15, 9), (14, 5, 9)), ((21, 8, 5), (22, 12, 5), (23, 12, 7), (24, 8, 7))
-    ways = way_of(100, 1, 2, highway="residential") + way_of(101, 11, 12, 13, 14, 11) + way_of(102, 21, 22, 23, 24, 21)
-    part = way_of(103, 11, 12, 22, 21, 11, **{"building:part": "yes", "height": "5"})
+    ways = (
+        predict_path(100, 1, 2, highway="residential")
+        + predict_path(101, 11, 12, 13, 14, 11)
+        + predict_path(102, 21, 22, 23, 24, 21)
+    )
+    part = predict_path(103, 11, 12, 22, 21, 11, **{"building:part": "yes", "height": "5"})
     members = '<member type="way" ref="101" role="outer"/><member type="way" ref="102" role="inner"/>'
     tags = '<tag k="type" v="multipolygon"/><tag k="building" v="yes"/><tag k="height" v="12"/>'
     nodes = nodes_of((1, 0, 0), (2, 40, 0), *ring, *yard)
@@ -229,7 +233,7 @@ def test_a_courtyard_and_a_part_come_through_polyconvert(tmp_path: Path) -> None
     poly = ["--osm-files", "a.osm.xml", "--net-file", "a.net.xml", "--type-file", str(types), "-o", "a.poly.xml"]
     keep = ["--osm.keep-full-type", "--osm.merge-relations", "1", "--all-attributes", "--discard"]
     assert run_tool("polyconvert", [*poly, *keep], tmp_path).returncode == 0
-    low, high = buildings_of(read_items((tmp_path / "a.poly.xml",), (0, 0)), NO_STREET, box(-1e3, -1e3, 1e3, 1e3))
+    low, high = make_buildings(read_items((tmp_path / "a.poly.xml",), (0, 0)), NO_STREET, box(-1e3, -1e3, 1e3, 1e3))
     (whole,) = (b for b in low if b.height_m == 12.0)
     (front,) = (b for b in low if b.height_m == 5.0)
     hole = whole.outline.union(front.outline.buffer(0.05)).convex_hull.area - ground(low).area

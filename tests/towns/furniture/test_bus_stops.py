@@ -9,7 +9,7 @@ import shapely
 from shapely import box
 
 from tests.towns.furniture.standing_samples import PLACE, item
-from wcsim.towns.furniture.everything import stop_things
+from wcsim.towns.furniture.everything import _stop_things
 from wcsim.towns.furniture.placement import CLEAR_M
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.additional import Item, read_items
@@ -25,7 +25,7 @@ WESTWARD = stop((60, 6), (50, 6), (40, 6))  # the pavement is on its right
 
 
 def test_a_stop_gets_a_pole_and_a_shelter_beside_its_lane_off_the_way() -> None:
-    pole, shelter = stop_things([WESTWARD], PLACE, [], lefthand=False)
+    pole, shelter = _stop_things([WESTWARD], PLACE, [], lefthand=False)
     assert 8.0 < pole.footprint.centroid.y < 10.5 and 40.0 < pole.footprint.centroid.x < 45.0
     assert 45.0 < shelter.footprint.centroid.x < 55.0
     for thing in (pole, shelter):
@@ -40,28 +40,28 @@ def test_a_stop_gets_a_pole_and_a_shelter_beside_its_lane_off_the_way() -> None:
 def test_where_there_is_no_room_there_is_no_shelter() -> None:
     way = shapely.MultiLineString([[(0, 9.9), (100, 9.9)]])
     narrow = replace(PLACE, lines=way, solids=box(0, 10.8, 100, 30))
-    (pole,) = stop_things([WESTWARD], narrow, [], lefthand=False)
+    (pole,) = _stop_things([WESTWARD], narrow, [], lefthand=False)
     assert pole.footprint.area < 0.1
     nowhere = replace(PLACE, solids=box(0, 8, 100, 30))
-    assert stop_things([WESTWARD], nowhere, [], lefthand=False) == []
+    assert _stop_things([WESTWARD], nowhere, [], lefthand=False) == []
 
 
 def test_where_traffic_keeps_left_people_wait_on_the_left() -> None:
     eastward = stop((40, 6), (50, 6), (60, 6))
-    things = stop_things([eastward], PLACE, [], lefthand=True)
+    things = _stop_things([eastward], PLACE, [], lefthand=True)
     assert len(things) == 2 and all(thing.footprint.centroid.y > 8.0 for thing in things)
-    for thing in stop_things([eastward], PLACE, [], lefthand=False):
+    for thing in _stop_things([eastward], PLACE, [], lefthand=False):
         assert thing.footprint.centroid.y < 0.0
 
 
 def test_mapped_stops_are_poles_and_not_doubled() -> None:
     mapped = item("highway.bus_stop", (50, 9))
-    (pole,) = stop_things([mapped], PLACE, [], lefthand=False)
+    (pole,) = _stop_things([mapped], PLACE, [], lefthand=False)
     assert pole.footprint.distance(shapely.Point(50, 9)) < 1.0
     sheltered = item("highway.bus_stop", (20, 13.5), shelter="yes")
-    (shelter,) = stop_things([sheltered], PLACE, [], lefthand=False)
+    (shelter,) = _stop_things([sheltered], PLACE, [], lefthand=False)
     assert shelter.footprint.area == pytest.approx(3.6 * 1.3)
-    assert len(stop_things([WESTWARD, mapped], PLACE, [], lefthand=False)) == 2
+    assert len(_stop_things([WESTWARD, mapped], PLACE, [], lefthand=False)) == 2
 
 
 @pytest.mark.parametrize(

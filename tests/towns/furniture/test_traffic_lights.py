@@ -10,8 +10,8 @@ from shapely import MultiPoint, Polygon, box
 
 from tests.towns.furniture.standing_samples import item, signal_net
 from wcsim.towns.furniture.placement import FreeGround, StandingObject
-from wcsim.towns.furniture.traffic_lights import HEAD_LOW_M, approaches_of, sign_things, signal_things
-from wcsim.towns.ground.surfaces import surfaces_of
+from wcsim.towns.furniture.traffic_lights import HEAD_LOW_M, _find_approaches, sign_things, signal_things
+from wcsim.towns.ground.surfaces import make_surfaces
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 
 WAYS = ("sidewalk", "crossing", "shared")
@@ -23,7 +23,7 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 def place_of(net: Net) -> FreeGround:
-    surfaces = surfaces_of(net, WAYS)
+    surfaces = make_surfaces(net, WAYS)
     lines = shapely.MultiLineString([lane.points_m for lane in net.lanes(LaneKind.SIDEWALK)])
     return FreeGround(low=surfaces.low.buffer(0.1), solids=Polygon(), lines=lines, hull=surfaces.hull)
 
@@ -78,7 +78,7 @@ def test_posts_of_vehicles_stand_at_the_kerb_on_their_side_and_face_them(net: Ne
 
 def test_an_approach_is_that_of_the_lane_beside_the_pavement(net: Net) -> None:
     lanes = {edge.id: edge.lanes for edge in net.edges if not edge.function}
-    found = approaches_of(net)
+    found = _find_approaches(net)
     assert found and all(len(lanes[approach.edge_id]) == 3 for approach in found)
     for approach in found:
         pavement, kerbside, inner = (lane.points_m[-1] for lane in lanes[approach.edge_id])
@@ -94,7 +94,7 @@ def test_heads_of_lanes_stand_in_the_order_of_the_lanes(net: Net) -> None:
     assert len(on_posts) == 4
     for thing in on_posts:
         lanes = [lane_at(net, head.link) for head in thing.heads]
-        (aside,) = (a.aside for a in approaches_of(net) if a.edge_id == lanes[0].edge_id)
+        (aside,) = (a.aside for a in _find_approaches(net) if a.edge_id == lanes[0].edge_id)
         aside_m = [float(np.dot(head.p_W_m[:2], aside)) for head in thing.heads]
         from_kerb = [lanes[i].index for i in np.argsort(aside_m)[::-1]]
         assert from_kerb == sorted(from_kerb) and len(set(from_kerb)) == 2
@@ -142,7 +142,7 @@ def test_a_program_in_an_additional_file_splits_heads(net: Net, tmp_path: Path) 
 
 def test_without_room_the_light_hangs_on_an_arm_whose_post_stands_off_the_road(net: Net) -> None:
     place = place_of(net)
-    stops = shapely.union_all([shapely.Point(a.stop_m).buffer(14.0) for a in approaches_of(net)])
+    stops = shapely.union_all([shapely.Point(a.stop_m).buffer(14.0) for a in _find_approaches(net)])
     crowded = replace(place, lines=shapely.union_all([place.lines, stops.difference(place.low)]))
     things = [thing for thing in signal_things(net, (), crowded, []) if not thing.heads[0].pedestrian]
     assert len(things) == 4 and all(thing.heads[0].p_W_m[2] > 4.8 for thing in things)
@@ -177,7 +177,7 @@ def test_a_short_state_and_a_net_without_signals_are_no_error(net: Net) -> None:
 
 def test_stop_signs_stand_at_the_kerb_of_their_approach(net: Net) -> None:
     place = place_of(net)
-    approach = approaches_of(net)[0]
+    approach = _find_approaches(net)[0]
     on_road = approach.stop_m - 4.0 * approach.ahead
     (sign,) = sign_things([item("highway.stop", tuple(on_road))], net, place, [])
     assert place.free(sign.footprint)

@@ -23,8 +23,8 @@ from tests.towns.made.nets import (
     street,
     write_net,
 )
-from wcsim.towns.ground.relief import on_land, relief_of
-from wcsim.towns.ground.surfaces import surfaces_of
+from wcsim.towns.ground.relief import fit_relief, on_land
+from wcsim.towns.ground.surfaces import make_surfaces
 from wcsim.towns.sumo.net import read_net
 from wcsim.types.street import ClassId
 
@@ -75,7 +75,7 @@ def test_a_net_that_is_built_in_blocks_has_no_seams(steep: bool, tmp_path: Path)
             tmp_path / "made.net.xml", tmp_path / "hill.net.xml", lambda x, y: 0.05 * x + 3.0 * math.sin(x / 50)
         )
         net = read_net(lifted)
-    assert_sound(net, relief_of(net))
+    assert_sound(net, fit_relief(net))
 
 
 @pytest.mark.proof
@@ -94,7 +94,7 @@ def test_a_net_of_others_has_sound_ground(name: str, shared: Path) -> None:
 
 def test_a_ramp_over_itself_is_ground_once(tmp_path: Path) -> None:
     net = write_net(tmp_path, spiral(), street(y=-40.0))
-    relief = relief_of(net)
+    relief = fit_relief(net)
     kept = on_land(net, relief)
     assert_sound(kept, relief)
     assert relief.z_m.max() - relief.z_m.min() < 8.0  # the upper turns are no hill
@@ -102,7 +102,7 @@ def test_a_ramp_over_itself_is_ground_once(tmp_path: Path) -> None:
 
 def test_rails_of_their_own_are_no_road(tmp_path: Path) -> None:
     net = write_net(tmp_path, *ODD["rails"])
-    surfaces = surfaces_of(net, WAYS)
+    surfaces = make_surfaces(net, WAYS)
     assert surfaces.rail.area == pytest.approx(60 * 3.2, rel=0.02)  # the other track lies in the carriageway
     ground = ground_of(net)
     assert ground.low[ground.face_class == ClassId.RAIL_TRACK].all()
@@ -112,7 +112,7 @@ def test_a_small_loop_of_road_is_filled_and_a_large_one_or_an_island_of_pavement
     ring = "0,0 {0},0 {0},{0} 0,{0} 0,0"
     for size_m, holes in ((12, 0), (40, 1)):
         net = write_net(tmp_path, street(y=-30), edge("loop", lane(ring.format(size_m))))
-        assert sum(len(part.interiors) for part in surfaces_of(net, WAYS).low.geoms) == holes
+        assert sum(len(part.interiors) for part in make_surfaces(net, WAYS).low.geoms) == holes
     island = edge("island", lane("4,6 8,6", WALK, "3.0"))
     net = write_net(tmp_path, edge("loop", lane(ring.format(12))), island)
-    assert surfaces_of(net, WAYS).pavement.area > 8.0
+    assert make_surfaces(net, WAYS).pavement.area > 8.0

@@ -7,9 +7,9 @@ import pytest
 import shapely
 
 from tests.towns.made.nets import DRIVE, WALK, WAYS, assert_sound, edge, lane, write_net
-from wcsim.towns.ground.kerb_faces import kerb_walls
-from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing, kerbing_of
-from wcsim.towns.ground.surfaces import surfaces_of
+from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing, make_kerbing
+from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.surfaces import make_surfaces
 from wcsim.towns.ground.triangulation import build_ground
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net
@@ -38,7 +38,7 @@ def street(tmp_path: Path) -> Net:
 
 
 def kerbs_at(net: Net, *items: Item, drop_m: float = 0.0) -> Kerbing:
-    return kerbing_of(surfaces_of(net, WAYS), TOP_M, drop_m, items)
+    return make_kerbing(make_surfaces(net, WAYS), TOP_M, drop_m, items)
 
 
 def height_m(kerbing: Kerbing, *places: tuple[float, float]) -> list[float]:
@@ -83,8 +83,8 @@ def test_what_is_mapped_twice_is_one_kerb(street: Net) -> None:
 
 def test_ramps_are_never_steeper_than_one_in_twelve_where_they_meet(street: Net) -> None:
     marks = [mark("flush", (x, 3.2)) for x in (26.0, 34.5, 36.4)] + [mark("lowered", (27.3, 3.3), (24.0, 3.3))]
-    surfaces = surfaces_of(street, WAYS)
-    ground = build_ground(surfaces, kerbing_of(surfaces, TOP_M, 0.0, marks))
+    surfaces = make_surfaces(street, WAYS)
+    ground = build_ground(surfaces, make_kerbing(surfaces, TOP_M, 0.0, marks))
     high = ground.vertices_W_m[ground.faces[~ground.low]]
     normal = np.cross(high[:, 1] - high[:, 0], high[:, 2] - high[:, 0])
     assert (np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]).max() <= 1.02 * STEEPEST
@@ -117,8 +117,8 @@ def test_a_wheelchair_passes_a_traffic_island(width: float, tmp_path: Path) -> N
         links,
     )
     assert_sound(net)
-    surfaces = surfaces_of(net, WAYS)
-    walls = kerb_walls(build_ground(surfaces, kerbing_of(surfaces, TOP_M, 0.0)))[0]
+    surfaces = make_surfaces(net, WAYS)
+    walls = kerb_walls(build_ground(surfaces, make_kerbing(surfaces, TOP_M, 0.0)))[0]
     kerbs = shapely.union_all(shapely.linestrings(walls[walls[:, :, 2].max(axis=1) > 0.031][:, :2, :2]))
     space = free_space(shapely.union_all([surfaces.pavement, surfaces.crossing]), kerbs, shapely.Polygon())
     walk = build_walk_graph(net, space, WAYS)

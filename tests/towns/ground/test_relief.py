@@ -10,10 +10,10 @@ import shapely
 
 from tests.towns.made.nets import PAVED, WAYS, assert_sound, edge, generated, hilly, lane, street, write_net
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.checks.check import mesh_faults
-from wcsim.towns.ground.relief import on_land, relief_of
-from wcsim.towns.ground.surfaces import surfaces_of
+from wcsim.towns.cache.street_cache import unpack_street
+from wcsim.towns.checks.check import _mesh_faults
+from wcsim.towns.ground.relief import fit_relief, on_land
+from wcsim.towns.ground.surfaces import make_surfaces
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.types import ClassId
@@ -39,17 +39,17 @@ def hill(hill_file: Path) -> Net:
 
 @pytest.fixture(scope="module")
 def hill_street(hill_file: Path, corner_town: Town) -> Street:
-    return street_of(build_street(replace(corner_town, net=hill_file, additional=())))
+    return unpack_street(build_street(replace(corner_town, net=hill_file, additional=())))
 
 
 def test_a_net_without_heights_is_level(tmp_path: Path) -> None:
-    assert relief_of(write_net(tmp_path, street())) is FLAT
+    assert fit_relief(write_net(tmp_path, street())) is FLAT
     high = write_net(tmp_path, edge("s", lane("0,0,37.4 60,0,37.4")))
-    assert relief_of(high) is FLAT and high.z_origin_m == 37.4
+    assert fit_relief(high) is FLAT and high.z_origin_m == 37.4
 
 
 def test_the_land_follows_the_lanes_and_goes_on_smoothly_between_them(hill: Net) -> None:
-    relief = relief_of(hill)
+    relief = fit_relief(hill)
     ways = [way for way in hill.lanes(*(lane.kind for edge in hill.edges for lane in edge.lanes)) if len(way.z_m)]
     points_m, z_m = (np.concatenate([getattr(way, name) for way in ways]) for name in ("points_m", "z_m"))
     assert np.abs(relief.at(points_m) - z_m).max() < 0.15
@@ -69,15 +69,15 @@ def test_the_relief_is_cut_as_it_says() -> None:
 
 
 def test_hilly_ground_is_sound_and_the_grid_agrees_with_the_mesh(hill: Net, hill_street: Street) -> None:
-    assert_sound(hill, relief_of(hill))
-    assert mesh_faults(hill_street, rays=3000) <= 1
+    assert_sound(hill, fit_relief(hill))
+    assert _mesh_faults(hill_street, rays=3000) <= 1
     z_m = hill_street.mesh.vertices_W_m[:, 2]
     assert hill_street.net_origin_m[2] == hill.z_origin_m and abs(hill.z_origin_m - 62.0) < 6.0
     assert z_m.min() > -12.0 and np.ptp(z_m) > 8.0
 
 
 def test_no_face_crosses_a_fold_of_the_land(hill: Net, hill_street: Street) -> None:
-    mesh, relief = hill_street.mesh, relief_of(hill)
+    mesh, relief = hill_street.mesh, fit_relief(hill)
     ground = np.isin(mesh.face_class, (ClassId.ROAD, ClassId.TERRAIN))
     corners = mesh.vertices_W_m[mesh.faces[ground]].astype(float)
     lifted_m = corners[:, :, 2] - relief.at(corners)
@@ -89,20 +89,20 @@ def test_no_face_crosses_a_fold_of_the_land(hill: Net, hill_street: Street) -> N
 def test_what_passes_over_a_street_is_no_ground(tmp_path: Path) -> None:
     bridge = edge("b", lane("30,-200,-1 30,-100,0 30,-20,6 30,20,6 30,100,0 30,200,-1"))
     net = write_net(tmp_path, *(edge(f"s{y}", lane(f"-100,{y},0 160,{y},0")) for y in (-60, 0, 60)), bridge)
-    relief = relief_of(net)
+    relief = fit_relief(net)
     assert np.abs(relief.at(np.array([[30.0, 0.0], [0.0, 0.0], [60.0, 0.0]]))).max() < 0.4
     kept = on_land(net, relief)
     (below,) = (edge for edge in kept.edges if edge.id == "s0")
     assert np.array_equal(below.lanes[0].points_m, net.edges[1].lanes[0].points_m)
     deck = shapely.LineString([(30.0, -16.0), (30.0, -5.0)])
-    assert surfaces_of(net, WAYS).low.intersection(deck).length > 10.0
-    assert surfaces_of(kept, WAYS).low.intersection(deck).length < 0.1
+    assert make_surfaces(net, WAYS).low.intersection(deck).length > 10.0
+    assert make_surfaces(kept, WAYS).low.intersection(deck).length < 0.1
     assert_sound(kept, relief)
 
 
 def test_absurd_grades_of_short_edges_do_not_bend_the_land(tmp_path: Path) -> None:
     spike = edge("x", lane("30,0,0 31,0,4 32,0,0"))
-    relief = relief_of(
+    relief = fit_relief(
         write_net(tmp_path, edge("s", lane("-60,0,0 30,0,0")), spike, edge("t", lane("32,0,0 90,0,0.5")))
     )
     assert abs(relief.at(np.array([31.0, 0.0]))) < 0.1

@@ -10,12 +10,12 @@ import shapely
 from tests.support.yardstick import multiple
 from wcsim.towns import build_street, street
 from wcsim.towns.cache import street_cache
-from wcsim.towns.checks.check import check_town, demand_classes, mesh_faults
+from wcsim.towns.checks.check import _demand_classes, _mesh_faults, check_town
 from wcsim.towns.ground.tiles import RASTER_M, TILE_M, Packed
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
-from wcsim.towns.walking.islands import share_of, walkable_parts
+from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import ClassId, Street, WayKind
 
 WALKABLE = (ClassId.SIDEWALK, ClassId.CROSSWALK)
@@ -41,7 +41,7 @@ def test_chunks_own_their_vertices(manhattan: Street) -> None:
 
 @pytest.mark.parametrize("name", ["corner", "manhattan"])
 def test_grid_agrees_with_mesh(name: str, request: pytest.FixtureRequest) -> None:
-    assert mesh_faults(request.getfixturevalue(name), rays=3000) <= 1  # a ray may run along an edge
+    assert _mesh_faults(request.getfixturevalue(name), rays=3000) <= 1  # a ray may run along an edge
 
 
 def test_nothing_solid_stands_on_road_or_crossing(manhattan: Street) -> None:
@@ -117,9 +117,9 @@ def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Pat
 @pytest.mark.proof
 def test_helsinki_hangs_together() -> None:
     town = find_town("helsinki")
-    assert share_of(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95
+    assert largest_share(walkable_parts(read_net(town.net, town.file.origin_m), town.file.chair_ways)) >= 0.95
     wanted = {"passenger", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "tram"}
-    assert set(demand_classes(town)) >= wanted
+    assert set(_demand_classes(town)) >= wanted
 
 
 def test_check_reports_a_town_and_its_faults(corner_town: Town, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.ground import tiles
 from wcsim.towns.ground.tiles import RASTER_M, Packed, TileStore
 from wcsim.towns.scenario.town import Town
@@ -20,7 +20,7 @@ def packed(corner_town: Town) -> Packed:
 
 @pytest.fixture
 def street(packed: Packed) -> Street:
-    return street_of(packed)
+    return unpack_street(packed)
 
 
 def store_of(street: Street) -> TileStore:
@@ -83,7 +83,7 @@ def test_even_of_what_is_asked_for_there_is_a_most(street: Street, monkeypatch: 
 
 
 def test_a_raster_of_another_size_is_refused(packed: Packed) -> None:
-    store = TileStore(packed, store_of(street_of(packed))._relief)
+    store = TileStore(packed, store_of(unpack_street(packed))._relief)
     name = next(name for name in packed if name.endswith("height_cm"))
     with pytest.raises(ValueError, match="not of"):
         tiles._raster_of(packed[name], (10, 10))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import shapely
 
-from wcsim.towns.ground.kerb_faces import kerb_walls
-from wcsim.towns.ground.kerb_heights import STEEPEST, kerbing_of
-from wcsim.towns.ground.plane import cross_z
-from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
+from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
+from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.plane_geometry import cross_z
+from wcsim.towns.ground.surfaces import Surfaces, make_surfaces
 from wcsim.towns.ground.triangulation import GroundMesh, build_ground
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
@@ -20,12 +20,12 @@ WAYS = ("sidewalk", "crossing", "shared")
 
 @pytest.fixture(scope="module")
 def surfaces(manhattan_town: Town) -> Surfaces:
-    return surfaces_of(read_net(manhattan_town.net, manhattan_town.file.origin_m), WAYS)
+    return make_surfaces(read_net(manhattan_town.net, manhattan_town.file.origin_m), WAYS)
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.03])
 def ground(request: pytest.FixtureRequest, surfaces: Surfaces) -> GroundMesh:
-    return build_ground(surfaces, kerbing_of(surfaces, 0.12, request.param))
+    return build_ground(surfaces, make_kerbing(surfaces, 0.12, request.param))
 
 
 def test_surfaces_are_disjoint_and_crossings_touch_pavement(surfaces: Surfaces) -> None:
@@ -82,6 +82,6 @@ def test_kerbs_face_the_road_and_are_lowered_at_crossings(ground: GroundMesh, su
 
 
 def test_a_town_without_kerbs_is_flat(surfaces: Surfaces) -> None:
-    flat = build_ground(surfaces, kerbing_of(surfaces, 0.0, 0.0))
+    flat = build_ground(surfaces, make_kerbing(surfaces, 0.0, 0.0))
     assert (flat.vertices_W_m[:, 2] == 0.0).all()
     assert len(kerb_walls(flat)[0]) == 0

@@ -13,15 +13,15 @@ from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.importing.elevation import (
     Dem,
     Heights,
-    heights_at,
+    _heights_at,
+    _own_projections,
+    _scaled,
+    _smoothed,
+    lift_net,
     make_dem,
-    own_projections,
-    scaled,
-    smoothed,
     write_dem,
 )
 from wcsim.towns.importing.importer import ImportOrder, import_town
-from wcsim.towns.importing.lift import lift_net
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
@@ -37,7 +37,7 @@ def write_tiff(path: Path, crs: str | None, *, lift_m: float = 0.0, hole: bool =
         height_m[100:130, 100:130] = -9999.0
     place = Affine(10.0, 0.0, 371_495.0, 0.0, -10.0, 4_845_700.0)
     profile = {"driver": "GTiff", "width": width, "height": 240, "count": 1, "dtype": "float32", "transform": place}
-    with own_projections(), rasterio.open(path, "w", crs=crs, nodata=-9999.0, **profile) as file:
+    with _own_projections(), rasterio.open(path, "w", crs=crs, nodata=-9999.0, **profile) as file:
         file.write(height_m, 1)
     return path
 
@@ -49,7 +49,7 @@ def test_a_geotiff_in_metres_is_read_where_it_lies(tmp_path: Path, hole: bool) -
     assert dem is not None and np.isfinite(dem.height_m).all()
     places = np.array([[7.4180, 43.7370], [7.4240, 43.7420], [7.4210, 43.7400]])
     x_m = np.array(transform("EPSG:4326", "EPSG:32632", *places.T)[0])
-    assert heights_at(dem, places) == pytest.approx(0.05 * (x_m - 371_500.0), abs=8.0 if hole else 0.1)
+    assert _heights_at(dem, places) == pytest.approx(0.05 * (x_m - 371_500.0), abs=8.0 if hole else 0.1)
 
 
 def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
@@ -78,12 +78,12 @@ def test_only_a_geotiff_of_a_size_that_can_be_read_is_one(tmp_path: Path) -> Non
     place = Affine(1e-6, 0.0, 7.3, 0.0, -1e-6, 43.8)
     shape = {"width": 60_000, "height": 60_000, "count": 1, "dtype": "float32", "transform": place, "SPARSE_OK": True}
     with (
-        own_projections(),
+        _own_projections(),
         rasterio.open(tmp_path / "giant.tif", "w", driver="GTiff", crs="EPSG:4326", **shape) as file,
     ):
         file.update_tags(WCSIM_MAX_GRADE="0")
     shape |= {"width": 200, "height": 200, "count": 40}
-    with own_projections(), rasterio.open(tmp_path / "bands.tif", "w", driver="GTiff", crs="EPSG:4326", **shape):
+    with _own_projections(), rasterio.open(tmp_path / "bands.tif", "w", driver="GTiff", crs="EPSG:4326", **shape):
         pass
     (tmp_path / "link.tif").symlink_to("/dev/zero")
     cases = {
@@ -136,8 +136,8 @@ def test_a_file_of_our_own_is_taken_as_it_is_only_where_and_as_gentle_as_it_was_
 
 def test_smoothing_and_lowering_make_land_gentler() -> None:
     rough = Dem(height_m=np.random.Generator(np.random.Philox(3)).uniform(0, 30, (60, 60)), box=BOX)
-    assert np.ptp(smoothed(rough, 30.0).height_m) < 0.6 * np.ptp(rough.height_m)
-    assert np.ptp(scaled(rough, 0.1).height_m) == pytest.approx(0.1 * np.ptp(rough.height_m))
+    assert np.ptp(_smoothed(rough, 30.0).height_m) < 0.6 * np.ptp(rough.height_m)
+    assert np.ptp(_scaled(rough, 0.1).height_m) == pytest.approx(0.1 * np.ptp(rough.height_m))
 
 
 def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: Path) -> None:

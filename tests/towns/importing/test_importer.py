@@ -14,13 +14,13 @@ import pytest
 from tests.cli.towns import tiny_osm
 from wcsim.cli.main import main
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.check import check_town, unroutable_trips
+from wcsim.towns.checks.check import _unroutable_trips, check_town
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.ground.surfaces import walkable_lanes
-from wcsim.towns.importing import jam_trial
+from wcsim.towns.importing import demand
 from wcsim.towns.importing.elevation import Heights
+from wcsim.towns.importing.folder_texts import _clear_stale, workplace
 from wcsim.towns.importing.importer import ImportOrder, import_town
-from wcsim.towns.importing.work_folder import clear_stale, workplace
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.town import Town
@@ -33,7 +33,7 @@ SHARED = Path(__file__).resolve().parents[4] / "shared" / "towns"
 
 @pytest.fixture
 def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ImportOrder:
-    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    monkeypatch.setattr(demand, "TRIAL_S", 20)
     osm = tmp_path / "tiny.osm"
     osm.write_text(tiny_osm(), encoding="utf-8")
     return ImportOrder(osm=osm, name="small", split="test", out=tmp_path / "towns" / "small")
@@ -118,7 +118,7 @@ def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(
     for name in (f".small-{dead}-abc", f".small-{alive}-abc", f".small-{dead}-xyz-old", f".other-{dead}-abc"):
         (towns / name).mkdir(parents=True)
         (towns / name / "town.toml").touch()
-    clear_stale("small", order.out)
+    _clear_stale("small", order.out)
     assert {path.name for path in towns.iterdir()} == {"small", f".small-{alive}-abc", f".other-{dead}-abc"}
 
 
@@ -144,7 +144,7 @@ def test_shipped_demand_runs_without_errors_and_never_runs_dry(manhattan_town: T
     assert not [line for line in run.output.splitlines() if "route" in line.lower() or line.startswith("Error")]
     steps = list(read_root(summary))
     assert int(steps[-1].attrib["running"]) > 5
-    assert unroutable_trips(manhattan_town) == 0
+    assert _unroutable_trips(manhattan_town) == 0
     flows = list(read_root(manhattan_town.routes[0]))
     ends = [float(flow.attrib["end"]) for flow in flows if flow.tag in ("flow", "personFlow")]
     begins = [float(flow.attrib["begin"]) for flow in flows if flow.tag == "personFlow"]
@@ -158,13 +158,13 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
         '<person id="p" depart="2"><walk from="WC" to="nope"/></person></routes>',
         encoding="utf-8",
     )
-    assert unroutable_trips(replace(corner_town, routes=(routes,), border=None)) == 2
+    assert _unroutable_trips(replace(corner_town, routes=(routes,), border=None)) == 2
 
 
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["leeds", "neukolln"])
 def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    monkeypatch.setattr(demand, "TRIAL_S", 20)
     west, south, east, north = (float(text) for text in (SHARED / f"{name}.bbox").read_text("utf-8").split(","))
     made = import_town(
         ImportOrder(

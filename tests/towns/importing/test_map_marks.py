@@ -11,11 +11,10 @@ from tests.cli.towns import tiny_osm
 from tests.towns.furniture.standing_samples import item
 from tests.towns.made.nets import street, write_net
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.ground.crossing_paint import CrossingMark, unmarked_crossings, unpainted
-from wcsim.towns.ground.landcover import covered
-from wcsim.towns.ground.surfaces import lane_area, surfaces_of
-from wcsim.towns.importing import jam_trial
+from wcsim.towns.cache.street_cache import unpack_street
+from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_crossings, unpainted
+from wcsim.towns.ground.surfaces import covered, lane_area, make_surfaces
+from wcsim.towns.importing import demand
 from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -60,7 +59,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Imported:
     folder = tmp_path_factory.mktemp("marked")
     (folder / "marked.osm").write_text(marked_osm(), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jam_trial, "TRIAL_S", 20)
+        patch.setattr(demand, "TRIAL_S", 20)
         return import_town(ImportOrder(osm=folder / "marked.osm", name="marked", split="test", out=folder / "town"))
 
 
@@ -70,7 +69,7 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported) ->
     lanes = net.lanes(LaneKind.CROSSING)
     plain = unmarked_crossings(read_items(town.additional, town.file.origin_m, net), net)
     assert made.crossings_mapped == 2 and len(plain) == made.crossings_unpainted == len(lanes) - 1
-    built = street_of(build_street(town))
+    built = unpack_street(build_street(town))
     for lane in lanes:
         middle = lane_area(lane).centroid
         found = ClassId(built.grid.class_here(middle.x, middle.y))
@@ -93,9 +92,9 @@ def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: Imported) ->
     town = made.town
     net = read_net(town.net, town.file.origin_m)
     items = read_items(town.additional, town.file.origin_m, net)
-    surfaces = covered(surfaces_of(net, town.file.chair_ways), items)
+    surfaces = covered(make_surfaces(net, town.file.chair_ways), items)
     house = next(item for item in items if item.group == "building")
-    built = street_of(build_street(town))
+    built = unpack_street(build_street(town))
     square = next(item for item in items if item.kind == "square")
     places = {ClassId.GROUND: [square.points_W_m.mean(axis=0), house.points_W_m[0] + 2.0], ClassId.PARKING: []}
     places[ClassId.PARKING] = [next(item for item in items if item.kind == "parking").points_W_m.mean(axis=0)]

@@ -11,7 +11,7 @@ import shapely
 from tests.cli.towns import tiny_osm
 from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.importing.importer import ImportOrder, import_town
-from wcsim.towns.importing.parking import INSIDE_M
+from wcsim.towns.importing.map_marks import INSIDE_M
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import run_tool

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from wcsim.towns.ground.kerb_faces import kerb_walls
-from wcsim.towns.ground.kerb_heights import STEEPEST, kerbing_of
-from wcsim.towns.ground.plane import cross_z
-from wcsim.towns.ground.surfaces import lane_area, surfaces_of
+from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
+from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.plane_geometry import cross_z
+from wcsim.towns.ground.surfaces import lane_area, make_surfaces
 from wcsim.towns.ground.triangulation import LOW_CLASSES, GroundMesh, build_ground
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import run_tool
@@ -79,8 +79,8 @@ def spiral(turns: int = 3, radius: float = 18.0, climb: float = 5.0) -> str:
 
 def ground_of(net: Net, relief: Relief = FLAT) -> GroundMesh:
     """The ground of a net with kerbs of 12 cm."""
-    surfaces = surfaces_of(net, WAYS)
-    return build_ground(surfaces, kerbing_of(surfaces, 0.12, 0.0), relief)
+    surfaces = make_surfaces(net, WAYS)
+    return build_ground(surfaces, make_kerbing(surfaces, 0.12, 0.0), relief)
 
 
 def assert_sound(net: Net, relief: Relief = FLAT) -> None:
@@ -88,7 +88,7 @@ def assert_sound(net: Net, relief: Relief = FLAT) -> None:
     ground = ground_of(net, relief)
     corners = ground.vertices_W_m[ground.faces]
     area_m2 = 0.5 * cross_z(corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2])
-    hull = surfaces_of(net, WAYS).hull
+    hull = make_surfaces(net, WAYS).hull
     assert area_m2.min() > 0.0 and abs(area_m2.sum() / hull.area - 1.0) < 5e-5
     assert shapely.distance(hull.boundary, shapely.points(open_ends(ground))).max() < 0.5
     raised = corners[~ground.low]

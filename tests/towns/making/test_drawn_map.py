@@ -10,10 +10,9 @@ import shapely
 
 from wcsim.core.seeding import generator
 from wcsim.towns.ground.surfaces import lane_area
-from wcsim.towns.making.drawn_map import build_blocks, draw_map, dress
-from wcsim.towns.making.maker import Signals, streets_of, write_net
-from wcsim.towns.making.plan import draw_plan
-from wcsim.towns.making.shaping import shape_plan
+from wcsim.towns.making.drawn_map import _build_blocks, _dress, draw_map
+from wcsim.towns.making.maker import Signals, _make_streets, _write_net
+from wcsim.towns.making.plan import draw_plan, shape_plan
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
 
@@ -23,13 +22,13 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     folder, rng = tmp_path_factory.mktemp("net"), generator(2, "test")
     shaped = shape_plan(draw_plan("random", 500.0, 2, rng, folder), rng)
     signals = Signals(share=0.5, crossing_m=4.0, corner_m=4.0, lefthand=request.param)
-    net = read_net(write_net("n", shaped, streets_of(shaped, rng), signals, folder, rng))
+    net = read_net(_write_net("n", shaped, _make_streets(shaped, rng), signals, folder, rng))
     assert net.lefthand == request.param
     return net
 
 
 def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None:
-    blocks = build_blocks(net, generator(2, "blocks"))
+    blocks = _build_blocks(net, generator(2, "blocks"))
     outlines = [house.outline for house in blocks.houses]
     assert len(outlines) > 40
     streets = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes])
@@ -43,7 +42,7 @@ def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None
 
 
 def test_posts_stand_at_the_kerb_and_nothing_on_road_or_crossing(net: Net) -> None:
-    found = dress(net, generator(2, "dress"))
+    found = _dress(net, generator(2, "dress"))
     road = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.MOTOR, LaneKind.CROSSING)])
     places = [xy_m for _, xy_m in found.mapped] + [xy_m for _, xy_m, _ in found.placed]
     assert len(places) > 200
@@ -54,7 +53,7 @@ def test_posts_stand_at_the_kerb_and_nothing_on_road_or_crossing(net: Net) -> No
 
 
 def test_what_is_left_in_the_way_lies_on_pavements_that_are_wide_enough(net: Net) -> None:
-    placed = [thing for seed in range(8) for thing in dress(net, generator(seed, "left")).placed]
+    placed = [thing for seed in range(8) for thing in _dress(net, generator(seed, "left")).placed]
     assert placed
     wide = [lane for lane in net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED) if lane.width_m >= 2.4]
     ground = shapely.union_all([lane_area(lane) for lane in wide]).buffer(0.1)

@@ -18,7 +18,7 @@ from wcsim.config import load_run_config, with_overrides
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.ground.relief import steepest_grade
-from wcsim.towns.importing import jam_trial
+from wcsim.towns.importing import demand
 from wcsim.towns.importing.demand import CLASSES
 from wcsim.towns.making import maker
 from wcsim.towns.making.maker import make_town
@@ -32,10 +32,10 @@ SMALL = Wishes(size_m=400.0, kind="grid", hill_m=40.0)
 ELSEWHERE = """
 import sys
 from pathlib import Path
-from wcsim.towns.importing import jam_trial
+from wcsim.towns.importing import demand
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.wishes import Wishes
-jam_trial.TRIAL_S = 20
+demand.TRIAL_S = 20
 make_town(Path(sys.argv[1]), 3, Wishes(size_m=400.0, kind="grid", hill_m=40.0), name="small")
 """
 SMALL_CAMERAS = ("world.warmup_s=60", "cameras.0.width_px=32", "cameras.0.height_px=24")
@@ -43,13 +43,13 @@ SMALL_CAMERAS = ("world.warmup_s=60", "cameras.0.width_px=32", "cameras.0.height
 
 @pytest.fixture(autouse=True)
 def _short_trial(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jam_trial, "TRIAL_S", 20)
+    monkeypatch.setattr(demand, "TRIAL_S", 20)
 
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Town:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jam_trial, "TRIAL_S", 20)
+        patch.setattr(demand, "TRIAL_S", 20)
         return make_town(tmp_path_factory.mktemp("towns") / "small", 3, SMALL)
 
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from wcsim.core.seeding import generator
-from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, streets_of
-from wcsim.towns.making.plan import StreetPlan, connected, draw_plan, merged
-from wcsim.towns.making.shaping import ShapedPlan, least_angle_rad, shape_plan
+from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, _make_streets
+from wcsim.towns.making.plan import ShapedPlan, StreetPlan, _connected, _least_angle_rad, _merged, draw_plan, shape_plan
 from wcsim.towns.making.wishes import KINDS
 
 DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]
@@ -28,7 +27,7 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
     graph = shaped.plan.graph()
     assert networkx.is_connected(graph)
     assert 0.7 * 700.0 < np.ptp(shaped.plan.nodes_m, axis=0).max() < 1.5 * 700.0
-    assert least_angle_rad(shaped.plan, shaped.lines_m) > np.radians(40.0)
+    assert _least_angle_rad(shaped.plan, shaped.lines_m) > np.radians(40.0)
     assert max(degree for _, degree in graph.degree()) <= 9
     for (a, b), line in zip(shaped.plan.links, shaped.lines_m, strict=True):
         assert np.allclose(line[[0, -1]], shaped.plan.nodes_m[[a, b]])
@@ -39,7 +38,7 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
 @pytest.mark.parametrize(("kind", "seed"), DRAWS)
 def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int, tmp_path: Path) -> None:
     shaped = shaped_plan(kind, seed, tmp_path)
-    streets = streets_of(shaped, generator(seed, "streets"))
+    streets = _make_streets(shaped, generator(seed, "streets"))
     assert sorted(link for street in streets for link in street.links) == list(range(len(shaped.plan.links)))
     driven = networkx.DiGraph()
     for street in streets:
@@ -56,7 +55,7 @@ def test_one_way_streets_and_streets_for_walkers_exist(tmp_path: Path) -> None:
     streets = [
         street
         for seed in range(6)
-        for street in streets_of(shaped_plan("grid", seed, tmp_path), generator(seed, "streets"))
+        for street in _make_streets(shaped_plan("grid", seed, tmp_path), generator(seed, "streets"))
     ]
     assert any(street.oneway and street.kind is RESIDENTIAL for street in streets)
     assert any(street.kind is WALK for street in streets)
@@ -66,13 +65,13 @@ def test_one_way_streets_and_streets_for_walkers_exist(tmp_path: Path) -> None:
 
 def test_the_largest_part_is_kept() -> None:
     nodes_m = np.array([[0.0, 0.0], [1.0, 0.0], [9.0, 9.0], [2.0, 0.0], [9.0, 8.0]])
-    plan = connected(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 3), (2, 4))))
+    plan = _connected(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 3), (2, 4))))
     assert plan.links == ((0, 1), (1, 2))
     assert plan.nodes_m.tolist() == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
 
 
 def test_junctions_that_are_too_close_are_made_one() -> None:
     nodes_m = np.array([[0.0, 0.0], [100.0, 0.0], [120.0, 0.0], [220.0, 0.0], [120.0, 90.0]])
-    plan = merged(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 2), (2, 3), (2, 4), (1, 4))))
+    plan = _merged(StreetPlan(nodes_m=nodes_m, links=((0, 1), (1, 2), (2, 3), (2, 4), (1, 4))))
     assert plan.links == ((0, 1), (1, 2), (1, 3))
     assert plan.nodes_m.tolist() == [[0.0, 0.0], [110.0, 0.0], [220.0, 0.0], [120.0, 90.0]]

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.towns.importing.importer import BuiltNet, build_net
+from wcsim.towns.checks.check import _find_overlaps
+from wcsim.towns.importing.importer import BuiltNet, _build_net
 from wcsim.towns.importing.netconvert import NetOrder
-from wcsim.towns.osm.bridges import cut_bridges
+from wcsim.towns.osm.clean import _quicken_motorways, cut_bridges
 from wcsim.towns.osm.read import read_extract
-from wcsim.towns.osm.sidewalk_rules import quicken_motorways
 from wcsim.towns.sumo.net import LaneKind
 from wcsim.towns.sumo.xml_io import parse_root
-from wcsim.towns.walking.overlaps import overlaps_of
 
 NODES = {
     **{1: (0, 0), 2: (300, 0), 3: (300, 300), 4: (0, 300), 5: (150, 0), 6: (150, 300), 8: (0, 150), 9: (300, 150)},
@@ -41,7 +40,7 @@ def osm(*ways: tuple[int, list[int], Tags]) -> bytes:
 def built(folder: Path, *ways: tuple[int, list[int], Tags]) -> BuiltNet:
     (folder / "a.osm").write_bytes(osm(*ways))
     extract = read_extract(folder / "a.osm")
-    return build_net(NetOrder(name="x", box=extract.box, lefthand=False), extract.root, folder)
+    return _build_net(NetOrder(name="x", box=extract.box, lefthand=False), extract.root, folder)
 
 
 @pytest.mark.parametrize(
@@ -70,11 +69,11 @@ def test_the_lower_of_two_ways_stays(upper: Tags, lower: Tags, left: dict[int, i
 
 def test_no_street_of_a_built_town_lies_on_the_pavement_of_another(tmp_path: Path) -> None:
     ways = [*RING, (11, [5, 6], {"highway": "secondary"}), (12, [8, 9], {"highway": "primary", "name": "Flyover"})]
-    flat = overlaps_of(built(tmp_path, *ways).net)  # the map does not say that it is a bridge
+    flat = _find_overlaps(built(tmp_path, *ways).net)  # the map does not say that it is a bridge
     assert {item.street.lstrip("-")[:2] for item in flat} == {"11", "12"} and flat[0].area_m2 > 10.0
     ways[-1][2].update(BRIDGE)
     made = built(tmp_path, *ways)
-    assert made.bridges == ("Flyover",) and overlaps_of(made.net) == ()
+    assert made.bridges == ("Flyover",) and _find_overlaps(made.net) == ()
     assert not [edge for edge in made.net.edges if edge.id.lstrip("-").startswith("12")]
 
 
@@ -101,7 +100,7 @@ def test_streets_that_have_no_pavement_get_none(tmp_path: Path, tags: Tags) -> N
 def test_a_town_of_footways_alone_has_no_bridges_and_no_overlaps(tmp_path: Path) -> None:
     assert cut_bridges(parse_root(osm((1, [1, 2], {"waterway": "river"})), "text")) == ()
     made = built(tmp_path, (20, RING[0][1], {"highway": "footway"}), (11, [5, 6], {"highway": "footway"}))
-    assert made.bridges == () and overlaps_of(made.net) == ()
+    assert made.bridges == () and _find_overlaps(made.net) == ()
 
 
 def test_only_slow_motorways_are_made_faster() -> None:
@@ -109,5 +108,5 @@ def test_only_slow_motorways_are_made_faster() -> None:
     for given, made in speeds.items():
         for tags, wanted in (({"highway": "motorway"}, made), ({"highway": "trunk"}, given)):
             root = parse_root(osm((12, [8, 9], tags | {"maxspeed": given})), "text")
-            quicken_motorways(root)
+            _quicken_motorways(root)
             assert {tag.get("v") for tag in root.iter("tag") if tag.get("k") == "maxspeed"} == {wanted}

@@ -11,8 +11,7 @@ import pytest
 
 from tests.cli.towns import tiny_osm
 from wcsim.errors import TownError
-from wcsim.towns.osm.download import download
-from wcsim.towns.osm.read import read_extract
+from wcsim.towns.osm.read import download, read_extract
 
 BOX = (24.999, 59.9995, 25.0046, 60.0023)
 Answer = Callable[[BaseHTTPRequestHandler], None]

@@ -10,9 +10,9 @@ from wcsim.towns.osm.left_out import (
     LeftOut,
     MapWay,
     NetWays,
-    crossings_inside,
+    count_inside,
+    find_left_out,
     left_out_notes,
-    left_out_of,
     ways_inside,
 )
 
@@ -55,14 +55,14 @@ def test_what_the_net_does_not_have_is_told_by_length_and_name() -> None:
     lengths_m = {way.id: way.inside_m for way in ways}
     assert lengths_m["10"] == pytest.approx(222.6, rel=0.01) and lengths_m["11"] == pytest.approx(445.3, rel=0.01)
     both = frozenset(("10", "11"))
-    found = left_out_of(ways, NetWays(given=both, drawn=both, walked=frozenset(("10",))))
+    found = find_left_out(ways, NetWays(given=both, drawn=both, walked=frozenset(("10",))))
     assert found.names == () and found.streets_left_out_m == 0.0
     assert found.footways_left_out_m == found.footways_m == lengths_m["11"]
     (told,) = left_out_notes(found)
     assert "445 of 445 m of footways" in told and ": 11 Path (445 m, closed to pedestrians in the net)" in told
-    (street, _) = left_out_notes(left_out_of(ways, NetWays()))
+    (street, _) = left_out_notes(find_left_out(ways, NetWays()))
     assert "0.22 km of 0.22 km of streets" in street and "(Long Street);" in street
-    assert left_out_notes(left_out_of(ways, NetWays(drawn=both, walked=both))) == left_out_notes(LeftOut()) == ()
+    assert left_out_notes(find_left_out(ways, NetWays(drawn=both, walked=both))) == left_out_notes(LeftOut()) == ()
 
 
 def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
@@ -76,7 +76,7 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
     ways = inside(text)
     ids = frozenset(str(100 + number) for number in range(len(_ON_FOOT)))
     made = NetWays(given=ids - {"108"}, bridges=frozenset(("108",)), drawn=frozenset(("10", "106")))
-    found = left_out_of(ways, made)
+    found = find_left_out(ways, made)
     whys = [*_ON_FOOT.values()]
     assert {way.id: way.why for way in found.footways} == {
         "11": "cut by the edge of the box",
@@ -86,10 +86,10 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
     assert sum(way.inside_m for way in found.footways) == pytest.approx(found.footways_m)
     (told,) = left_out_notes(found)
     assert told.count("(") == TOLD_LOST + 1 and ", and 1 more (" in told
-    some = left_out_of(ways, replace(made, drawn=frozenset(("10", "11")), walked=frozenset(("11",))))
+    some = find_left_out(ways, replace(made, drawn=frozenset(("10", "11")), walked=frozenset(("11",))))
     kept_m = next(way.inside_m for way in ways if way.id == "11")
     assert kept_m + some.footways_left_out_m == pytest.approx(some.footways_m)
 
 
 def test_crossings_of_the_map_are_those_in_the_box() -> None:
-    assert crossings_inside(ElementTree.fromstring(TEXT.format(more="")), BOX) == 1  # noqa: S314 - our own
+    assert count_inside(ElementTree.fromstring(TEXT.format(more="")), BOX, "crossing") == 1  # noqa: S314 - our own

@@ -15,8 +15,8 @@ from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.pave import PaveOptions
 from wcsim.errors import TownError
-from wcsim.towns.pave.pavements import Paved, edited, pave_town
-from wcsim.towns.pave.signals import SignalLinks, VehicleLink, padded
+from wcsim.towns.pave.elements import SignalLinks, VehicleLink, _padded
+from wcsim.towns.pave.pavements import Paved, _edited, pave_town
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import run_tool
@@ -192,12 +192,12 @@ def test_a_town_keeps_what_sumo_has_no_word_for(theirs: Path, tmp_path: Path) ->
 
 def test_crossings_are_green_while_nobody_may_drive_over_them() -> None:
     states, seconds = ("GGr", "yyr", "rrr", "rrG", "rry"), (30.0, 3.0, 2.0, 30.0, 3.0)
-    assert padded(states, seconds, CROSS) == ("GgrrG", "yyrrr", "rrrGr", "rrGGr", "rryrr")
-    only_straight = padded(("Grr", "rrG"), (30.0, 30.0), CROSS)
+    assert _padded(states, seconds, CROSS) == ("GgrrG", "yyrrr", "rrrGr", "rrGGr", "rryrr")
+    only_straight = _padded(("Grr", "rrG"), (30.0, 30.0), CROSS)
     assert only_straight == ("GrrrG", "rrGGr")
-    turning = padded(("rGr", "rrr"), (30.0, 20.0), CROSS)
+    turning = _padded(("rGr", "rrr"), (30.0, 20.0), CROSS)
     assert turning == ("rgrrG", "rrrGG")
-    assert padded(("ooo",), (30.0,), CROSS) == ("ooooo",)
+    assert _padded(("ooo",), (30.0,), CROSS) == ("ooooo",)
 
 
 DISTRIBUTIONS = """<routes>
@@ -252,9 +252,9 @@ def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
     text = head + '<a b=\'1\'>\n  <c lane = "\xe4_0" d=">"/></a>\n'
     data = text.encode("iso-8859-1")
     assert [element.tag for element in parse_root(data, "x").iter()] == ["a", "c"]
-    assert edited(data, {1: {"lane": "\xe4_1"}}, "x") == text.replace("\xe4_0", "\xe4_1").encode("iso-8859-1")
+    assert _edited(data, {1: {"lane": "\xe4_1"}}, "x") == text.replace("\xe4_0", "\xe4_1").encode("iso-8859-1")
     with pytest.raises(TownError, match="attribute e cannot be changed"):
-        edited(data, {0: {"e": "2"}}, "x")
+        _edited(data, {0: {"e": "2"}}, "x")
 
 
 def test_streets_that_are_too_fast_are_counted_and_paved_by_what_is_printed(theirs: Path, tmp_path: Path) -> None:

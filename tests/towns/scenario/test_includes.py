@@ -11,10 +11,10 @@ import pytest
 from tests.towns.furniture.standing_samples import signal_net
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.checks.check import _for_routes, demand_classes, notes_of, unroutable_trips
+from wcsim.towns.cache.street_cache import unpack_street
+from wcsim.towns.checks.check import _demand_classes, _find_notes, _for_routes, _unroutable_trips
 from wcsim.towns.checks.cures import routes_cure
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.town import Town, content_hash, open_town
 from wcsim.towns.street import street_key
 from wcsim.towns.sumo.net import read_net
@@ -73,15 +73,15 @@ def plain(folder: Path) -> Town:
 
 
 def test_the_street_is_that_of_all_files(including: Town, plain: Town) -> None:
-    got, expected = (street_of(build_street(town)) for town in (including, plain))
+    got, expected = (unpack_street(build_street(town)) for town in (including, plain))
     assert len(got.signal_heads) == len(expected.signal_heads) and len(got.mesh.faces) == len(expected.mesh.faces)
     assert np.array_equal(got.mesh.vertices_W_m, expected.mesh.vertices_W_m)
 
 
 def test_a_check_knows_who_travels_and_who_has_no_way(including: Town, plain: Town) -> None:
-    assert demand_classes(including) == demand_classes(plain) == ("pedestrian", "taxi")
-    assert unroutable_trips(including) == unroutable_trips(plain) == 1
-    assert not any("no buildings" in note for note in notes_of(including, read_net(including.net)))
+    assert _demand_classes(including) == _demand_classes(plain) == ("pedestrian", "taxi")
+    assert _unroutable_trips(including) == _unroutable_trips(plain) == 1
+    assert not any("no buildings" in note for note in _find_notes(including, read_net(including.net)))
 
 
 def test_what_is_included_stands_where_it_is_named(tmp_path: Path) -> None:

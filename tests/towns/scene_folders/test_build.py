@@ -8,7 +8,7 @@ import pytest
 
 from wcsim.errors import ConfigError, SumoError, TownError
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import content_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene, list_scenes
@@ -33,7 +33,7 @@ def test_building_twice_gives_the_same_town(tmp_path: Path) -> None:
 def test_seats_of_scenes_start_on_pavement(tmp_path: Path) -> None:
     for folder in list_scenes():
         town, scene = build_scene(folder, tmp_path / folder.name)
-        grid = street_of(build_street(town)).grid
+        grid = unpack_street(build_street(town)).grid
         for seat in scene.seats:
             assert grid.class_at(np.array(seat.start_m)) in (ClassId.SIDEWALK, ClassId.CROSSWALK), folder.name
 

@@ -12,11 +12,11 @@ from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.scenes.run import open_scene, play
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scene_folders.build import build_scene, scene_of
-from wcsim.towns.scene_folders.families.catalogue import FAMILIES, scooter_cuts_in, write_scene
-from wcsim.towns.scene_folders.families.draft import Push, mirrored, way_of
+from wcsim.towns.scene_folders.draft import Push, mirrored, predict_path
+from wcsim.towns.scene_folders.families import FAMILIES, _scooter_cuts_in, write_scene
 from wcsim.types import ClassId
 
 LONGEST_S = 25.0
@@ -62,7 +62,7 @@ def test_both_sides_and_short_scenes_are_drawn(family: str, tmp_path: Path) -> N
 def test_streets_build_and_the_chair_starts_on_pavement(family: str, tmp_path: Path) -> None:
     town, scene = build_scene(write_scene(family, 5, tmp_path / "scene"), tmp_path / "work")
     validate_net(town.net)
-    grid = street_of(build_street(town)).grid
+    grid = unpack_street(build_street(town)).grid
     start_m = np.array(scene.seats[0].start_m)
     assert int(grid.class_at(start_m)) == ClassId.SIDEWALK
     assert float(grid.clearance_at(start_m)) > 0.3
@@ -79,7 +79,7 @@ def test_who_only_follows_meets_the_danger_that_is_meant(family: str, tmp_path: 
 
 
 def test_a_mirror_turned_over_twice_changes_nothing() -> None:
-    draft = scooter_cuts_in(seeding.generator(1, "mirror"))
+    draft = _scooter_cuts_in(seeding.generator(1, "mirror"))
     other = mirrored(draft)
     assert other.place.edges != draft.place.edges
     assert other.lefthand
@@ -90,10 +90,10 @@ def test_a_mirror_turned_over_twice_changes_nothing() -> None:
 
 
 def test_where_a_stick_leads() -> None:
-    straight = way_of((1.0, 2.0), 0.0, (Push(0.0, 0.0, 0.5),), 4.0)
+    straight = predict_path((1.0, 2.0), 0.0, (Push(0.0, 0.0, 0.5),), 4.0)
     assert straight[-1, 1:].tolist() == pytest.approx([1.0, 4.6, np.pi / 2], abs=0.3)
     assert straight[4, 2] == 2.0, "it obeys late"
-    turned = way_of((0.0, 0.0), 90.0, (Push(0.0, -0.5, 0.0), Push(2.0, 0.0, 0.0)), 3.0)
+    turned = predict_path((0.0, 0.0), 90.0, (Push(0.0, -0.5, 0.0), Push(2.0, 0.0, 0.0)), 3.0)
     assert turned[-1, 3] > 0.8
     assert np.abs(turned[:, 1:3]).max() < 1e-9
 

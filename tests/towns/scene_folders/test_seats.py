@@ -10,7 +10,7 @@ import pytest
 from wcsim.config import RunConfig, parse, with_overrides
 from wcsim.config.scene import SceneFile
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.scene_folders.seats import scene_config, seat_specs
+from wcsim.towns.scene_folders.build import scene_config, seat_specs
 
 SEAT = {"start_m": (12.0, -3.0), "heading_deg": 0.0}
 

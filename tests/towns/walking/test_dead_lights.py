@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.lit_road import lit_road
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
+from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.walking.routes import Router
 from wcsim.types import WalkEdge, WalkGraph, WayKind
 
@@ -26,7 +26,7 @@ def road(tmp_path_factory):
 
 
 def never_green(town) -> list[bool]:
-    return [edge.never_green for edge in street_of(build_street(town)).walk.edges if edge.kind is WayKind.CROSSING]
+    return [edge.never_green for edge in unpack_street(build_street(town)).walk.edges if edge.kind is WayKind.CROSSING]
 
 
 def test_a_crossing_is_never_green_when_no_phase_of_any_program_frees_it(road, tmp_path):

@@ -16,9 +16,8 @@ from wcsim.core import seeding
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
-from wcsim.towns.scene_folders.build import build_scene
-from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
-from wcsim.towns.scene_folders.seats import scene_config, seat_specs
+from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
+from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 from wcsim.types import SeatSpec
 
 _SCENE_SEEDS: Final = 1 << 24  # those of scenes that are trained in begin here; those of tests are far below

@@ -13,9 +13,8 @@ from wcsim.core.reading import shown
 from wcsim.errors import TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.scenario.town import Town, find_town
-from wcsim.towns.scene_folders.build import build_scene
-from wcsim.towns.scene_folders.digest import scene_digest
-from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
+from wcsim.towns.scene_folders.build import build_scene, scene_digest
+from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 
 _NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")
 _SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"

@@ -23,7 +23,7 @@ from wcsim.cli.town.trial import checked
 from wcsim.errors import ConfigError
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.osm.area import Box
-from wcsim.towns.osm.download import download
+from wcsim.towns.osm.read import download
 from wcsim.towns.scenario.town import Town
 from wcsim.types import Street
 

@@ -1,1 +1,1 @@
-"""Built streets kept on disk, and how that is emptied. Not how a street is built."""
+"""Built streets cached on disk, and how the cache is emptied. Not how a street is built."""

@@ -1,18 +1,32 @@
-"""Where the cache lies, and how a file comes into it. Loads nothing, for whoever only asks."""
+"""The cache: its folder, how a file is written into it, what is in it, and how it is emptied. Loads nothing heavy."""
 
 from __future__ import annotations
 
 import os
+import re
+import shutil
+import stat
 import tempfile
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.files import home, user_cache
+from wcsim.core.files import KERNELS, folder_bytes, home, user_cache
 from wcsim.core.reading import shown
 
 MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
+WRITTEN_S = 3600.0  # a file that is being written is not older
+_KEY = "[0-9a-f]{32}"
+_STREET = re.compile(rf"street-{_KEY}\.npz")
+_VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
+_KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc|lock)")  # machine code, with the list of it and the lock for each kernel
+# Folders: generated scenes of the driving page, and generated towns of suites; see `bridge/drives/made_scene.py` and
+# `drive/starting.py`.
+_DRIVEN = {"drive-scenes": re.compile(r"[a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8}"), "drive-towns": re.compile(r"made-\d+")}
+_BEGUN = re.compile(rf"tmp[a-z0-9_]{{8}}\.(npz|ok)|street-{_KEY}\.lock")
 
 
 def cache_folder() -> Path:
@@ -27,13 +41,13 @@ def shown_cache() -> str:
 
 
 def write_verdict(path: Path) -> None:
-    """Keep that something was found sound, as an empty word under its hash; of each kind the newest ones stay."""
+    """Save that a check passed, as a small file under its hash; of each kind the newest ones stay."""
     write_whole(path, lambda temporary: temporary.write_text("ok\n", encoding="utf-8"))
-    kept = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
-    if len(kept) > MOST_VERDICTS:
+    verdicts = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
+    if len(verdicts) > MOST_VERDICTS:
         with suppress(OSError):
-            kept.sort(key=lambda each: each.stat().st_mtime_ns)
-            for old in kept[: len(kept) - MOST_VERDICTS // 2]:
+            verdicts.sort(key=lambda each: each.stat().st_mtime_ns)
+            for old in verdicts[: len(verdicts) - MOST_VERDICTS // 2]:
                 old.unlink(missing_ok=True)
 
 
@@ -51,3 +65,86 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             temporary.unlink(missing_ok=True)
     except OSError:
         return
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _CacheFacts:
+    """What is cached and can be made again; other files in the folder, as the key of one's own runs, do not count."""
+
+    folder: Path
+    streets: int
+    verdicts: int  # on nets and scenarios that were tried
+    kernels: int  # whose machine code is cached here: those of a read-only package
+    driven: int  # scenes and towns that were generated for the driving page
+    unfinished: int  # begun and left
+    size_bytes: int
+
+
+def cache_facts() -> _CacheFacts:
+    """Look through the cache; a folder that is not there or cannot be read is empty."""
+    found, folders = _files(), _folders()
+    return _CacheFacts(
+        folder=cache_folder(),
+        streets=sum(_STREET.fullmatch(path.name) is not None for path in found),
+        verdicts=sum(_VERDICT.fullmatch(path.name) is not None for path in found),
+        kernels=sum(path.suffix == ".nbi" for path in found),
+        driven=len(folders),
+        unfinished=sum(_BEGUN.fullmatch(path.name) is not None for path in found),
+        size_bytes=sum(found.values()) + sum(map(folder_bytes, folders)),
+    )
+
+
+def clear_cache() -> _CacheFacts:
+    """Remove what wcsim keeps there and can make again; returns what is left of it.
+
+    A world that uses a street goes on: its open file lives until it closes it. A file that is being written has
+    another name until it is whole, and is left alone, as is every file that wcsim has not named. Who drives in a
+    generated scene or town drives on, and has to begin anew for another place in it.
+    """
+    for folder in _folders():
+        shutil.rmtree(folder, ignore_errors=True)
+    for path in _files():
+        with suppress(OSError):  # of another user, or gone already
+            path.unlink()
+    return cache_facts()
+
+
+def _files() -> dict[Path, int]:
+    """The regular files that wcsim made, with their sizes."""
+    found: dict[Path, int] = {}
+    for path, kinds in _places():
+        known = any(kind.fullmatch(path.name) for kind in kinds)
+        with suppress(OSError):
+            status = path.lstat()
+            being_written = _BEGUN.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
+            if known and stat.S_ISREG(status.st_mode) and not being_written:
+                found[path] = status.st_size
+    return found
+
+
+def _folders() -> list[Path]:
+    """The folders of scenes and towns that were generated to be driven in."""
+    places = [(path, form) for name, form in _DRIVEN.items() for path in _entries(cache_folder() / name)]
+    return [path for path, form in places if form.fullmatch(path.name) and _is_left(path)]
+
+
+def _is_left(folder: Path) -> bool:
+    """Whether it is a finished folder; the name of an unfinished one begins with a dot."""
+    with suppress(OSError):
+        status = folder.lstat()
+        made = not folder.name.startswith(".") or time.time() - status.st_mtime > WRITTEN_S
+        return made and stat.S_ISDIR(status.st_mode)
+    return False
+
+
+def _entries(folder: Path) -> list[Path]:
+    with suppress(OSError):
+        return sorted(folder.iterdir())
+    return []
+
+
+def _places() -> Iterator[tuple[Path, tuple[re.Pattern[str], ...]]]:
+    """All that lies where files of wcsim may, with the forms that their names have there."""
+    folder = cache_folder()
+    yield from ((path, (_STREET, _VERDICT, _BEGUN)) for path in _entries(folder))
+    yield from ((path, (_KERNEL,)) for path in sorted(folder.glob(f"{KERNELS}/*/*")))

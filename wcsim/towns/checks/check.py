@@ -8,13 +8,14 @@ from __future__ import annotations
 import re
 import shlex
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
 from wcsim.core.seeding import generator
@@ -33,22 +34,20 @@ from wcsim.towns.checks.cures import (
     walkers_cure,
 )
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.ground.plane import length_of
-from wcsim.towns.ground.relief import on_land, relief_of, steepest_grade
+from wcsim.towns.ground.plane_geometry import length_of
+from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
+from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.ground.tiles import CELL_M
-from wcsim.towns.scenario.files import FilteredFiles
-from wcsim.towns.scenario.includes import with_included
-from wcsim.towns.scenario.manifest import changes_of
-from wcsim.towns.scenario.outputs import OutputNames
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, with_included
+from wcsim.towns.scenario.manifest import find_changes
 from wcsim.towns.scenario.stage import require_files
 from wcsim.towns.scenario.town import Town, polygons_among
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.additional import read_items
-from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.net import WALK_KINDS, Edge, LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
-from wcsim.towns.walking.islands import CutOff, cut_off, share_of, walkable_parts
-from wcsim.towns.walking.overlaps import LEAST_M2, Overlap, overlaps_of
+from wcsim.towns.walking.islands import CutOff, cut_off, largest_share, walkable_parts
 from wcsim.types import F64, ClassId, Street
 
 _ENOUGH_SHARE = 0.95
@@ -59,6 +58,8 @@ AROUND_M = 100.0  # of the streets: what lies farther outside belongs to somethi
 _BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
 _PROJECT = "build the net again from the same files, with netconvert's option --proj.utm"
+LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
+APART_M = 2.0  # ways with more between their heights pass over each other
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,9 +94,9 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def notes_of(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
+def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
-    changes = changes_of(town)
+    changes = find_changes(town)
     notes = [f"changed since the import: {name}" for name in changes.others]
     for name in changes.net:
         again = f"; to route the traffic over the new net, {routes_cure(town)}" if town.routes else ""
@@ -111,13 +112,13 @@ def _projection_faults(town: Town, net: Net) -> tuple[str, ...]:
     """Nets whose coordinates are no metres."""
     points_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
     size_m = np.ptp(points_m, axis=0)
-    told = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
+    size = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
     if size_m.max() > LARGEST_M:
-        return (f"{told}, so its projection is wrong; {_PROJECT}",)
+        return (f"{size}, so its projection is wrong; {_PROJECT}",)
     drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for edge in net.edges for lane in edge.lanes)
     noted_m = sum(lane.length_m for edge in net.edges for lane in edge.lanes if lane.kind is not LaneKind.WALKINGAREA)
     if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
-        return (f"{told}, so its coordinates are in degrees or another unit; {_PROJECT}",)
+        return (f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}",)
     return ()
 
 
@@ -132,10 +133,10 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
     things_m = [item.points_W_m for item in read_items(files, town.file.origin_m, net)]
     if not things_m or any(((low_m <= at) & (at <= high_m)).all(axis=1).any() for at in things_m):
         return []
-    told = f"none of the {len(things_m)} objects of {poly.name} is near the streets, so it belongs to another net; "
+    problem = f"none of the {len(things_m)} objects of {poly.name} is near the streets, so it belongs to another net; "
     if town.file.rebuild:
-        return [told + again_cure(town, "build it for this net", town.file.rebuild)]
-    return [f"{told}build it from its map again, with polyconvert's option --net-file {town.net.name}"]
+        return [problem + again_cure(town, "build it for this net", town.file.rebuild)]
+    return [f"{problem}build it from its map again, with polyconvert's option --net-file {town.net.name}"]
 
 
 def _polygons(town: Town) -> Path | None:
@@ -176,17 +177,17 @@ def _lacks_crossings(net: Net, found: Findings) -> bool:
 
 
 def _walkers_later(town: Town, net: Net, found: Findings) -> bool:
-    """Whether nobody walks, and those who will are for a copy of the scenario that has to be paved first."""
+    """Whether there are no walkers, and adding them needs a paved copy of the scenario first."""
     unpaved = not found.walkingareas or _lacks_crossings(net, found)
     can_be = "town import" not in town.file.rebuild and slowest_street_mps(net) is not None
     return unpaved and can_be and _WALKER not in found.classes
 
 
 def _parts(cut_off: tuple[CutOff, ...]) -> str:
-    """Which parts of the walkable ground nobody can walk to."""
-    told = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:_TOLD_PARTS])
+    """Which parts of the walkable ground cannot be reached on foot."""
+    parts = ", ".join(f"edge {part.edge} ({part.area_m2:.0f} m2)" for part in cut_off[:_TOLD_PARTS])
     more = f" and {len(cut_off) - _TOLD_PARTS} more" if len(cut_off) > _TOLD_PARTS else ""
-    return f"cut off: the parts around {told}{more}; " if told else ""
+    return f"cut off: the parts around {parts}{more}; " if parts else ""
 
 
 def _demand(town: Town, net: Net, found: Findings) -> list[str]:
@@ -253,7 +254,7 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
 
     Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
-    require_files(town, RunConfig())  # what is missing is said before SUMO opens a large net
+    require_files(town, RunConfig())  # missing files are reported before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
     if wrong := _projection_faults(town, net):
         raise TownError(f"{town.net}: {wrong[0]}")
@@ -263,12 +264,12 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
     found = Findings(
         crossings=len(net.lanes(LaneKind.CROSSING)),
         walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
-        walkable_largest_share=share_of(parts) if share is None else share,
-        unroutable=unroutable_trips(town),
-        mesh_faults=mesh_faults(street),
+        walkable_largest_share=largest_share(parts) if share is None else share,
+        unroutable=_unroutable_trips(town),
+        mesh_faults=_mesh_faults(street),
         rays=RAYS,
-        classes=demand_classes(town),
-        overlaps=overlaps_of(on_land(net, relief_of(net))),
+        classes=_demand_classes(town),
+        overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
     )
     return TownReport(
@@ -282,11 +283,11 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         mesh_faults=found.mesh_faults,
         lefthand=net.lefthand,
         faults=faults_of(town, net, found),
-        notes=notes_of(town, net, found.overlaps),
+        notes=_find_notes(town, net, found.overlaps),
     )
 
 
-def demand_classes(town: Town) -> tuple[str, ...]:
+def _demand_classes(town: Town) -> tuple[str, ...]:
     """SUMO vehicle classes that the town's demand can hold, sorted."""
     class_of, members, used = dict(_DEFAULT_CLASSES), {}, set()
     for path in with_included((*town.additional, *town.routes), town.border):
@@ -303,7 +304,7 @@ def demand_classes(town: Town) -> tuple[str, ...]:
     return tuple(sorted({class_of.get(name, "passenger") for name in types}))
 
 
-def unroutable_trips(town: Town) -> int:
+def _unroutable_trips(town: Town) -> int:
     """How many trips and flows that start in the first ten minutes have no way through the net."""
     if not town.routes:
         return 0
@@ -342,7 +343,7 @@ def _needed_of(path: Path) -> Iterator[Element]:
             yield element
 
 
-def mesh_faults(street: Street, rays: int = RAYS) -> int:
+def _mesh_faults(street: Street, rays: int = RAYS) -> int:
     """How many rays straight down, on road and pavement, meet no face with the class and height of the grid."""
     grid, mesh = street.grid, street.mesh
     xy_m = _places(street, rays)
@@ -386,3 +387,38 @@ def _members(element: Element) -> tuple[str, ...]:
 
 def _walk_km(street: Street) -> float:
     return sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlap:
+    """A carriageway on a pavement."""
+
+    street: str  # edge ids
+    pavement: str
+    area_m2: float
+
+
+def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
+    """All overlaps of more than LEAST_M2, the largest first."""
+    streets, driven = _areas(net, lambda kind: kind is LaneKind.MOTOR)
+    paved, walked = _areas(net, lambda kind: kind in WALK_KINDS)
+    found: list[Overlap] = []
+    if not driven or not walked:
+        return ()
+    for i, j in shapely.STRtree(walked).query(driven, predicate="intersects").T.tolist():
+        street, other = streets[i], paved[j]
+        if {street.start, street.end} & {other.start, other.end} or abs(_z_m(street) - _z_m(other)) > APART_M:
+            continue
+        area_m2 = float(driven[i].intersection(walked[j]).area)
+        if area_m2 > LEAST_M2:
+            found.append(Overlap(street=street.id, pavement=other.id, area_m2=area_m2))
+    return tuple(sorted(found, key=lambda item: (-item.area_m2, item.street, item.pavement)))
+
+
+def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
+    edges = [e for e in net.edges if not e.function and any(wanted(lane.kind) for lane in e.lanes)]
+    return edges, [shapely.union_all([lane_area(lane) for lane in e.lanes if wanted(lane.kind)]) for e in edges]
+
+
+def _z_m(edge: Edge) -> float:
+    return float(sum(lane.z_m.mean() for lane in edge.lanes) / len(edge.lanes))

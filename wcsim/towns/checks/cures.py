@@ -1,6 +1,6 @@
 """Commands that cure what is wrong with a town, as they can be typed: with the tools' and the files' own places.
 
-What is to be done beside is said before the command, which goes on to the end of its line.
+What is to be done by hand stands before the command, which goes on to the end of its line.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from xml.etree.ElementTree import Element
 from wcsim.errors import TownError
 from wcsim.towns.osm.area import bbox_option, grown, size_m
 from wcsim.towns.osm.read import MARGIN_M, holds_more
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.options import read_configuration
-from wcsim.towns.scenario.stage import seconds_of
+from wcsim.towns.scenario.stage import parse_seconds
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import sumo_home
@@ -36,7 +36,7 @@ FOR_ROUTES = frozenset(
 """Elements of additional files that a demand needs to be routed."""
 DEADLY = "calibrator"  # duarouter 1.28 dies of one that has flows
 _WIDER = 0.3  # of a box's size, on each of its sides
-FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement unless somebody asks
+FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement by default
 
 
 def pave_cure(town: Town) -> str:
@@ -126,16 +126,16 @@ def _copy(town: Town) -> Path:
 def own_time(town: Town) -> tuple[float, float]:
     """When a scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
     config = read_configuration(town.sumocfg)
-    begin_s = seconds_of(config.value("begin") or "0", town.sumocfg)
-    end_s = seconds_of(config.value("end") or "-1", town.sumocfg)
+    begin_s = parse_seconds(config.value("begin") or "0", town.sumocfg)
+    end_s = parse_seconds(config.value("end") or "-1", town.sumocfg)
     return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
 
-def again_cure(town: Town, told: str, rebuild: str) -> str:
+def again_cure(town: Town, task: str, rebuild: str) -> str:
     """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
     work = own_work(town.folder)
     lost = f" (this discards your changes to {', '.join(work)})" if work else ""
-    return f"{told}{lost}: cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
+    return f"{task}{lost}: cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
 
 
 def larger_cure(town: Town) -> str:

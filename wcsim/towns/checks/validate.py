@@ -12,8 +12,7 @@ from xml.etree.ElementTree import Element
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import pave_cure, traffic_alone
-from wcsim.towns.scenario.files import FilteredFiles
-from wcsim.towns.scenario.outputs import OutputNames
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes
@@ -41,7 +40,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
     verdict = cache_folder() / f"net-{hashlib.sha256(data + bytes([_CHECK])).hexdigest()[:32]}.ok"
     if verdict.is_file():
         return
-    scan_net(parse_root(data, str(net)), str(net))
+    _scan_net(parse_root(data, str(net)), str(net))
     with tempfile.TemporaryDirectory(prefix="wcsim-net-", ignore_cleanup_errors=True) as work:
         files = FilteredFiles(OutputNames(Path(work)), Path(work) / "inputs", border or net.parent)
         safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
@@ -56,7 +55,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
         write_verdict(verdict)
 
 
-def scan_net(root: Element, where: str) -> None:
+def _scan_net(root: Element, where: str) -> None:
     """Refuse what is no net at all, before any simulator sees it. Raises TownError."""
     if root.tag != "net":
         raise TownError(f"{where}: its root element is <{root.tag}>; expected <net>: build it with netconvert")

@@ -10,9 +10,8 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.seeding import generator
-from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
-from wcsim.towns.osm.lengths import metres
-from wcsim.towns.osm.levels import STOREY_M, number, rise_m
+from wcsim.towns.ground.plane_geometry import Patches, buffered, valid
+from wcsim.towns.osm.tags import STOREY_M, metres, number, rise_m
 from wcsim.towns.sumo.additional import Item
 
 GAP_M = 0.1  # between a wall and walkable ground or road
@@ -47,7 +46,9 @@ class _Body:
     part: bool
 
 
-def buildings_of(items: list[Item], street: BaseGeometry, hull: BaseGeometry) -> tuple[list[Building], list[Building]]:
+def make_buildings(
+    items: list[Item], street: BaseGeometry, hull: BaseGeometry
+) -> tuple[list[Building], list[Building]]:
     """Buildings that stand beside the street, and those that hang over it: skywalks, and houses over a passage.
 
     What stands on the street (arcades, passages) or outside the town is cut off.

@@ -20,9 +20,8 @@ from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood_if_free
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.tiled_geometry import Patches, valid
-from wcsim.towns.osm.lengths import metres
-from wcsim.towns.osm.levels import off_ground
+from wcsim.towns.ground.plane_geometry import Patches, valid
+from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net
 from wcsim.types import F64, ClassId
@@ -48,7 +47,7 @@ _TYPE_KEYS = {
 }
 
 
-def things_of(
+def _place_mapped(
     items: list[Item], place: FreeGround, standing: list[StandingObject] | None = None
 ) -> list[StandingObject]:
     """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
@@ -94,7 +93,7 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
         kind, step_m = _ROW_STEPS_M[item.kind]
         places = _along(shapely.LineString(item.points_W_m).intersection(site.place.hull), step_m)
         return [thing for xy in places if (thing := _stood(item, kind, xy, site)) is not None]
-    kind = look_of(item)
+    kind = _pick_look(item)
     if not kind or (len(item.points_W_m) > 1 and not item.filled):
         return []
     middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
@@ -102,8 +101,8 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
     return [thing] if thing is not None else []
 
 
-def look_of(item: Item) -> str:
-    """The look of a mapped point, "" for what nobody would see standing there."""
+def _pick_look(item: Item) -> str:
+    """The look of a mapped point, "" for what would not be visible there."""
     full = f"{item.group}.{item.detail}"
     if full in _KNOWN_TYPES:
         by_type = _KNOWN_TYPES[full]
@@ -228,7 +227,7 @@ STEP_M = 0.35
 ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
 
 
-def stop_things(
+def _stop_things(
     items: list[Item], place: FreeGround, standing: Iterable[StandingObject], lefthand: bool
 ) -> list[StandingObject]:
     """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
@@ -294,13 +293,13 @@ def _first(
     return []
 
 
-def fittings_of(
+def place_furniture(
     items: list[Item], net: Net, additional: tuple[Path, ...], place: FreeGround, placed: list[StandingObject]
 ) -> list[StandingObject]:
     """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
     things = list(placed)
     things += signal_things(net, additional, place, things)
-    things += stop_things(items, place, things, net.lefthand)
+    things += _stop_things(items, place, things, net.lefthand)
     things += sign_things(items, net, place, things)
-    things += things_of(items, place, things)
+    things += _place_mapped(items, place, things)
     return things

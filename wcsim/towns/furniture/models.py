@@ -21,7 +21,7 @@ _HERE = np.zeros(2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FurnitureModel:
+class _FurnitureModel:
     """How one kind of thing is made."""
 
     size_lwh_m: tuple[float, float, float]  # as it comes out of `make`; its length and width are its footprint
@@ -48,13 +48,13 @@ def _post(
     return solid_shapes.post(np.array(at), radius_m, FOOT_M, high_m, class_id, sides)
 
 
-def _solid(size: tuple[float, float, float], class_id: int = ClassId.STATIC) -> FurnitureModel:
-    return FurnitureModel(size_lwh_m=size, make=lambda rng: [_box(size, class_id)])
+def _solid(size: tuple[float, float, float], class_id: int = ClassId.STATIC) -> _FurnitureModel:
+    return _FurnitureModel(size_lwh_m=size, make=lambda rng: [_box(size, class_id)])
 
 
-def _pillar(radius_m: float, high_m: float, class_id: int = ClassId.POLE, sides: int = 6) -> FurnitureModel:
+def _pillar(radius_m: float, high_m: float, class_id: int = ClassId.POLE, sides: int = 6) -> _FurnitureModel:
     wide = 2.0 * radius_m
-    return FurnitureModel(
+    return _FurnitureModel(
         size_lwh_m=(wide, wide, high_m), make=lambda rng: [_post(radius_m, high_m, class_id, sides=sides)], round=True
     )
 
@@ -226,11 +226,13 @@ def _shelter(rng: np.random.Generator) -> list[Solid]:
     return [*panes, _box((3.9, 1.6, 0.1), kind, (0.0, 0.0), 2.3), *bench]
 
 
-def _look(size: tuple[float, float, float], make: Make, *, round: bool = False, random: bool = False) -> FurnitureModel:
-    return FurnitureModel(size_lwh_m=size, make=make, round=round, random=random)
+def _look(
+    size: tuple[float, float, float], make: Make, *, round: bool = False, random: bool = False
+) -> _FurnitureModel:
+    return _FurnitureModel(size_lwh_m=size, make=make, round=round, random=random)
 
 
-LOOKS: dict[str, FurnitureModel] = {
+LOOKS: dict[str, _FurnitureModel] = {
     "barrier": _look((2.0, 0.4, 1.0), _barrier),
     "bench": _look((1.6, 0.55, 0.85), _bench),
     "bicycle": _look((1.8, 0.5, 1.05), _bicycle),

@@ -123,7 +123,7 @@ def stood_if_free(kind: str, xy_m: F64, yaw_rad: float, place: FreeGround, taken
     return stood(kind, xy_m, yaw_rad) if place.free(footprint) and taken.free(footprint) else None
 
 
-def footprints_of(things: Iterable[StandingObject]) -> list[Polygon]:
+def collect_footprints(things: Iterable[StandingObject]) -> list[Polygon]:
     """The ground that things take, without those that hang over it."""
     return [thing.footprint for thing in things if not thing.footprint.is_empty]
 

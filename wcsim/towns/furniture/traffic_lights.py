@@ -17,13 +17,13 @@ from wcsim.towns.furniture.placement import FreeGround, StandingObject, Taken, s
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.sumo.additional import Item
-from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, phases_of
+from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, read_phases
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes
 from wcsim.types import F64, ClassId, SignalHead, SignalState
 
 _HEAD_LWH_M = (0.3, 0.3, 0.9)  # three lamps, one above the other
 _WALK_HEAD_LWH_M = (0.3, 0.3, 0.6)  # two
-HEAD_LOW_M = 2.3  # nobody hits it with the head
+HEAD_LOW_M = 2.3  # no head can hit it
 _HANGING_LOW_M = 4.8  # over a road without room for a post
 _POST_M = 0.07
 APART_M = 0.4  # between two posts
@@ -44,7 +44,7 @@ _Groups = list[tuple[str, int]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Approach:
+class _Approach:
     """Where those who drive along an edge stop before a junction."""
 
     edge_id: str
@@ -73,7 +73,7 @@ def sign_things(
 ) -> list[StandingObject]:
     """Stop and give-way signs that a map has on the road: they stand at the kerb of the approach they are meant for."""
     wanted = [item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"]
-    approaches = approaches_of(net) if wanted else []
+    approaches = _find_approaches(net) if wanted else []
     if not approaches:
         return []
     taken = Taken(standing)
@@ -92,9 +92,9 @@ def sign_things(
     return found
 
 
-def approaches_of(net: Net) -> list[Approach]:
+def _find_approaches(net: Net) -> list[_Approach]:
     """The end of every edge that vehicles use."""
-    found: list[Approach] = []
+    found: list[_Approach] = []
     for edge in net.edges:
         lanes = [] if edge.function else _driven(edge)
         if lanes:
@@ -103,7 +103,7 @@ def approaches_of(net: Net) -> list[Approach]:
             ahead = along / max(1e-6, float(np.hypot(*along)))
             right = np.array([ahead[1], -ahead[0]])
             found.append(
-                Approach(
+                _Approach(
                     edge_id=edge.id,
                     stop_m=lane.points_m[-1],
                     ahead=ahead,
@@ -131,7 +131,7 @@ def _more_phases(files: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
     for path in files:
         data = read_bytes(path)
         if b"<tlLogic" in data:
-            yield from phases_of(parse_root(data, str(path)))
+            yield from read_phases(parse_root(data, str(path)))
 
 
 def _columns(phases: tuple[SignalState, ...]) -> dict[str, list[str]]:
@@ -149,7 +149,7 @@ def _vehicle_signals(
     for link in net.connections:
         if link.tls_id and link.tls_link >= 0:
             links[link.start].append(link)
-    for approach in approaches_of(net):
+    for approach in _find_approaches(net):
         groups = _groups(links.get(approach.edge_id, []), columns)
         if groups:
             yield _at_kerb(approach, groups, place, taken)
@@ -165,7 +165,7 @@ def _groups(links: list[Connection], columns: dict[str, list[str]]) -> _Groups:
     return list(found.values())
 
 
-def _at_kerb(approach: Approach, groups: _Groups, place: FreeGround, taken: Taken) -> StandingObject:
+def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround, taken: Taken) -> StandingObject:
     """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
     xy_m = _first_free(_beside(approach), place, taken)
     if xy_m is not None:
@@ -221,7 +221,7 @@ def _arm(start_m: F64, end_m: F64) -> Solid:
     return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
 
 
-def _beside(approach: Approach) -> F64:
+def _beside(approach: _Approach) -> F64:
     """Places (n, 2) for a post at the kerb, best first."""
     back_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(_BACK_M, ASIDE_M, indexing="ij"))
     return np.asarray(approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside)
@@ -292,5 +292,5 @@ def _at_crossing(
     post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)
     head = solid_shapes.box(xy_m, _WALK_HEAD_LWH_M, HEAD_LOW_M, yaw_rad, ClassId.TRAFFIC_LIGHT, floor=True)
     p_W_m = np.array([*xy_m, HEAD_LOW_M + _WALK_HEAD_LWH_M[2] / 2])
-    shown = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
-    return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(shown,))
+    signal = SignalHead(tls_id=light.tls_id, link=light.tls_link, p_W_m=p_W_m, yaw_rad=yaw_rad, pedestrian=True)
+    return StandingObject(piece=solid_shapes.joined([post, head]), footprint=_disc(xy_m), base_m=xy_m, heads=(signal,))

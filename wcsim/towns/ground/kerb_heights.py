@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.towns.ground.plane_geometry import Patches, buffered
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
-from wcsim.towns.ground.tiled_geometry import Patches, buffered
 from wcsim.towns.sumo.additional import Item
 from wcsim.types import F64
 
@@ -25,7 +25,7 @@ _LIP_M = {"flush": 0.0, "lowered": 0.02, "rolled": 0.03, "sloped": 0.03, "raised
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lowered:
+class _Lowered:
     """Where kerbs are lowered to one height."""
 
     drop_m: float
@@ -39,7 +39,7 @@ class Kerbing:
     """Heights of raised ground, and the places where it comes down to the road."""
 
     top_m: float
-    lowered: tuple[Lowered, ...]  # by height
+    lowered: tuple[_Lowered, ...]  # by height
 
     def height_m(self, xy_m: F64) -> F64:
         """Height (n,) of raised ground at (n, 2): every ramp rises at the same grade, and the lowest one counts."""
@@ -55,7 +55,7 @@ class Kerbing:
         return rounded
 
 
-def kerbing_of(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[Item] = ()) -> Kerbing:
+def make_kerbing(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[Item] = ()) -> Kerbing:
     """Kerbs are lowered where the edge of a crossing touches pavement, and where they are mapped as lowered.
 
     A crossing whose kerb is mapped as raised keeps it.
@@ -70,7 +70,7 @@ def kerbing_of(surfaces: Surfaces, top_m: float, drop_m: float, items: Iterable[
         if RAISED < lip_m < top_m:
             groups.setdefault(lip_m, []).append(line)
     lowered = tuple(
-        Lowered(
+        _Lowered(
             drop_m=lip_m,
             ramp_m=_RAMP_RUN * (top_m - lip_m),
             lines=shapely.MultiLineString(groups[lip_m]),

@@ -43,7 +43,7 @@ class _Samples:
     arc_m: F64  # (n,) distance along it
 
 
-def relief_of(net: Net) -> Relief:
+def fit_relief(net: Net) -> Relief:
     """The land of a net; `FLAT` where the net states no heights, or the same one everywhere."""
     ways = _ways(net)
     if not any(way.z_m.any() for way in ways):
@@ -107,8 +107,8 @@ def _samples(ways: list[Lane]) -> _Samples:
         parts.append((np.stack([*columns, weight_m, at_m]), at_m))
         counts.append(len(at_m))
     x, y, z_m, weight, arc_m = np.concatenate([part for part, _ in parts], axis=1)
-    way_of = np.repeat(np.arange(len(ways), dtype=np.int32), counts)
-    return _Samples(p_m=np.stack([x, y], axis=1), z_m=z_m, weight_m=weight, way=way_of, arc_m=arc_m)
+    predict_path = np.repeat(np.arange(len(ways), dtype=np.int32), counts)
+    return _Samples(p_m=np.stack([x, y], axis=1), z_m=z_m, weight_m=weight, way=predict_path, arc_m=arc_m)
 
 
 def _on_bridge(samples: _Samples) -> Bool:

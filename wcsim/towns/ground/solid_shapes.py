@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from shapely import Polygon
 
-from wcsim.towns.ground.plane import cross_z
+from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.types import F64, I32, U8
 
 

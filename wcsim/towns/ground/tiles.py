@@ -1,4 +1,4 @@
-"""A street in square tiles: packed once when it is built, and in memory only where somebody is near."""
+"""A street in square tiles: packed once when it is built, and in memory only near those who move."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wcsim.types import F64, U8, GroundPaint, Relief, StreetGrid, StreetMesh, Ti
 from wcsim.types.street import AROUND_M
 
 if TYPE_CHECKING:  # what makes streets is heavy, and no world needs it where a street is built
-    from wcsim.towns.ground.raster import GridMaker
+    from wcsim.towns.ground.mesh import GridMaker
 
 CELL_M = 0.1  # of the rasters
 CHUNK_M = 40.0  # side of the mesh's chunks
@@ -27,7 +27,7 @@ RASTER_M = 0.5 * TILE_M  # side of a raster: its margin is kept as well, so a la
 _RASTERS = ("height_cm", "ground_class", "clearance_dm")  # 0.85 MB each
 _HEIGHTS = _RASTERS[:1]
 _NONE: U8 = np.zeros((0, 0), np.uint8)
-_KEPT = 24  # rasters in memory, whatever is asked for; a chair and those around it ask for seven
+_KEPT = 24  # rasters in memory at any time; a chair and those around it request seven
 _MOST_KEPT = 108
 _FRESH_ASKS = 4_000  # what was asked for since stays, up to _MOST_KEPT: 6 chairs ask 80 times a tick, one 27 times
 _MESH = ("vertices_W_m", "faces", "face_class", "chunk_vertices", "chunk_faces")
@@ -77,7 +77,7 @@ def _packed_rasters(grid: GridMaker, left: Callable[[float], object]) -> dict[st
 
 
 class TileStore:
-    """The tiles of one street, read when somebody asks for a place; the rasters of the last few places stay in memory.
+    """The tiles of one street, read when a place is requested; the rasters of the last few places stay in memory.
 
     It is both the street's `Ground` and its `StreetTiles`. Places outside the town have the ground of its border.
     """
@@ -188,7 +188,7 @@ class TileStore:
         return grid
 
     def _forget(self) -> None:
-        """Let rasters go that nobody has asked for in a while, and in any case what is too much."""
+        """Drop rasters that were not requested for a while, and those above the limit."""
         count = sum(1 if grid.ground_class is _NONE else len(_RASTERS) for grid in self._kept.values())
         for key in list(self._kept):
             fresh = self._used[key] > self._asks - _FRESH_ASKS

@@ -14,9 +14,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing
-from wcsim.towns.ground.plane import cross_z
+from wcsim.towns.ground.plane_geometry import WHOLE_M, Patches, buffered, cross_z
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
-from wcsim.towns.ground.tiled_geometry import WHOLE_M, Patches, buffered
 from wcsim.towns.ground.tiles import CHUNK_M
 from wcsim.types import F64, I32, U8, Bool, ClassId, Relief
 from wcsim.types.street import FLAT

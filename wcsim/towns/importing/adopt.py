@@ -1,26 +1,46 @@
-"""Make a town folder of somebody's ready scenario: byte-for-byte copies of the files it names, and a town.toml."""
+"""Make a town folder of an author's ready scenario: byte-for-byte copies of the files it names, and a town.toml.
+
+Only files that SUMO reads go with the copy, and the author's notices; private files of other kinds stay behind.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import tempfile
 from pathlib import Path
 
-from wcsim.core.reading import is_file
+from wcsim.core.reading import FileKind, is_file, opened, read_text
+from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.importing.adopt_files import copy_file, copy_notices, copy_settings, is_picture, require_kind
 from wcsim.towns.importing.folder_texts import foreign_license_text, town_toml_text
-from wcsim.towns.scenario.border import require_file, require_inside
-from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, check_file, check_inside
 from wcsim.towns.scenario.options import Configuration, Content, Treatment, read_configuration
-from wcsim.towns.scenario.outputs import OutputNames
 from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
-from wcsim.towns.sumo.xml_io import content_digest
+from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, scan
 
 _MAX_FILES = 500
 _SETTINGS = "gui-settings-file"  # not needed, but it makes the town look as its author likes it
+_NOTICES = ("LICENSE*", "LICENCE*", "COPYING*", "README*")
+_NOTICE_BYTES = 1 << 20
+ROOTS = frozenset(
+    (
+        "net", "routes", "trips", "vehicles", "additional", "additionals", "add", "vTypes", "vss",
+        "variableSpeedSign", "rerouter", "calibrator", "snapshot", "meandata", "data", "netstats",
+        "edgedata", "weights", "interval", "tlLogics", "tls", "shapes", "polygons", "pois", "detectors",
+        "busStops", "stops", "taz", "tazs", "viewsettings", "gui-settings", "fcd-export", "emission-export",
+        "edgeRelations", "routes-info", "persons"
+    )
+)  # fmt: skip
+"""Root elements of what SUMO reads."""
+
+_PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"BM")
+_SELECTED = ("edge:", "lane:")
+_SELECTION = FileKind(what="a list of edges", limit_bytes=16 << 20, error=TownError)
+_NOTICE = FileKind(what="a notice", limit_bytes=_NOTICE_BYTES, error=TownError)
+_COPIED = FileKind(what="a file of a scenario", limit_bytes=MAX_XML_BYTES, error=TownError)
 
 
 def adopt_scenario(
@@ -42,7 +62,7 @@ def adopt_scenario(
         name: The town's name.
         out: A folder that is not there yet, or is empty.
         split: "train" or "test".
-        source: Where it comes from; default: that it is somebody else's.
+        source: Where it comes from; default: that it is of another author.
         outside: Whether it may name files outside of its own folder.
         cycle_paths: Whether chairs drive on its cycle paths.
 
@@ -60,8 +80,8 @@ def adopt_scenario(
     start = Path(os.path.normpath(sumocfg.absolute()))
     config = read_configuration(start)
     border = None if outside else start.parent
-    require_inside(start, border, start)
-    files_of(config, border)  # what is missing is said before SUMO opens a large net
+    check_inside(start, border, start)
+    _files_of(config, border)  # missing files are reported before SUMO opens a large net
     validate_net(_net_of(config, border), border=border)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
@@ -84,7 +104,7 @@ def copy_scenario(
 
     Args:
         config: The scenario.
-        border: As for `files_of`.
+        border: As for `_files_of`.
         work: A folder that is not there yet.
         around: A folder that has a place in the copy too, whatever lies in it.
 
@@ -92,25 +112,25 @@ def copy_scenario(
         The folder whose place `work` takes, and the files as they lie below it.
 
     Raises:
-        TownError: as `files_of`, or the copy would still name a file elsewhere.
+        TownError: as `_files_of`, or the copy would still name a file elsewhere.
     """
     start = Path(os.path.normpath(config.path.absolute()))
-    files = files_of(config, border)
+    files = _files_of(config, border)
     whole = (Path(os.path.normpath(around.absolute())),) if around is not None else ()
     base = Path(os.path.commonpath([*(path.parent for path in files), *whole]))
     settings = {Path(os.path.normpath(path.absolute())) for path in config.files(_SETTINGS)}
     for path in files:
         place = work / path.relative_to(base)
         place.parent.mkdir(parents=True, exist_ok=True)
-        (copy_settings if path in settings else copy_file)(path, place)
+        (_copy_settings if path in settings else copy_file)(path, place)
     _stay_inside(read_configuration(work / start.relative_to(base)), work)
-    notices = copy_notices(start.parent, work / start.relative_to(base).parent, border)
+    notices = _copy_notices(start.parent, work / start.relative_to(base).parent, border)
     if not (work / "LICENSE-DATA").exists():
         (work / "LICENSE-DATA").write_text(foreign_license_text(start.name, notices), encoding="utf-8")
     return base, files
 
 
-def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
+def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
     """The configuration and every file that SUMO reads because of it, absolute, sorted.
 
     Raises:
@@ -128,10 +148,10 @@ def files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
                 for path in item.files(config.path.parent):
                     met.place_option(item.option, path, config.path)
         for path in met.read:
-            require_kind(path, text=path in met.texts)
-        found = {config.path, *met.read, *(path for path in met.pictures if is_picture(path, border))}
+            _check_kind(path, text=path in met.texts)
+        found = {config.path, *met.read, *(path for path in met.pictures if _is_picture(path, border))}
     for path in filter(is_file, config.files(_SETTINGS)):
-        require_inside(path, border, config.path)
+        check_inside(path, border, config.path)
         found.add(path)
     if len(found) > _MAX_FILES:
         raise TownError(f"{config.path}: names {len(found)} files; expected at most {_MAX_FILES}")
@@ -142,14 +162,14 @@ def _net_of(config: Configuration, border: Path | None) -> Path:
     nets = config.files("net-file")
     if len(nets) != 1:
         raise TownError(f"{config.path}: expected one <net-file value=...> that exists, got {_listed(nets)}")
-    require_file(nets[0], border, config.path)
+    check_file(nets[0], border, config.path)
     return nets[0]
 
 
 def _town_toml(
-    config: Configuration, name: str, told: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
+    config: Configuration, name: str, labels: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
 ) -> str:
-    split, source = told
+    split, source = labels
     text = town_toml_text(
         name=name,
         split=split,
@@ -168,7 +188,7 @@ def _toml(path: Path) -> str:
 def _stay_inside(config: Configuration, folder: Path) -> None:
     """Raise TownError when the copy still names a file elsewhere: by an absolute path, or through the environment."""
     inside = os.path.normpath(folder.absolute())
-    elsewhere = [path for path in files_of(config, None) if not path.is_relative_to(inside)]
+    elsewhere = [path for path in _files_of(config, None) if not path.is_relative_to(inside)]
     if elsewhere:
         raise TownError(
             f"{config.path.name}: names {elsewhere[0]} by a path that a copy cannot follow; name it relative to the "
@@ -178,3 +198,64 @@ def _stay_inside(config: Configuration, folder: Path) -> None:
 
 def _listed(paths: tuple[Path, ...]) -> str:
     return ", ".join(str(path) for path in paths) or "none"
+
+
+def copy_file(path: Path, place: Path) -> None:
+    """Copy a regular file. Raises TownError when it is none."""
+    with opened(path, _COPIED) as source, place.open("wb") as target:
+        shutil.copyfileobj(source, target)
+
+
+def _copy_settings(path: Path, place: Path) -> None:
+    """Copy the settings of a window; of what is none of SUMO's goes an empty one, for SUMO wants the file."""
+    try:
+        _check_root(path)
+    except TownError:
+        place.write_text("<viewsettings/>\n", encoding="utf-8")
+    else:
+        copy_file(path, place)
+
+
+def _copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...]:
+    """Copy the licence and the readme that lie beside a scenario, and not elsewhere; returns their names."""
+    names = set()
+    for path in (path for mask in _NOTICES for path in source.glob(mask)):
+        try:
+            check_inside(path, border, source)
+            notice = read_plain(path, _NOTICE)
+        except TownError:  # a link to elsewhere, or no notice
+            continue
+        names.add(path.name)
+        if not (out / path.name).exists():
+            (out / path.name).write_bytes(notice)
+    return tuple(sorted(names))
+
+
+def _check_kind(path: Path, *, text: bool) -> None:
+    """Return for a file of SUMO's, XML or else a list of edges. Raises TownError."""
+    if not text:
+        _check_root(path)
+    elif not all(line.startswith(_SELECTED) for line in read_text(path, _SELECTION).split()):
+        raise TownError(
+            f"{path}: is not a list of edges; expected lines such as edge:ID: remove it, or correct its lines"
+        )
+
+
+def _check_root(path: Path) -> None:
+    """Raise TownError for XML that is none of SUMO's: it may be anybody's, and a town is made to be passed on."""
+    tags: list[str] = []
+    scan(read_bytes(path, MAX_XML_BYTES), str(path), lambda tag, _: tags.append(tag) if not tags else None)
+    if tags[0].rpartition(":")[2] not in ROOTS:
+        raise TownError(
+            f"{path}: begins with <{tags[0][:40]}>, which is no SUMO file; expected routes, additional, ..."
+        )
+
+
+def _is_picture(path: Path, border: Path | None) -> bool:
+    """Whether a picture that sumo-gui would show can go with the copy."""
+    try:
+        check_file(path, border, path)
+        with opened(path, _COPIED) as file:
+            return file.read(8).startswith(_PICTURES)
+    except TownError:
+        return False

@@ -4,11 +4,15 @@ Ways from edge to edge are drawn, routed once by SUMO's `duarouter`, and those t
 flows carry the routes, so that nothing is left to fail while the simulation runs. SUMO makes all people of a personFlow
 when it reads it (48 hours of them: 2.4 s and 200 MB), but reads its files only a little ahead of the clock; so the
 people come in slices, each along a part of the ways.
+
+A trial run finds walking ways on which people get stuck. Where SUMO's pavements are pinched, people block each other
+for minutes, and with them the cars that wait for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -18,8 +22,8 @@ import numpy as np
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.sumo.net import Edge, Net
-from wcsim.towns.sumo.tools import run_tool
-from wcsim.towns.sumo.xml_io import read_root
+from wcsim.towns.sumo.tools import Limits, run_tool
+from wcsim.towns.sumo.xml_io import read_root, write_gzip
 from wcsim.types import F64
 
 END_S = 1_000_000  # eleven days: longer than any run
@@ -29,9 +33,13 @@ _SLICE_SHARE = 0.25  # of the walking ways are in use during one slice
 _MOST_PER_HOUR = 100_000
 _VTYPES = "vtypes.xml"
 
+TRIAL_S = 600
+ROUNDS = 2
+_JAMMED = re.compile(r"Person 'walkers\.\d+\.(\d+)\.\d+' is jammed")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Traffic:
+class _Traffic:
     """How much of one class a town gets."""
 
     types: str  # id of the vType or vTypeDistribution
@@ -50,17 +58,19 @@ class Traffic:
 
 # Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
 MIX = (
-    Traffic(types="cars", vclass="passenger", per_h_km=97, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
-    Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, longest_m=9e9, fringe=15),
-    Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, longest_m=9e9, fringe=50),
-    Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, longest_m=9e9, fringe=200),
-    Traffic(
+    _Traffic(types="cars", vclass="passenger", per_h_km=97, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
+    _Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, longest_m=9e9, fringe=15),
+    _Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, longest_m=9e9, fringe=50),
+    _Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, longest_m=9e9, fringe=200),
+    _Traffic(
         types="motorcycles", vclass="motorcycle", per_h_km=7, flows_per_km=1.5, shortest_m=150, longest_m=9e9, fringe=8
     ),
-    Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, longest_m=9e9, fringe=5),
-    Traffic(types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2),
+    _Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, longest_m=9e9, fringe=5),
+    _Traffic(
+        types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2
+    ),
     *(
-        Traffic(
+        _Traffic(
             types=types, vclass=vclass, per_h_km=per_h_km, flows_per_km=0.3, shortest_m=200, longest_m=9e9, fringe=8
         )
         for types, vclass, per_h_km in (
@@ -80,7 +90,7 @@ CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 class Way:
     """A routed way of one class."""
 
-    traffic: Traffic
+    traffic: _Traffic
     edges: tuple[str, ...]
     length_m: float
 
@@ -120,12 +130,12 @@ def _usable_km(net: Net, vclass: str) -> float:
     )
 
 
-def _wanted_flows(net: Net, traffic: Traffic) -> int:
+def _wanted_flows(net: Net, traffic: _Traffic) -> int:
     km = _usable_km(net, traffic.vclass)
     return max(1, round(traffic.flows_per_km * km)) if km > 0 else 0
 
 
-def _draw(net: Net, traffic: Traffic, seed: int) -> list[tuple[str, str]]:
+def _draw(net: Net, traffic: _Traffic, seed: int) -> list[tuple[str, str]]:
     """Pairs of edge ids, several times more than wanted: some cannot be routed or turn out too short."""
     edges = [e for e in net.edges if not e.function and any(lane.permits(traffic.vclass) for lane in e.lanes)]
     wanted = _wanted_flows(net, traffic) * 5
@@ -155,7 +165,7 @@ def _middle_m(edge: Edge) -> F64:
     return np.array([np.interp(arc_m[-1] / 2, arc_m, column) for column in points_m.T])
 
 
-def _weights(edges: list[Edge], joined: set[str], traffic: Traffic, *, start: bool) -> F64:
+def _weights(edges: list[Edge], joined: set[str], traffic: _Traffic, *, start: bool) -> F64:
     """Chance (E,) of each edge to be an end: by length inside the town, by capacity where the town is cut off."""
     weights = np.empty(len(edges))
     for i, edge in enumerate(edges):
@@ -172,7 +182,7 @@ def _weights(edges: list[Edge], joined: set[str], traffic: Traffic, *, start: bo
 
 
 def _route(
-    net_path: Path, folder: Path, drawn: list[tuple[Traffic, tuple[str, str]]], seed: int
+    net_path: Path, folder: Path, drawn: list[tuple[_Traffic, tuple[str, str]]], seed: int
 ) -> dict[int, list[str]]:
     """Edges of each drawn way that duarouter finds, by its number."""
     trips, types, out = folder / "demand.trips.xml", folder / "demand.types.xml", folder / "demand.routes.xml"
@@ -200,7 +210,7 @@ def _route(
     return found
 
 
-def _choose(net: Net, drawn: list[tuple[Traffic, tuple[str, str]]], routed: dict[int, list[str]]) -> tuple[Way, ...]:
+def _choose(net: Net, drawn: list[tuple[_Traffic, tuple[str, str]]], routed: dict[int, list[str]]) -> tuple[Way, ...]:
     length_m = {edge.id: edge.lanes[0].length_m for edge in net.edges if edge.lanes}
     left = {traffic.types: _wanted_flows(net, traffic) for traffic in MIX}
     ways: list[Way] = []
@@ -244,12 +254,12 @@ def flows_text(
     return "\n".join([*lines, "</routes>", ""])
 
 
-def _per_hour(net: Net, traffic: Traffic, per_hour: Mapping[str, float]) -> float:
+def _per_hour(net: Net, traffic: _Traffic, per_hour: Mapping[str, float]) -> float:
     usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
     return per_hour.get(traffic.vclass, usual)
 
 
-def _walks(ways: list[Way], traffic: Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
+def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
     if not ways:
         return []
     lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
@@ -262,3 +272,36 @@ def _walks(ways: list[Way], traffic: Traffic, per_s: float, rng: np.random.Gener
             walk = f'<walk route="walk.{way}" arrivalPos="random"/>'
             lines.append(f'    <personFlow {head} departPos="random" departPosLat="random">{walk}</personFlow>')
     return lines
+
+
+def write_tried(sumocfg: Path, ways: tuple[Way, ...], text_of: Callable[[tuple[Way, ...]], str]) -> None:
+    """Write the route file of a town's folder, without the walking ways on which people get stuck.
+
+    Args:
+        sumocfg: The town's, which names <its stem>.rou.xml.gz.
+        ways: All ways.
+        text_of: The route file's text for some of them.
+    """
+    for trials_left in reversed(range(ROUNDS + 1)):
+        write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text_of(ways).encode())
+        stuck = _stuck_ways(sumocfg, ways) if trials_left and ways else ()
+        if not stuck:
+            return
+        ways = tuple(way for way in ways if way not in stuck)
+
+
+def _stuck_ways(sumocfg: Path, ways: tuple[Way, ...]) -> tuple[Way, ...]:
+    """The walking ways on which people got stuck within a trial of TRIAL_S; none when the trial fails.
+
+    A trial that fails says nothing about ways; the town is then opened as it is, and `check_town` says what is wrong.
+    """
+    options = ["-c", sumocfg.name, "--end", str(TRIAL_S), "--no-step-log"]
+    try:
+        run = run_tool("sumo", options, sumocfg.parent, Limits(wall_s=300.0))
+    except SumoError:
+        return ()
+    if run.died:  # at a limit, so what it printed depends on the machine's speed
+        return ()
+    walking = [way for way in ways if way.traffic.walks]
+    numbers = sorted({int(text) for text in _JAMMED.findall(run.output)})
+    return tuple(walking[number] for number in numbers if number < len(walking))

@@ -1,20 +1,27 @@
 """Heights for a town: a GeoTIFF or a synthetic hill, made smooth enough that no street is too steep.
 
-`towns/importing/lift.py` writes them into the net, from which SUMO and the street mesh take them.
+They are written into the net, from which SUMO and the street mesh take them: every point of every shape lies on the
+land. netconvert can read heights itself, but only asks for them at the nodes of a street: where it moves nodes
+together, or cuts streets at junctions, grades of 1:2 come out of gentle hills. Here no piece of a net is steeper than
+the land.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import cv2
 import numpy as np
@@ -22,7 +29,9 @@ import numpy as np
 from wcsim.core.reading import FileKind, read_bytes, shown
 from wcsim.core.seeding import generator
 from wcsim.errors import TownError
+from wcsim.towns.ground.relief import steepest_run
 from wcsim.towns.osm.area import Box, grown, size_m
+from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
 if TYPE_CHECKING:
@@ -41,6 +50,10 @@ _GEOTIFF = FileKind(what="a GeoTIFF of heights", limit_bytes=1 << 30, error=Town
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _GRIDS = re.compile(r"(?i:grids|catalog|init|file)\s*=(?!\s*@?null\b)")
 _WANTED = "expected a GeoTIFF of heights in metres with a coordinate system, as gdalwarp writes"
+log = logging.getLogger("wcsim.towns")
+
+PIECE_M = 8.0  # the longest piece of a shape: between its ends the land is taken to be straight
+_SIGMAS_M = (15.0, 30.0, 60.0)  # of the smoothing, one after the other; what is still too steep is made lower
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +95,7 @@ def hill_over(hill_m: float, box_m: Box, seed: int) -> Dem:
     return Dem(height_m=_hill(hill_m, shape, seed), box=box_m)
 
 
-def heights_at(dem: Dem, places: F64) -> F64:
+def _heights_at(dem: Dem, places: F64) -> F64:
     """Heights (n,) at longitudes and latitudes (n, 2), bilinear between the middles of the cells."""
     west, south, east, north = dem.box
     rows, cols = dem.height_m.shape
@@ -95,20 +108,20 @@ def heights_at(dem: Dem, places: F64) -> F64:
     return np.asarray((1 - v) * upper + v * lower, np.float64)
 
 
-def smoothed(dem: Dem, sigma_m: float) -> Dem:
+def _smoothed(dem: Dem, sigma_m: float) -> Dem:
     """The same land with hills and dips narrower than about `sigma_m` taken out."""
     sigma = sigma_m / CELL_M
     blurred = cv2.GaussianBlur(dem.height_m, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     return replace(dem, height_m=np.asarray(blurred, np.float64))
 
 
-def scaled(dem: Dem, factor: float) -> Dem:
+def _scaled(dem: Dem, factor: float) -> Dem:
     """The same land with all heights `factor` times as far from their mean."""
     mean_m = dem.height_m.mean()
     return replace(dem, height_m=mean_m + factor * (dem.height_m - mean_m))
 
 
-def as_stored(dem: Dem) -> Dem:
+def _as_stored(dem: Dem) -> Dem:
     """The same land as a file holds it, so that a town made from the file is the same."""
     return replace(dem, height_m=np.round(dem.height_m, 3).astype(np.float32).astype(np.float64))
 
@@ -130,14 +143,14 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
     return np.asarray(height_m * field / field.max())
 
 
-def require_rasterio() -> None:
+def check_rasterio() -> None:
     """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
     if find_spec("rasterio") is None:
         raise TownError("--dem and --hill need rasterio, which is not installed: pip install 'wcsim[dem]'")
 
 
 @contextmanager
-def own_projections() -> Iterator[None]:
+def _own_projections() -> Iterator[None]:
     """Let rasterio find its own coordinate systems: libsumo, once loaded, points the process to SUMO's older ones."""
     from rasterio.env import PROJDataFinder
 
@@ -202,7 +215,7 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     shape = _shape(area)
     found = np.full(shape, np.nan, np.float32)
     try:
-        with own_projections(), _quiet(), _opened(path) as file:
+        with _own_projections(), _quiet(), _opened(path) as file:
             _require_usable(path, file)
             if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
                 return _taken_as_it_is(path, file)
@@ -297,6 +310,88 @@ def write_dem(dem: Dem, relief: Heights, path: Path) -> None:
         "transform": from_bounds(*dem.box, cols, rows),
         "compress": "deflate",
     }
-    with own_projections(), rasterio.open(path, "w", **profile) as file:
+    with _own_projections(), rasterio.open(path, "w", **profile) as file:
         file.write(dem.height_m.astype(np.float32), 1)
         file.update_tags(**{_DONE: f"{relief.max_grade:g}"})
+
+
+def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) -> Dem:
+    """Write heights into a plain .net.xml, smoothed and lowered until no street is too steep; returns what was used.
+
+    Args:
+        path: The net.
+        dem: The land.
+        relief: How it is smoothed.
+        on_globe: False where the land's box is in the net's own metres.
+
+    Raises:
+        TownError: The net has no place on the globe, and needs one.
+    """
+    root = read_root(path)
+    return _lifted(root, path, dem, relief, lambda points_m: _places(root, points_m, path) if on_globe else points_m)
+
+
+def _lifted(root: Element, path: Path, dem: Dem, relief: Heights, places_of: Callable[[F64], F64]) -> Dem:
+    """`places_of` turns points (n, 2) of the net into places of the land."""
+    found = [(element, _points(element)) for element in root.iter() if element.get("shape")]
+    ends = np.cumsum([len(points_m) for _, points_m in found])
+    places = places_of(np.concatenate([points_m for _, points_m in found]))
+    runs_m = [np.hypot(*np.diff(points_m, axis=0).T) for _, points_m in found]
+    driven = [element.tag == "lane" for element, _ in found]
+
+    def steepest(land: Dem) -> float:
+        return steepest_run(np.split(_heights_at(land, places), ends[:-1]), runs_m, driven)
+
+    if relief.dem is None:  # the hill is as high as ordered where the streets are
+        height_m = float(np.ptp(_heights_at(_smoothed(dem, _SIGMAS_M[0]), places)))
+        dem = _scaled(dem, relief.hill_m / max(height_m, 1e-3 * relief.hill_m))
+    used = _as_stored(_gentle(dem, relief, steepest))
+    for (element, points_m), z_m in zip(found, np.split(_heights_at(used, places), ends[:-1]), strict=True):
+        rows = np.column_stack([points_m, z_m]).tolist()
+        element.set("shape", " ".join(f"{x:.2f},{y:.2f},{z:.3f}" for x, y, z in rows))
+    junctions = [element for element in root.iterfind("junction")]
+    middles_m = np.array([[float(element.get("x", "0")), float(element.get("y", "0"))] for element in junctions])
+    for element, z in zip(junctions, _heights_at(used, places_of(middles_m)).tolist(), strict=True):
+        element.set("z", f"{z:.3f}")
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    return used
+
+
+def _gentle(dem: Dem, relief: Heights, steepest: Callable[[Dem], float]) -> Dem:
+    if dem.smooth:
+        return dem
+    land, grade = dem, 0.0
+    for sigma_m in _SIGMAS_M:
+        land = _smoothed(dem, sigma_m)
+        grade = steepest(land)
+        if grade <= relief.max_grade:
+            return land
+    log.warning("the land has grades up to %.2f; its heights were scaled down to the largest grade", grade)
+    return _scaled(land, 0.99 * relief.max_grade / grade)
+
+
+def _points(element: Element) -> F64:
+    """Points (n, 2) of a shape; those of lanes no farther than PIECE_M from each other."""
+    points_m = np.array([part.split(",")[:2] for part in element.attrib["shape"].split()], np.float64).reshape(-1, 2)
+    if element.tag != "lane" or len(points_m) < 2:
+        return points_m
+    rows = [points_m[:1]]
+    for start_m, end_m in pairwise(points_m):
+        pieces = max(1, int(np.ceil(np.hypot(*(end_m - start_m)) / PIECE_M)))
+        share = np.arange(1, pieces + 1)[:, None] / pieces
+        rows.append(start_m + share * (end_m - start_m))
+    return np.asarray(np.round(np.concatenate(rows), 2), np.float64)
+
+
+def _places(root: Element, points_m: F64, path: Path) -> F64:
+    """Longitudes and latitudes (n, 2) of points in net coordinates."""
+    from rasterio.warp import transform
+
+    location = root.find("location")
+    projection = location.get("projParameter", "!") if location is not None else "!"
+    if location is None or not projection.startswith("+proj"):
+        raise TownError(f"{path.name}: has no geographic projection; expected a net made from OpenStreetMap data")
+    offset_m = np.array(location.attrib["netOffset"].split(","), np.float64)
+    x_m, y_m = (points_m - offset_m).T
+    with _own_projections():
+        return np.column_stack(transform(projection, "EPSG:4326", x_m, y_m))

@@ -2,7 +2,7 @@
 
 Everything is made in a folder beside the target and moved into place at the end; the same order gives the same bytes.
 
-Build a town's net, and leave out what nobody can walk to.
+A town's net is built without parts that cannot be reached on foot.
 """
 
 from __future__ import annotations
@@ -18,36 +18,51 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.importing.demand import Way, build_ways, check_rates, flows_text, vtypes_text, without_ways
-from wcsim.towns.importing.elevation import Heights, make_dem, require_rasterio, write_dem
-from wcsim.towns.importing.folder_texts import license_text, sumocfg_text, town_toml_text
-from wcsim.towns.importing.jam_trial import write_tried
-from wcsim.towns.importing.lift import lift_net
-from wcsim.towns.importing.map_marks import MapMarks, map_marks
+from wcsim.towns.importing.demand import (
+    Way,
+    build_ways,
+    check_rates,
+    flows_text,
+    vtypes_text,
+    without_ways,
+    write_tried,
+)
+from wcsim.towns.importing.elevation import Heights, check_rasterio, lift_net, make_dem, write_dem
+from wcsim.towns.importing.folder_texts import (
+    check_place,
+    check_words,
+    license_text,
+    move_in_place,
+    sumocfg_text,
+    town_toml_text,
+    workplace,
+)
+from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
 from wcsim.towns.importing.netconvert import NetOrder, convert_net, convert_polygons
-from wcsim.towns.importing.parking import Parking, find_parking
-from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
-from wcsim.towns.osm.area import Box, bbox_option, check_box, middle_of, size_m
-from wcsim.towns.osm.bridges import cut_bridges
-from wcsim.towns.osm.clean import filter_osm, strip_orphans
-from wcsim.towns.osm.driving_side import Side, side_at
+from wcsim.towns.osm.area import Box, Side, bbox_option, box_centre, check_box, side_at, size_m
+from wcsim.towns.osm.clean import cut_bridges, filter_osm, strip_orphans, unpaved_ways, wrongly_paved
 from wcsim.towns.osm.left_out import (
     LeftOut,
     NetWays,
-    crossings_inside,
+    count_inside,
+    find_left_out,
     left_out_notes,
-    left_out_of,
-    stops_inside,
     ways_inside,
 )
 from wcsim.towns.osm.read import Extract, read_extract
-from wcsim.towns.osm.sidewalk_rules import unpaved_ways, wrongly_paved
-from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hashes_of
+from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import by_file
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip, xml_bytes
-from wcsim.towns.walking.islands import Islands, islands_by_ground, islands_by_links, share_of, walkable_parts, ways_of
+from wcsim.towns.walking.islands import (
+    Islands,
+    islands_by_ground,
+    islands_by_links,
+    largest_share,
+    osm_ways_by_edge,
+    walkable_parts,
+)
 
 log = logging.getLogger("wcsim.towns")
 
@@ -66,7 +81,7 @@ class BuiltNet:
     ways: NetWays = field(default_factory=NetWays)
 
 
-def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
+def _build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     """Write <name>.net.xml and the cleaned extract that it was made of; `root` is changed.
 
     Raises:
@@ -79,7 +94,7 @@ def build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     cut = before - _ids(root)
     built = _hanging_together(order, root, folder)
     walkable = {edge.id for edge in built.net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
-    drawn = ways_of(folder / f"{order.name}.net.xml")
+    drawn = osm_ways_by_edge(folder / f"{order.name}.net.xml")
     ways = NetWays(
         given=_ids(root),
         bridges=cut,
@@ -99,14 +114,14 @@ def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
     if found.footways:
         net = _converted(order, root, folder, found.footways)
     parts = walkable_parts(net, order.chair_ways)
-    if share_of(parts) < _GOOD_SHARE:
+    if largest_share(parts) < _GOOD_SHARE:
         ground = islands_by_ground(net, folder / f"{order.name}.net.xml", parts)
         if ground.footways | ground.roads:
             smaller = _smaller(order, root, folder, ground)
             if smaller is not None:
                 return smaller
             net = _converted(order, root, folder)
-    return BuiltNet(net=net, share=share_of(parts))
+    return BuiltNet(net=net, share=largest_share(parts))
 
 
 def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> BuiltNet | None:
@@ -118,9 +133,9 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
         parts = walkable_parts(net, order.chair_ways)
     except TownError:  # nothing is left
         parts = []
-    if share_of(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:
+    if largest_share(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:
         log.info("town %s: %d ways on islands were left out", order.name, len(dropped))
-        return BuiltNet(net=net, share=share_of(parts))
+        return BuiltNet(net=net, share=largest_share(parts))
     root[:] = everything
     return None
 
@@ -170,7 +185,7 @@ class ImportOrder:
     keep_service: bool = False  # driveways and yards too, each with a crossing of its own
     cycle_paths: bool = False  # whether chairs drive on them
     source: str = ""
-    overwrite: bool = False  # a town that somebody has worked on
+    overwrite: bool = False  # a town that was edited
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,9 +205,9 @@ class Imported:
 
 
 def import_town(
-    order: ImportOrder, meanwhile: Callable[[Town], object] | None = None, stage: Stage = lambda told: None
+    order: ImportOrder, meanwhile: Callable[[Town], object] | None = None, stage: Stage = lambda text: None
 ) -> Imported:
-    """Build the town and move it to `order.out`, replacing a town that is there if nobody has worked on it.
+    """Build the town and move it to `order.out`, replacing a town that is there if it was not edited.
 
     Args:
         order: what and where to.
@@ -200,7 +215,7 @@ def import_town(
         stage: called with what begins now, before anything that takes long.
 
     Raises:
-        TownError: the order or the extract cannot be used, or the folder holds something else or somebody's work.
+        TownError: the order or the extract cannot be used, or the folder holds something else or edited files.
         SumoError: one of SUMO's tools failed.
     """
     given, order = order.out, replace(order, out=order.out.resolve())
@@ -214,8 +229,8 @@ def import_town(
             move_in_place(work, order.out)
     except (TownError, SumoError) as error:
         raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
-    shown = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
-    return replace(made, town=open_town(shown))
+    place = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder
+    return replace(made, town=open_town(place))
 
 
 def _check(order: ImportOrder) -> None:
@@ -226,12 +241,12 @@ def _check(order: ImportOrder) -> None:
     if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
         raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.relief.dem is not None or order.relief.hill_m:
-        require_rasterio()
+        check_rasterio()
     check_place(order.out, overwrite=order.overwrite)
 
 
 def _side(order: ImportOrder, box: Box) -> Side:
-    return side_at(*middle_of(box)) if order.lefthand is None else Side(lefthand=order.lefthand, why="as ordered")
+    return side_at(*box_centre(box)) if order.lefthand is None else Side(lefthand=order.lefthand, why="as ordered")
 
 
 def _build(
@@ -243,7 +258,9 @@ def _build(
     stage: Stage,
 ) -> Imported:
     name, mapped = order.name, ways_inside(extract.root, extract.box)
-    crossings_mapped, stops_mapped = (of(extract.root, extract.box) for of in (crossings_inside, stops_inside))
+    crossings_mapped, stops_mapped = (
+        count_inside(extract.root, extract.box, kind) for kind in ("crossing", "bus_stop")
+    )
     stage(f"building the net of {_size(extract.box)}")
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
@@ -255,9 +272,9 @@ def _build(
         keep_service=order.keep_service,
         chair_ways=chair_ways(order.cycle_paths),
     )
-    built = build_net(net_order, extract.root, work)
+    built = _build_net(net_order, extract.root, work)
     net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
-    left_out = left_out_of(mapped, built.ways)
+    left_out = find_left_out(mapped, built.ways)
     stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:
@@ -277,12 +294,12 @@ def _build(
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, side, work, built, extract.box)
-    told = (*left_out_notes(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
+    notes = (*left_out_notes(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
     return Imported(
         town=_unfinished(work, order),
         side=side,
         walkable_share=built.share,
-        notes=(*_notes(order, built, ways), *filter(None, told), *_unbounded_note(extract)),
+        notes=(*_notes(order, built, ways), *filter(None, notes), *_unbounded_note(extract)),
         left_out=left_out,
         parked=len(parking.vehicles),
         crossings_mapped=crossings_mapped,
@@ -317,8 +334,8 @@ def _counts(
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
-    told = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {bbox_option(extract.box)}"
-    return () if extract.bounded else (told,)
+    note = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {bbox_option(extract.box)}"
+    return () if extract.bounded else (note,)
 
 
 def _size(box: Box) -> str:
@@ -372,7 +389,7 @@ def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet,
         source=order.source,
         attribution="(c) OpenStreetMap contributors, ODbL 1.0",
         rebuild=_rebuild_command(order, box, side.lefthand),
-        hashes=hashes_of(work, order.name),
+        hashes=hash_files(work, order.name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 

@@ -1,7 +1,12 @@
-"""What a map says of the ground and of stops, as elements of a town's additional file."""
+"""What a map says of car parks, the ground and stops, as elements of a town's additional and route files.
+
+Parked cars are in SUMO parking areas on the car parks that OpenStreetMap maps, partly taken from the start. A space is
+only made where nobody drives or walks: off the carriageway, the pavements, the crossings and the buildings.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -10,8 +15,13 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import shapely
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.crossing_paint import CrossingMark, unmarked_points, unpainted
+from wcsim.core.frames import deg
+from wcsim.core.seeding import generator
+from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
+from wcsim.towns.ground.surfaces import NOT_ON_GROUND, lane_area
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
@@ -20,6 +30,17 @@ _STOP_M = 14.0  # a bus, and a little
 _POLE_M = 12.0  # from a lane to the pole beside it
 _ON_LANE_M = 1.0  # so near to its middle a pole stands on the lane
 _SQUARES = ("place.square", "highway.pedestrian")
+_SPACE_M = (5.0, 2.5)  # across the way that leads to it: length and width
+_PARALLEL_M = (5.6, 2.2)  # along it
+_AISLE_M = 6.0
+_MOST_SPACES = 150  # of a town: each parked car costs SUMO a little in every step
+NEAR_M = 60.0  # from a car park to the street that leads to it
+_LEAST_LANE_M = 12.0
+FREE_M = 0.3  # between a space and what is driven or walked on
+INSIDE_M = 10.0  # beyond the outermost streets; the ground ends soon after
+CAR = "parked"
+_CAR_NOSE_M = 2.4  # from the middle of a space
+_STAY_S = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,3 +133,152 @@ def _text(element: Element) -> str:
     for part in element.iter():
         part.text = part.tail = None
     return ElementTree.tostring(element, encoding="unicode")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parking:
+    """What car parks add to a town's files."""
+
+    areas: tuple[str, ...] = ()  # XML elements for the additional file
+    vehicles: tuple[str, ...] = ()  # and for the route file, which come before everything else
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Space:
+    middle_m: F64  # (2,)
+    yaw_rad: float  # of a car in it
+    length_m: float
+    width_m: float
+
+    def footprint(self) -> Polygon:
+        along = np.array([np.cos(self.yaw_rad), np.sin(self.yaw_rad)]) * self.length_m / 2
+        aside = np.array([-np.sin(self.yaw_rad), np.cos(self.yaw_rad)]) * self.width_m / 2
+        return Polygon([self.middle_m + a * along + b * aside for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+
+
+def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
+    """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
+    lots = sorted(_lots(poly))
+    lanes = [lane for edge in net.edges if not edge.function for lane in edge.lanes if _leads_there(lane)]
+    if not lots or taken <= 0.0 or not lanes:
+        return Parking()
+    lines = [shapely.LineString(lane.points_m) for lane in lanes]
+    town, used = _town_and_used(net, poly)
+    tree, left = shapely.STRtree(lines), _MOST_SPACES
+    rng = generator(seed, "parking")
+    areas: list[str] = []
+    vehicles: list[str] = []
+    for lot_id, lot in lots:
+        spaces = [space for space in _spaces(lot) if _is_free(space.footprint(), town, used)][:left]
+        nearest = int(tree.nearest(lot))
+        if not spaces or lines[nearest].distance(lot) > NEAR_M:
+            continue
+        left -= len(spaces)
+        spaces = [spaces[i] for i in rng.permutation(len(spaces))]  # SUMO fills them one after the other
+        areas += _area(f"lot.{lot_id}", lanes[nearest], lines[nearest], lot, spaces)
+        cars = round(taken * len(spaces))
+        vehicles += [_vehicle(f"lot.{lot_id}", number, lanes[nearest]) for number in range(cars)]
+    return Parking(areas=tuple(areas), vehicles=tuple(vehicles))
+
+
+def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
+    """Where there is ground, which ends not far outside of the streets, and where something is on it."""
+    lanes = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
+    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
+    shapely.prepare([town, used])
+    return town, used
+
+
+def _is_free(mark: Polygon, town: BaseGeometry, used: BaseGeometry) -> bool:
+    return bool(town.contains(mark) and not used.intersects(mark))
+
+
+def _leads_there(lane: Lane) -> bool:
+    return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
+
+
+def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
+    """Ids and outlines of the car parks at ground level."""
+    for element in read_root(poly).iterfind("poly"):
+        tags = {param.get("key", ""): param.get("value", "") for param in element.iterfind("param")}
+        if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
+            outline_m = points(element.get("shape", ""), (0, 0))
+            lot = Polygon(outline_m) if len(outline_m) > 3 else Polygon()
+            if lot.is_valid and lot.area > _PARALLEL_M[0] * _PARALLEL_M[1] and tags.get("layer", "0") == "0":
+                yield element.get("id", ""), lot
+
+
+def _buildings(poly: Path) -> BaseGeometry:
+    outlines = [
+        shapely.make_valid(Polygon(points_m))
+        for element in read_root(poly).iterfind("poly")
+        if element.get("type", "").startswith("building")
+        and len(points_m := points(element.get("shape", ""), (0, 0))) > 3
+    ]
+    return shapely.union_all(outlines).buffer(FREE_M, quad_segs=2)
+
+
+def _junctions(net: Net) -> BaseGeometry:
+    outlines = [junction.outline_m for junction in net.junctions if len(junction.outline_m) > 2]
+    return shapely.union_all([shapely.make_valid(Polygon(outline_m)) for outline_m in outlines])
+
+
+def _spaces(lot: Polygon) -> list[_Space]:
+    """Spaces in rows along the longer side of a car park: one row of cars behind each other where it is narrow."""
+    corners = shapely.get_coordinates(shapely.minimum_rotated_rectangle(lot))[:4]
+    sides = np.diff(np.vstack([corners, corners[:1]]), axis=0)[:2]
+    if np.hypot(*sides[1]) > np.hypot(*sides[0]):
+        corners, sides = np.roll(corners, -1, axis=0), np.array([sides[1], -sides[0]])
+    long_m, wide_m = float(np.hypot(*sides[0])), float(np.hypot(*sides[1]))
+    if wide_m < _PARALLEL_M[1] or long_m < _PARALLEL_M[0]:
+        return []
+    along, aside = sides[0] / long_m, sides[1] / wide_m
+    yaw_rad = float(np.arctan2(along[1], along[0]))
+    found: list[_Space] = []
+    if wide_m < _SPACE_M[0]:
+        rows, size_m, turn_rad = [wide_m / 2], _PARALLEL_M, 0.0
+    else:
+        rows, size_m, turn_rad = _rows(wide_m), (_SPACE_M[1], _SPACE_M[0]), np.pi / 2
+    for number, across_m in enumerate(rows):
+        facing_rad = yaw_rad + (turn_rad if number % 2 else -turn_rad)
+        for k in range(int(long_m // size_m[0])):
+            middle_m = corners[0] + (k + 0.5) * size_m[0] * along + across_m * aside
+            space = (
+                _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=_SPACE_M[0], width_m=_SPACE_M[1])
+                if turn_rad
+                else _Space(middle_m=middle_m, yaw_rad=yaw_rad, length_m=_PARALLEL_M[0], width_m=_PARALLEL_M[1])
+            )
+            if lot.buffer(FREE_M).contains(space.footprint()):
+                found.append(space)
+    return found
+
+
+def _rows(wide_m: float) -> list[float]:
+    """Middles of the rows of spaces across a car park: row, aisle, row, and again."""
+    rows, start_m = [], 0.0
+    while start_m + _SPACE_M[0] <= wide_m:
+        rows.append(start_m + _SPACE_M[0] / 2)
+        start_m += _SPACE_M[0] + (_AISLE_M if len(rows) % 2 else 0.0)
+    return rows
+
+
+def _area(name: str, lane: Lane, line: shapely.LineString, lot: Polygon, spaces: list[_Space]) -> list[str]:
+    share = line.project(shapely.Point(lot.centroid)) / line.length
+    end_m = min(max(share * lane.length_m, _LEAST_LANE_M - 1.0), lane.length_m - 0.5)
+    nearest = int(np.hypot(*(lane.points_m - np.array(lot.centroid.coords[0])).T).argmin())
+    z_m = float(lane.z_m[nearest])
+    head = f"<parkingArea id={quoteattr(name)} lane={quoteattr(lane.id)}"
+    lines = [f'{head} startPos="{max(0.0, end_m - 10.0):.2f}" endPos="{end_m:.2f}" roadsideCapacity="0">']
+    for space in spaces:
+        nose = np.array([np.cos(space.yaw_rad), np.sin(space.yaw_rad)])
+        x_m, y_m = space.middle_m + _CAR_NOSE_M * nose
+        angle_deg = (90.0 + deg(space.yaw_rad)) % 360.0  # SUMO's spaces turn counter-clockwise from south
+        size = f'width="{space.width_m}" length="{space.length_m}" angle="{angle_deg:.1f}"'
+        lines.append(f'    <space x="{x_m:.2f}" y="{y_m:.2f}" z="{z_m:.2f}" {size}/>')
+    return [*lines, "</parkingArea>"]
+
+
+def _vehicle(area: str, number: int, lane: Lane) -> str:
+    head = f'<vehicle id={quoteattr(f"{CAR}.{area}.{number}")} type="cars" depart="0" departPos="stop"'
+    stop = f'<stop parkingArea={quoteattr(area)} duration="{_STAY_S}"/>'
+    return f"{head}><route edges={quoteattr(lane.edge_id)}/>{stop}</vehicle>"

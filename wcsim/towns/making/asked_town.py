@@ -16,7 +16,7 @@ MADE: Final = "made"
 
 
 def asked_town(word: str) -> Town:
-    """The town to train in that a word means; `made:SEED` is kept in the cache, and made again where it is not there.
+    """The town to train in that a word means; `made:SEED` is saved in the cache, and made again where it is not there.
 
     Raises:
         ConfigError: A seed is none.

@@ -2,7 +2,7 @@
 
 What fills the blocks between streets: houses along the pavement, parks, squares and car parks.
 
-What stands along the pavements: trees, lamps, benches, signs, stops, and things that somebody left in the way.
+What stands along the pavements: trees, lamps, benches, signs, stops, and things left in the way.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from wcsim.types import F64
 _ENDS_M = 5.0  # at both ends of a pavement nothing stands: people wait and turn there
 _KERB_M = 0.35  # from the kerb to the middle of a post
 _WIDE_M = 2.2  # narrower pavements have lamps and signs alone
-_IN_WAY_M = 2.4  # narrower ones nobody leaves anything on
+_IN_WAY_M = 2.4  # nothing is left on narrower ones
 _WALL_M = 0.45  # from the inner edge of a pavement
 _STOP_EVERY_M = 180.0
 _STOP_LANE_M = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Dressing:
+class _Dressing:
     """What a town's pavements have, as pairs of SUMO's type and place (2,)."""
 
     mapped: list[tuple[str, F64]] = field(default_factory=list)  # gives way where there is no room
@@ -75,9 +75,9 @@ _ROWS = (
 _LEFT = ("wcsim.board", "wcsim.bin", "wcsim.scooter", "wcsim.bicycle", "wcsim.box", "wcsim.planter", "wcsim.table")
 
 
-def dress(net: Net, rng: np.random.Generator) -> Dressing:
+def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
     """Things along all pavements of a net, drawn for each pavement."""
-    found = Dressing()
+    found = _Dressing()
     left_per_m = rng.uniform(0.0, 0.02)
     since_stop_m = float(rng.uniform(0.0, _STOP_EVERY_M))
     for edge in net.edges:
@@ -96,7 +96,7 @@ def dress(net: Net, rng: np.random.Generator) -> Dressing:
     return found
 
 
-def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: Dressing, rng: np.random.Generator) -> None:
+def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: _Dressing, rng: np.random.Generator) -> None:
     for row in _ROWS:
         has, every_m = rng.random() < row.share, float(rng.uniform(*row.every_m))
         if not has or lane.width_m < row.least_m:
@@ -108,8 +108,8 @@ def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: Dressing,
             found.mapped.append((kind, _beside(line, along_m, left_m)[0]))
 
 
-def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: Dressing, rng: np.random.Generator) -> None:
-    """Things that somebody left on a wide pavement, off its middle: a chair must go round them."""
+def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: _Dressing, rng: np.random.Generator) -> None:
+    """Things left on a wide pavement, off its middle: a chair must go round them."""
     number = int(rng.poisson(per_m * max(0.0, line.length - 2.0 * _ENDS_M)))
     for along_m in np.sort(rng.uniform(_ENDS_M, max(_ENDS_M, line.length - _ENDS_M), number)).tolist():
         side, kind = float(rng.choice((-1.0, 1.0))), str(rng.choice(_LEFT))
@@ -199,7 +199,7 @@ class _Plot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class House:
+class _House:
     """One building."""
 
     outline: Polygon
@@ -207,24 +207,24 @@ class House:
 
 
 @dataclass(slots=True, kw_only=True)
-class Blocks:
+class _Blocks:
     """What stands and lies between a town's streets, in net coordinates."""
 
-    houses: list[House] = field(default_factory=list)
+    houses: list[_House] = field(default_factory=list)
     greens: list[tuple[str, Polygon]] = field(default_factory=list)  # SUMO's type, and outline
     squares: list[Polygon] = field(default_factory=list)
     car_parks: list[Polygon] = field(default_factory=list)
     hedges: list[tuple[str, F64]] = field(default_factory=list)  # kind, and line (K, 2)
 
 
-def build_blocks(net: Net, rng: np.random.Generator) -> Blocks:
+def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
     """Fill the blocks of a net; no house stands on a street, and none on another."""
     streets = _street_area(net)
     hull = streets.convex_hull.buffer(MARGIN_M + _OUTER_M, quad_segs=2)
     shapely.prepare(hull)
     styles = rng.dirichlet((1.2, 1.0, 1.0))
     open_share = rng.uniform(0.08, 0.25)
-    found = Blocks()
+    found = _Blocks()
     parts = [part for part in shapely.get_parts(hull.difference(streets)) if part.geom_type == "Polygon"]
     for block in sorted(parts, key=lambda part: tuple(np.round(part.bounds, 1).tolist())):
         if block.area < _LEAST_BLOCK_M2:
@@ -246,7 +246,7 @@ def _street_area(net: Net) -> BaseGeometry:
     return shapely.set_precision(whole, 0.01)
 
 
-def _leave_open(block: Polygon, use: str, found: Blocks) -> None:
+def _leave_open(block: Polygon, use: str, found: _Blocks) -> None:
     inner = _largest(block.buffer(-1.0, join_style="mitre"))
     if use == "park":
         found.greens.append(("leisure.park", inner))
@@ -267,7 +267,7 @@ def _near_front(inner: Polygon) -> shapely.Point:
     return way.interpolate(min(0.7 * _CAR_PARK_REACH_M, way.length))
 
 
-def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: Blocks, rng: np.random.Generator) -> None:
+def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: _Blocks, rng: np.random.Generator) -> None:
     """Houses along all fronts of a block that lie at a street, some with a row of parked cars before them."""
     setback_m = float(rng.uniform(*style.setback_m))
     inner = block.buffer(-setback_m + 0.05, join_style="mitre", mitre_limit=2.0)
@@ -290,7 +290,7 @@ def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: Block
             found.hedges.append((str(rng.choice(["hedge", "fence", "wall"])), line_m))
 
 
-def _houses(plot: _Plot, start: F64, end: F64, found: Blocks, rng: np.random.Generator) -> None:
+def _houses(plot: _Plot, start: F64, end: F64, found: _Blocks, rng: np.random.Generator) -> None:
     """Houses along one front, each where there is room."""
     length_m, at_m = float(np.hypot(*(end - start))), 0.0
     along = (end - start) / length_m
@@ -300,13 +300,13 @@ def _houses(plot: _Plot, start: F64, end: F64, found: Blocks, rng: np.random.Gen
         outline = _rectangle(start + at_m * along, along, size_m)
         if plot.inner.contains(outline) and plot.taken.free(outline.buffer(-0.02)):
             plot.taken.add(outline)
-            found.houses.append(House(outline=outline, levels=int(rng.integers(*plot.style.levels, endpoint=True))))
+            found.houses.append(_House(outline=outline, levels=int(rng.integers(*plot.style.levels, endpoint=True))))
             at_m += front_m + float(rng.uniform(*plot.style.gap_m))
         else:
             at_m += _STEP_M
 
 
-def _car_park(plot: _Plot, start: F64, end: F64, found: Blocks) -> None:
+def _car_park(plot: _Plot, start: F64, end: F64, found: _Blocks) -> None:
     """A row of cars between the pavement and where houses would be."""
     length_m = float(np.hypot(*(end - start)))
     along = (end - start) / length_m
@@ -353,7 +353,7 @@ def draw_map(net: Net, folder: Path, rng: np.random.Generator) -> tuple[Path, Pa
     Returns:
         Both files, and elements for the town's additional file: what stands exactly where it is placed.
     """
-    blocks, dressing = build_blocks(net, rng), dress(net, rng)
+    blocks, dressing = _build_blocks(net, rng), _dress(net, rng)
     poly, ground = _Writer(), _Writer()
     _write_blocks(blocks, poly, ground, rng)
     for kind, xy_m in dressing.mapped:
@@ -403,7 +403,7 @@ def _colour(kind: str) -> str:
     return known.get(group, "0.5,0.5,0.5")
 
 
-def _write_blocks(blocks: Blocks, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
+def _write_blocks(blocks: _Blocks, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
     for house in blocks.houses:
         poly.area("building.yes", house.outline, [("building", "yes"), ("building:levels", str(house.levels))])
     used = shapely.union_all([*(house.outline for house in blocks.houses), *blocks.car_parks]).buffer(1.5, quad_segs=1)
@@ -439,7 +439,7 @@ def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Genera
             poly.point(f"kerb.{'lowered' if kerb == 'raised' and lane.edge_id in lit else kerb}", end_m, [])
 
 
-def _left_things(dressing: Dressing) -> tuple[str, ...]:
+def _left_things(dressing: _Dressing) -> tuple[str, ...]:
     return tuple(
         f'<poi id="left.{number}" type="{kind}" x="{xy_m[0]:.2f}" y="{xy_m[1]:.2f}" angle="{angle_deg:.1f}"/>'
         for number, (kind, xy_m, angle_deg) in enumerate(dressing.placed)

@@ -20,24 +20,26 @@ from shapely.errors import GEOSException
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text
-from wcsim.towns.importing.elevation import Heights, hill_over
-from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
-from wcsim.towns.importing.jam_trial import write_tried
-from wcsim.towns.importing.lift import lift_own_net
-from wcsim.towns.importing.map_marks import map_marks
-from wcsim.towns.importing.parking import Parking, find_parking
-from wcsim.towns.importing.work_folder import check_place, check_words, move_in_place, workplace
+from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text, write_tried
+from wcsim.towns.importing.elevation import Heights, hill_over, lift_net
+from wcsim.towns.importing.folder_texts import (
+    check_place,
+    check_words,
+    move_in_place,
+    sumocfg_text,
+    town_toml_text,
+    workplace,
+)
+from wcsim.towns.importing.map_marks import Parking, find_parking, map_marks
 from wcsim.towns.making.drawn_map import draw_map
-from wcsim.towns.making.plan import draw_plan
-from wcsim.towns.making.shaping import ShapedPlan, shape_plan
+from wcsim.towns.making.plan import ShapedPlan, draw_plan, shape_plan
 from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
-from wcsim.towns.scenario.manifest import chair_ways, hashes_of
+from wcsim.towns.scenario.manifest import chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
-from wcsim.towns.walking.islands import share_of, walkable_parts
+from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import F64
 
 _STRAIGHT_RAD = rad(38.0)  # a street goes on where it bends by less
@@ -47,7 +49,7 @@ _TRAM_SHARE = 0.35  # of the towns have trams on their longest street
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StreetClass:
+class _StreetClass:
     """What a class of streets is like; ranges are drawn from, once for each street."""
 
     name: str
@@ -64,31 +66,31 @@ class StreetClass:
 _RAIL = (
     "tram rail_urban rail rail_electric rail_fast ship container cable_car subway aircraft wheelchair drone pedestrian"
 )
-MAIN = StreetClass(
+MAIN = _StreetClass(
     name="main", priority=12, speeds_mps=(13.89,), lanes=(1, 2, 2), lane_m=(3.0, 3.6), pavement_m=(2.4, 5.0),
     cycle_share=0.6, oneway_share=0.0, closed=f"{_RAIL} scooter",
 )  # fmt: skip
-COLLECTOR = StreetClass(
+COLLECTOR = _StreetClass(
     name="collector", priority=9, speeds_mps=(8.33, 13.89), lanes=(1,), lane_m=(2.9, 3.5), pavement_m=(1.8, 3.8),
     cycle_share=0.3, oneway_share=0.1, closed=_RAIL,
 )  # fmt: skip
-RESIDENTIAL = StreetClass(
+RESIDENTIAL = _StreetClass(
     name="residential", priority=3, speeds_mps=(5.56, 8.33, 8.33), lanes=(1,), lane_m=(2.75, 3.3),
     pavement_m=(1.5, 2.8), cycle_share=0.0, oneway_share=0.25, closed=_RAIL,
 )  # fmt: skip
-WALK = StreetClass(
+WALK = _StreetClass(
     name="walk", priority=1, speeds_mps=(5.56,), lanes=(1,), lane_m=(3.0, 6.0), pavement_m=(0.0, 0.0),
     cycle_share=0.0, oneway_share=1.0, closed="",
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NamedStreet:
+class _NamedStreet:
     """One street with the links that it runs along."""
 
     number: int
     links: tuple[int, ...]
-    kind: StreetClass
+    kind: _StreetClass
     lanes: int
     lane_m: float
     pavements_m: tuple[float, float]  # right of the links' own direction, and left of it
@@ -103,7 +105,7 @@ class NamedStreet:
         return self.kind.closed.removeprefix("tram ") if self.tram else self.kind.closed
 
 
-def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[NamedStreet, ...]:
+def _make_streets(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
     """All streets of a plan with their classes: the longest ones are main streets.
 
     A street is one-way, or for walkers alone, only where everybody still gets everywhere.
@@ -114,7 +116,7 @@ def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[NamedStree
     rank = np.cumsum(lengths_m[order]) / lengths_m.sum()
     main, walks = float(rng.uniform(*_MAIN_SHARE)), float(rng.choice([0.0, 0.1, 0.2]))
     widths = rng.uniform(-1.0, 1.0)  # a town of wide pavements, or of narrow ones
-    found: list[NamedStreet] = []
+    found: list[_NamedStreet] = []
     for number, (row, so_far) in enumerate(zip(order.tolist(), rank.tolist(), strict=True)):
         kind = MAIN if not number or so_far <= main else COLLECTOR if so_far <= main + _COLLECTOR_SHARE else RESIDENTIAL
         found.append(_drawn(number, chains[row], kind, float(widths), rng))
@@ -130,13 +132,13 @@ def streets_of(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[NamedStree
 
 
 def _drawn(
-    number: int, links: tuple[int, ...], kind: StreetClass, widths: float, rng: np.random.Generator
-) -> NamedStreet:
+    number: int, links: tuple[int, ...], kind: _StreetClass, widths: float, rng: np.random.Generator
+) -> _NamedStreet:
     low_m, high_m = kind.pavement_m
     drawn = np.clip(0.35 * widths + rng.uniform(0.0, 1.0, 2), 0.0, 1.0)
     pavements_m = low_m + (high_m - low_m) * drawn
     cycles, lane_m = rng.random() < kind.cycle_share, float(rng.uniform(*kind.lane_m))
-    return NamedStreet(
+    return _NamedStreet(
         number=number,
         links=links,
         kind=kind,
@@ -149,8 +151,8 @@ def _drawn(
     )
 
 
-def _if_reachable(shaped: ShapedPlan, streets: list[NamedStreet], changed: NamedStreet) -> NamedStreet:
-    """The changed street, or the one that it was when somebody could not get somewhere then."""
+def _if_reachable(shaped: ShapedPlan, streets: list[_NamedStreet], changed: _NamedStreet) -> _NamedStreet:
+    """The changed street, or the one before where a place would be cut off by the change."""
     graph = networkx.DiGraph()
     for street in (*streets[: changed.number], changed, *streets[changed.number + 1 :]):
         if street.kind is not WALK:
@@ -226,10 +228,10 @@ def _draw_signals(rng: np.random.Generator) -> Signals:
     return Signals(share=share, crossing_m=crossing_m, corner_m=corner_m, lefthand=bool(rng.random() < _LEFTHAND_SHARE))
 
 
-def write_net(
+def _write_net(
     name: str,
     shaped: ShapedPlan,
-    streets: tuple[NamedStreet, ...],
+    streets: tuple[_NamedStreet, ...],
     signals: Signals,
     folder: Path,
     rng: np.random.Generator,
@@ -250,8 +252,8 @@ def write_net(
     return folder / f"{name}.net.xml"
 
 
-def _nodes(shaped: ShapedPlan, streets: tuple[NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
-    meeting: dict[int, list[NamedStreet]] = {}
+def _nodes(shaped: ShapedPlan, streets: tuple[_NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
+    meeting: dict[int, list[_NamedStreet]] = {}
     for street in streets:
         for link in street.links:
             for node in shaped.plan.links[link]:
@@ -263,7 +265,7 @@ def _nodes(shaped: ShapedPlan, streets: tuple[NamedStreet, ...], signals: Signal
     return "\n".join([*lines, "</nodes>", ""])
 
 
-def _node_kind(arms: list[NamedStreet], share: float, drawn: float) -> str:
+def _node_kind(arms: list[_NamedStreet], share: float, drawn: float) -> str:
     """Signals where larger streets meet, else priority; where only small streets meet, right before left."""
     driven = [street for street in arms if street.kind is not WALK]
     larger = {street.number for street in driven if street.kind is not RESIDENTIAL}
@@ -275,7 +277,7 @@ def _node_kind(arms: list[NamedStreet], share: float, drawn: float) -> str:
     return "priority"
 
 
-def _edges(shaped: ShapedPlan, streets: tuple[NamedStreet, ...]) -> str:
+def _edges(shaped: ShapedPlan, streets: tuple[_NamedStreet, ...]) -> str:
     lines = ["<edges>"]
     for street in streets:
         name = f"{_NAMES[street.number % len(_NAMES)]} Street {street.number // len(_NAMES) + 1}"
@@ -291,7 +293,7 @@ def _edges(shaped: ShapedPlan, streets: tuple[NamedStreet, ...]) -> str:
     return "\n".join([*lines, "</edges>", ""])
 
 
-def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, name: str, pavement_m: float) -> str:
+def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: _NamedStreet, name: str, pavement_m: float) -> str:
     kind = street.kind
     head = f'    <edge id="{edge}" from="j{ends[0]}" to="j{ends[1]}" name="{name}" type="{kind.name}"'
     rules = f'priority="{kind.priority}" numLanes="{street.lanes}" speed="{street.speed_mps}" width="{street.lane_m}"'
@@ -302,7 +304,7 @@ def _edge(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, na
     return f'{head} {rules}{spread} disallow="{street.closed}" sidewalkWidth="{pavement_m}"{more}{_shape(line_m)}/>'
 
 
-def _footway(edge: str, ends: tuple[int, int], line_m: F64, street: NamedStreet, name: str) -> str:
+def _footway(edge: str, ends: tuple[int, int], line_m: F64, street: _NamedStreet, name: str) -> str:
     """The pavement on the left side of a one-way street."""
     head = f'    <edge id="{edge}" from="j{ends[0]}" to="j{ends[1]}" name="{name}" type="footway" priority="1"'
     rules = f'numLanes="1" speed="2.78" width="{street.pavements_m[1]}" allow="pedestrian" spreadType="right"'
@@ -343,7 +345,7 @@ def make_town(
     *,
     name: str = "",
     overwrite: bool = False,
-    stage: Stage = lambda told: None,
+    stage: Stage = lambda text: None,
 ) -> Town:
     """Generate a town from a seed; it replaces a generated town in the folder that was not edited.
 
@@ -391,10 +393,10 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
         rng = generator(seed, "making", "streets", attempt)
         try:
             shaped = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
-            streets = streets_of(shaped, rng)
-            path = write_net(name, shaped, streets, _draw_signals(rng), work, rng)
+            streets = _make_streets(shaped, rng)
+            path = _write_net(name, shaped, streets, _draw_signals(rng), work, rng)
             net = read_net(path)
-            share = share_of(walkable_parts(net, chair_ways(cycle_paths=False)))
+            share = largest_share(walkable_parts(net, chair_ways(cycle_paths=False)))
         except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines
             log.info("town %s, attempt %d: %s", name, attempt, error)
             continue
@@ -415,7 +417,8 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
         points_m = np.concatenate([lane.points_m for edge in read_net(path).edges for lane in edge.lanes])
         low_m, high_m = points_m.min(axis=0) - _LAND_M, points_m.max(axis=0) + _LAND_M
         box_m = (float(low_m[0]), float(low_m[1]), float(high_m[0]), float(high_m[1]))
-        lift_own_net(path, hill_over(hill_m, box_m, seed), Heights(hill_m=hill_m, max_grade=grade))
+        land = hill_over(hill_m, box_m, seed)
+        lift_net(path, land, Heights(hill_m=hill_m, max_grade=grade), on_globe=False)
     return read_net(path)
 
 
@@ -440,7 +443,7 @@ def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, sta
         origin_m=net_middle(work / f"{name}.net.xml.gz"),
         source=SOURCE,
         rebuild=_rebuild_command(name, seed, wishes),
-        hashes=hashes_of(work, name),
+        hashes=hash_files(work, name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 

@@ -1,8 +1,12 @@
-"""Places on the globe, in degrees as OpenStreetMap and SUMO's tools take them."""
+"""Areas on the globe, in degrees as OpenStreetMap and SUMO's tools take them, and the driving side of a place.
+
+The time zone of a place gives the country, and the country gives the side.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from wcsim.core.frames import rad
 from wcsim.errors import TownError
@@ -12,6 +16,37 @@ Box = tuple[float, float, float, float]
 
 LONGEST_M = 12_000.0  # of a side: netconvert and the street mesh of more take minutes and gigabytes
 _M_PER_DEG = 111_320.0
+
+# IANA time zones of the countries and territories that drive on the left.
+_LEFT = frozenset(
+    f"{region}/{city}"
+    for region, cities in {
+        "Europe": "London Dublin Jersey Guernsey Isle_of_Man Malta",
+        "Asia": (
+            "Nicosia Famagusta Karachi Kolkata Colombo Kathmandu Thimphu Dhaka Bangkok "
+            "Kuala_Lumpur Kuching Singapore Brunei Jakarta Pontianak Makassar Jayapura Dili Tokyo "
+            "Hong_Kong Macau"
+        ),
+        "Africa": (
+            "Johannesburg Maseru Mbabane Windhoek Gaborone Harare Lusaka Maputo Blantyre Dar_es_Salaam Nairobi Kampala"
+        ),
+        "Indian": "Maldives Mauritius Mahe Christmas Cocos",
+        "Australia": ("Adelaide Brisbane Broken_Hill Darwin Eucla Hobart Lindeman Lord_Howe Melbourne Perth Sydney"),
+        "Antarctica": "Macquarie",
+        "Pacific": (
+            "Auckland Chatham Port_Moresby Bougainville Guadalcanal Fiji Tongatapu Apia Nauru Tarawa Kanton "
+            "Kiritimati Funafuti Rarotonga Niue Fakaofo Norfolk Pitcairn"
+        ),
+        "Atlantic": "Bermuda Stanley South_Georgia St_Helena",
+        "America": (
+            "Jamaica Nassau Cayman Grand_Turk Barbados Port_of_Spain Antigua St_Kitts Dominica St_Lucia St_Vincent "
+            "Grenada Anguilla Montserrat Tortola St_Thomas Guyana Paramaribo"
+        ),
+    }.items()
+    for city in cities.split()
+)
+_SHARED = "Asia/Bangkok"  # of Thailand, and of Vietnam north of the 17th parallel, where traffic keeps right
+_VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))  # of that zone, what lies east and north of either; Laos lies between
 
 
 def check_box(box: Box) -> None:
@@ -40,7 +75,7 @@ def bbox_option(box: Box) -> str:
 
 def _core(box: Box) -> Box:
     """A kilometre in the middle of a box, in 1e-5 degrees."""
-    west, south, east, north = grown((*middle_of(box), *middle_of(box)), 500.0)
+    west, south, east, north = grown((*box_centre(box), *box_centre(box)), 500.0)
     return round(west, 5), round(south, 5), round(east, 5), round(north, 5)
 
 
@@ -58,7 +93,39 @@ def is_within(place: tuple[float, float], box: Box) -> bool:
     return west <= place[0] <= east and south <= place[1] <= north
 
 
-def middle_of(box: Box) -> tuple[float, float]:
+def box_centre(box: Box) -> tuple[float, float]:
     """Longitude and latitude of the middle of a box."""
     west, south, east, north = box
     return (west + east) / 2, (south + north) / 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """The side of the street that traffic keeps to, and why it is believed to."""
+
+    lefthand: bool
+    why: str
+
+    def __str__(self) -> str:
+        """In words: "left (time zone Asia/Tokyo)"."""
+        return f"{'left' if self.lefthand else 'right'} ({self.why})"
+
+
+def side_at(longitude_deg: float, latitude_deg: float) -> Side:
+    """The side on which traffic drives at a place; on the right where no country is known.
+
+    >>> str(side_at(139.70, 35.68)), str(side_at(1.86, 50.95))
+    ('left (time zone Asia/Tokyo)', 'right (time zone Europe/Paris)')
+    """
+    from timezonefinder import TimezoneFinder  # half a second, which only an import needs
+
+    zone = TimezoneFinder().timezone_at(lng=longitude_deg, lat=latitude_deg)
+    known = zone is not None and not zone.startswith("Etc/")  # those lie at sea
+    if zone == _SHARED and _in_vietnam(longitude_deg, latitude_deg):
+        return Side(lefthand=False, why=f"Vietnam, in time zone {zone}")
+    return Side(lefthand=zone in _LEFT, why=f"time zone {zone}" if known else "country unknown")
+
+
+def _in_vietnam(longitude_deg: float, latitude_deg: float) -> bool:
+    """Whether a place of the time zone that Thailand and Vietnam share lies in Vietnam."""
+    return any(longitude_deg > west_deg and latitude_deg > south_deg for west_deg, south_deg in _VIETNAM_DEG)

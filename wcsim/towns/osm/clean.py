@@ -1,24 +1,51 @@
-"""What is taken out of an OpenStreetMap extract before SUMO's tools read it.
+"""What is changed in an OpenStreetMap extract before SUMO's tools read it.
 
-What SUMO's polyconvert would lose of buildings: their courtyards and their parts, said in tags that it keeps.
+Hidden ways: those that are not at street level are removed.
 
-polyconvert 1.28 gives the tags of a multipolygon to its inner ways as well, so a courtyard would become a building; and
-it knows no key building:part. Both get a value of `building` that `towns/furniture/buildings.py` understands: courtyard
-and part.
+Bridges over other streets: they are removed. A town has one level, on which they would be level crossings. The lower
+way stays, whatever it is, except a railway under a street: no trains run in imported towns. Bridges over water, or over
+nothing, stay as well.
+
+Pavements: motorways, streets closed to walkers, and streets that have none by the map. netconvert guesses pavements by
+speed alone, and crossings wherever two pavements face each other across a slow street.
+
+Buildings: courtyards and parts are put into tags that polyconvert keeps. polyconvert 1.28 gives the tags of a
+multipolygon to its inner ways as well, so a courtyard would become a building; and it knows no key building:part. Both
+get a value of `building` that `towns/furniture/buildings.py` understands: courtyard and part.
 """
 
 from __future__ import annotations
 
 import re
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
-from wcsim.towns.osm.sidewalk_rules import quicken_motorways
+import numpy as np
+import shapely
+
+from wcsim.core.frames import rad
+from wcsim.towns.sumo.net import LaneKind, Net
+from wcsim.towns.walking.islands import osm_ways_by_edge
+from wcsim.types import F64
 
 _COURTYARD = "courtyard"
 _PART = "part"
+_SLOWEST_KMH = 66  # just above netconvert's --crossings.guess.speed-threshold: nobody crosses a motorway on foot
+_KMH = {"": 1.0, "km/h": 1.0, "kmh": 1.0, "kph": 1.0, "mph": 1.609, "knots": 1.852}
+_SPEED = re.compile(r"^(\d+(?:\.\d+)?)\s*([a-z/]*)$")
+_SPEEDS = ("maxspeed", "maxspeed:forward", "maxspeed:backward")
+_NONE = {"no", "none"}
+ALONG_M = 15.0  # a bridge that runs over another way for longer than this lies on top of it
+BESIDE_M = 2.5  # and as near to its line
+_M_PER_DEG = 111_320.0
+_RAILS = {"rail", "narrow_gauge", "light_rail", "preserved", "tram"}
+_TRAINS = _RAILS - {"tram"}
+_NO_WAY = {"steps", "track", "proposed", "platform", "bus_stop", "raceway", "rest_area", "services", "razed"}
 
 
-def mark_buildings(root: Element) -> None:
+def _mark_buildings(root: Element) -> None:
     """Mark courtyards and parts of buildings; changes `root`."""
     ways = {way.get("id", ""): way for way in root.iterfind("way")}
     for thing in (*ways.values(), *root.iterfind("relation")):
@@ -61,12 +88,12 @@ _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 def filter_osm(root: Element) -> None:
     """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
-    root[:] = [item for item in root if item.tag != "way" or not is_hidden(tags_of(item))]
+    root[:] = [item for item in root if item.tag != "way" or not is_hidden(read_tags(item))]
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
-    mark_buildings(root)
-    quicken_motorways(root)
+    _mark_buildings(root)
+    _quicken_motorways(root)
 
 
 def strip_orphans(root: Element) -> None:
@@ -88,17 +115,17 @@ def _is_senseless(key: str, value: str) -> bool:
         return True
     if not _NUMBERS.match(key):
         return False
-    told = value.strip()
-    return not (_NUMBER.match(told) or told in _WORDS or ":" in told)  # as "DE:urban"
+    plain = value.strip()
+    return not (_NUMBER.match(plain) or plain in _WORDS or ":" in plain)  # as "DE:urban"
 
 
-def tags_of(item: Element) -> dict[str, str]:
+def read_tags(item: Element) -> dict[str, str]:
     """The tags of a node or a way."""
     return {tag.get("k", ""): tag.get("v", "") for tag in item.iterfind("tag")}
 
 
 def is_hidden(tag: dict[str, str]) -> bool:
-    """True for what nobody in the street sees or drives on."""
+    """True for what is neither seen nor driven on from the street."""
     if "building" in tag or "building:part" in tag:
         return (
             tag.get("building", "yes") in _NO_BUILDING
@@ -123,3 +150,172 @@ def _level(tag: dict[str, str], key: str) -> float:
         return float(tag.get(key, "0"))
     except ValueError:
         return 0.0
+
+
+def _quicken_motorways(root: Element) -> None:
+    """Make slow motorways of an extract as fast as netconvert needs to leave out crossings on foot."""
+    for way in root.iterfind("way"):
+        if not _is_motorway(read_tags(way)):
+            continue
+        for tag in [tag for tag in way.findall("tag") if tag.get("k") in _SPEEDS]:
+            if _kmh(tag.get("v", "")) < _SLOWEST_KMH:
+                tag.set("v", str(_SLOWEST_KMH))
+
+
+def unpaved_ways(root: Element) -> frozenset[str]:
+    """Ids, without a sign, of the ways of an extract that have no pavement of their own."""
+    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way") if _is_unpaved(read_tags(way)))
+
+
+def wrongly_paved(net: Net, net_path: Path, ways: frozenset[str]) -> tuple[str, ...]:
+    """Edges of a net that have a pavement although all ways that they were made of have none; sorted."""
+    if not ways:
+        return ()
+    made_of = osm_ways_by_edge(net_path)
+    paved = (edge.id for edge in net.edges if any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes))
+    return tuple(sorted(edge for edge in paved if made_of.get(edge) and ways.issuperset(made_of[edge])))
+
+
+def _is_motorway(tag: dict[str, str]) -> bool:
+    return tag.get("highway") == "motorway" or ("highway" in tag and tag.get("motorroad") == "yes")
+
+
+def _is_unpaved(tag: dict[str, str]) -> bool:
+    if "highway" not in tag:
+        return False
+    barred = _is_motorway(tag) or tag["highway"] == "motorway_link" or tag.get("foot") == "no"
+    return barred or tag.get("sidewalk") in _NONE or tag.get("sidewalk:both") in _NONE
+
+
+def _kmh(text: str) -> float:
+    """A speed in km/h; without a limit, or by a rule, motorways are fast."""
+    match = _SPEED.match(text.strip().lower())
+    return float(match[1]) * _KMH.get(match[2], 1.0) if match else float("inf")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Way:
+    """A street or railway of the extract."""
+
+    element: Element
+    nodes: tuple[str, ...]
+    points_m: F64  # (n, 2)
+    level: float
+    train: bool
+
+    def piece(self, first: int, last: int) -> shapely.LineString:
+        """The line from one node to another."""
+        return shapely.LineString(self.points_m[first : last + 1])
+
+
+def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
+    """Leave out the parts of bridges that pass over other streets, and say what they are called; changes `root`.
+
+    A part reaches from one junction to the next. Names are sorted, each once; what has none goes by its kind.
+    """
+    ways = _built_ways(root, keep_service)
+    if not ways:
+        return ()
+    uses: dict[str, int] = {}
+    for way in ways:
+        for node in set(way.nodes):
+            uses[node] = uses.get(node, 0) + 1
+    cut: dict[int, set[int]] = {}  # number of a way: its segments that go
+    lines = [way.piece(0, len(way.nodes) - 1) for way in ways]
+    pairs = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=BESIDE_M).T.tolist()
+    for high, low in sorted(pairs, key=lambda pair: (ways[pair[0]].level, pair)):
+        if ways[high].level <= ways[low].level:
+            continue
+        upper, lower = (low, high) if ways[low].train and not ways[high].train else (high, low)
+        kept = _remaining(ways[lower], cut.get(lower, set()))
+        for segment in _over(ways[upper], kept, set(ways[lower].nodes)):
+            cut.setdefault(upper, set()).update(_between_junctions(ways[upper], segment, uses))
+    _remove(root, [(ways[number], gone) for number, gone in sorted(cut.items())])
+    return tuple(sorted({_called(ways[number].element) for number in cut if not ways[number].train}))
+
+
+def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
+    places = {
+        node.get("id", ""): (float(node.get("lon", "0")), float(node.get("lat", "0"))) for node in root.iterfind("node")
+    }
+    middle = np.mean(list(places.values()) or [(0.0, 0.0)], axis=0)
+    scale_m = _M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
+    found: list[_Way] = []
+    for element in root.iterfind("way"):
+        tag = read_tags(element)
+        nodes = tuple(ref for nd in element.iterfind("nd") if (ref := nd.get("ref", "")) in places)
+        if len(nodes) < 2 or len(nodes) != len(element.findall("nd")) or not _is_built(tag, keep_service):
+            continue
+        points_m = (np.array([places[node] for node in nodes]) - middle) * scale_m
+        train = "highway" not in tag and tag.get("railway") in _TRAINS
+        found.append(_Way(element=element, nodes=nodes, points_m=points_m, level=_height_level(tag), train=train))
+    return found
+
+
+def _is_built(tag: dict[str, str], keep_service: bool) -> bool:
+    """True for what becomes part of the net."""
+    if tag.get("area") == "yes":
+        return False
+    if "highway" in tag:
+        return tag["highway"] not in _NO_WAY and (keep_service or tag["highway"] != "service")
+    return tag.get("railway") in _RAILS
+
+
+def _height_level(tag: dict[str, str]) -> float:
+    try:
+        layer = float(tag["layer"])
+    except (KeyError, ValueError):
+        layer = 0.0
+    return layer or (1.0 if tag.get("bridge", "no") != "no" else 0.0)
+
+
+def _remaining(way: _Way, gone: set[int]) -> shapely.MultiLineString:
+    segments = [way.piece(k, k + 1) for k in range(len(way.nodes) - 1) if k not in gone]
+    return shapely.MultiLineString(segments)
+
+
+def _over(way: _Way, other: shapely.MultiLineString, joined: set[str]) -> list[int]:
+    """Segments of a way that cross another one, or lie along it, without a common node there."""
+    near = shapely.union_all([shapely.Point(way.points_m[k]) for k, node in enumerate(way.nodes) if node in joined])
+    found: list[int] = []
+    beside = other.buffer(BESIDE_M) if near.is_empty else shapely.Polygon()
+    for k in range(len(way.nodes) - 1):
+        meets = way.piece(k, k + 1).intersection(other)
+        crosses = not meets.is_empty and (near.is_empty or not meets.within(near.buffer(0.05)))
+        if crosses or way.piece(k, k + 1).intersection(beside).length > ALONG_M:
+            found.append(k)
+    return found
+
+
+def _between_junctions(way: _Way, segment: int, uses: dict[str, int]) -> range:
+    """Segments of a way from the junction before one of them to the junction after it."""
+    first, last = segment, segment + 1
+    while first > 0 and uses[way.nodes[first]] < 2:
+        first -= 1
+    while last < len(way.nodes) - 1 and uses[way.nodes[last]] < 2:
+        last += 1
+    return range(first, last)
+
+
+def _remove(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
+    """Take segments out of ways; what is left of one beyond the first piece becomes a way of its own."""
+    ids = [int(way.get("id", "0")) for way in root.iterfind("way")]
+    sign, free = (1 if max(ids, default=1) > 0 else -1), max(map(abs, ids), default=0) + 1
+    for way, gone in cuts:
+        runs: list[list[str]] = [[]]
+        for k, node in enumerate(way.nodes):
+            runs[-1].append(node)
+            if k in gone:
+                runs.append([])
+        place, tags = list(root).index(way.element), [deepcopy(tag) for tag in way.element.iterfind("tag")]
+        root.remove(way.element)
+        for number, nodes in enumerate(run for run in runs if len(run) > 1):
+            piece = Element("way", way.element.attrib if number == 0 else {"id": str(sign * free)})
+            free += number > 0
+            piece.extend([Element("nd", {"ref": node}) for node in nodes] + deepcopy(tags))
+            root.insert(place + number, piece)
+
+
+def _called(way: Element) -> str:
+    tag = read_tags(way)
+    return tag.get("name") or tag.get("ref") or f"a {tag.get('highway') or tag.get('railway')} without a name"

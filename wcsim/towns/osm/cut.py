@@ -13,7 +13,7 @@ from osmium.index import IdSet
 from wcsim.towns.osm.area import Box
 
 
-def cut(source: str, file_format: str, out: str, box: Box | None) -> None:
+def _cut(source: str, file_format: str, out: str, box: Box | None) -> None:
     """Write the nodes in a box, the ways that have one of them, their other nodes, and the relations of those."""
     file = osmium.io.File(source, file_format)
     header = osmium.io.Reader(file, osmium.osm.osm_entity_bits.NOTHING).header()
@@ -21,7 +21,7 @@ def cut(source: str, file_format: str, out: str, box: Box | None) -> None:
     if box is not None:
         west, south, east, north = box
         for node in osmium.FileProcessor(file, osmium.osm.NODE):
-            assert isinstance(node, osmium.osm.Node)  # noqa: S101 - it was asked for nodes
+            assert isinstance(node, osmium.osm.Node)  # noqa: S101 - only nodes were requested
             place = node.location
             if place.valid() and west <= place.lon <= east and south <= place.lat <= north:
                 nodes.add_node(node.id)
@@ -58,4 +58,4 @@ def _box(text: str) -> Box:
 
 
 if __name__ == "__main__":
-    cut(sys.argv[1], sys.argv[2], sys.argv[3], _box(sys.argv[4]) if len(sys.argv) > 4 else None)
+    _cut(sys.argv[1], sys.argv[2], sys.argv[3], _box(sys.argv[4]) if len(sys.argv) > 4 else None)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 from wcsim.towns.osm.area import Box, is_within, size_m
-from wcsim.towns.osm.clean import is_hidden, tags_of
+from wcsim.towns.osm.clean import is_hidden, read_tags
 
 LEAST_M = 50.0  # what is less is lost at the edges of any box
 TOLD = 5  # names
@@ -48,7 +48,7 @@ class NetWays:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LostWay:
+class _LostWay:
     """A way on foot that the net has not."""
 
     id: str
@@ -66,7 +66,7 @@ class LeftOut:
     streets_left_out_m: float = 0.0
     footways_left_out_m: float = 0.0
     names: tuple[str, ...] = ()  # of streets that are left out, longest first
-    footways: tuple[LostWay, ...] = ()  # all that are left out, longest first
+    footways: tuple[_LostWay, ...] = ()  # all that are left out, longest first
 
 
 def ways_inside(root: Element, box: Box) -> tuple[MapWay, ...]:
@@ -80,7 +80,7 @@ def ways_inside(root: Element, box: Box) -> tuple[MapWay, ...]:
     }
     found = []
     for item in (*root.iterfind("way"), *root.iterfind("relation")):
-        tags = tags_of(item)
+        tags = read_tags(item)
         street = tags.get("highway") in _STREETS and not is_hidden(tags) and tags.get("area") != "yes"
         if not street and not _is_footway(tags):
             continue
@@ -108,7 +108,7 @@ def _outline(relation: Element, lines: dict[str, list[str]]) -> list[list[str]]:
     outer = [
         m.get("ref", "") for m in relation.iterfind("member") if m.get("type") == "way" and m.get("role") != "inner"
     ]
-    return [lines[ref] for ref in outer if ref in lines] if tags_of(relation).get("type") == "multipolygon" else []
+    return [lines[ref] for ref in outer if ref in lines] if read_tags(relation).get("type") == "multipolygon" else []
 
 
 def _why_by_tags(tags: dict[str, str]) -> str:
@@ -121,21 +121,13 @@ def _why_by_tags(tags: dict[str, str]) -> str:
     return "closed to the public" if tags.get("foot", tags.get("access")) in _CLOSED else ""
 
 
-def crossings_inside(root: Element, box: Box) -> int:
-    """How many crossings of streets the map itself has in the box, those that it calls unmarked too."""
-    return sum(tags_of(node).get("highway") == "crossing" and _is_inside(node, box) for node in root.iterfind("node"))
+def count_inside(root: Element, box: Box, highway: str) -> int:
+    """How many nodes with this value of `highway` the map has in the box; crossings without paint count too."""
+    nodes = (node for node in root.iterfind("node") if read_tags(node).get("highway") == highway)
+    return sum(is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box) for node in nodes)
 
 
-def _is_inside(node: Element, box: Box) -> bool:
-    return is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box)
-
-
-def stops_inside(root: Element, box: Box) -> int:
-    """How many bus stops the map has in the box."""
-    return sum(tags_of(node).get("highway") == "bus_stop" and _is_inside(node, box) for node in root.iterfind("node"))
-
-
-def left_out_of(ways: Collection[MapWay], made: NetWays) -> LeftOut:
+def find_left_out(ways: Collection[MapWay], made: NetWays) -> LeftOut:
     """What of `ways` is not in the net."""
     gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
     by_name: dict[str, float] = {}
@@ -144,7 +136,7 @@ def left_out_of(ways: Collection[MapWay], made: NetWays) -> LeftOut:
             by_name[way.name] = by_name.get(way.name, 0.0) + way.inside_m
     rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
     lost = [
-        LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
+        _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
         for way in gone
         if not way.street
     ]
@@ -159,7 +151,7 @@ def left_out_of(ways: Collection[MapWay], made: NetWays) -> LeftOut:
 
 
 def _why(way: MapWay, made: NetWays, rest: frozenset[str]) -> str:
-    """Why nobody walks along a way in the net; `rest` are the nodes of all ways of the net."""
+    """Why a way of the map cannot be walked in the net; `rest` are the nodes of all ways of the net."""
     if way.why or way.id in made.bridges:
         return way.why or "a bridge over another street"
     if way.id in made.drawn:
@@ -181,14 +173,14 @@ def left_out_notes(found: LeftOut) -> tuple[str, ...]:
             "--keep-service may connect them"
         )
     if lost := found.footways:
-        told = ", ".join(
+        listed = ", ".join(
             f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
         )
         more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
         more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
         notes.append(
             f"left out: {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of footways in the box, by map id: "
-            f"{told}{more}"
+            f"{listed}{more}"
         )
     return tuple(notes)
 

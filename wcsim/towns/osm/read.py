@@ -1,4 +1,7 @@
-"""Read an OpenStreetMap extract of any common format, cut to an area, as clean elements with nothing dangling."""
+"""Read an OpenStreetMap extract of any common format, cut to an area, as clean elements with nothing dangling.
+
+Or download one with SUMO's own tool, osmGet.py, in a child process under limits.
+"""
 
 from __future__ import annotations
 
@@ -8,32 +11,35 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from wcsim.core.reading import FileKind, opened, regular_size, shown
-from wcsim.errors import TownError
+from wcsim.errors import SumoError, TownError
 from wcsim.towns.osm.area import LONGEST_M, Box, check_box, grown, is_within, size_m
-from wcsim.towns.sumo.tools import Limits, run_child
-from wcsim.towns.sumo.unpack import bunzip2
+from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
 from wcsim.towns.sumo.xml_io import (
     MAX_TAG_BYTES,
     MAX_TAGS,
     MAX_XML_BYTES,
+    bunzip2,
+    check_plain_xml,
     parse_root,
     read_bytes,
-    require_plain,
     xml_bytes,
 )
 
 SMALL_BYTES = 48 << 20  # of XML; more is cut by libosmium first, which is faster and needs less memory
-MARGIN_M = 150.0  # kept around the box: buildings and trees beside streets that reach out of it
+MARGIN_M = 150.0  # around the box: buildings and trees beside streets that reach out of it
 FAR_M = 20_000.0  # nodes farther outside are left out of their ways: ferries, or the other side of the 180th meridian
 EXPECTED = "expected an OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf"
 _EXTRACT = FileKind(what=EXPECTED.removeprefix("expected "), limit_bytes=1 << 40, error=TownError)
 _OTHERS = {b"PK\x03\x04": "zip", b"\xfd7zXZ": "xz", b"\x28\xb5\x2f\xfd": "zstd", b"7z\xbc\xaf": "7z"}
 _LIMITS = Limits(wall_s=90.0, cpu_s=120, memory_bytes=6 << 30, file_bytes=MAX_XML_BYTES)
 _CHILDREN = ("nd", "tag", "member")  # SUMO's tools follow an <include>, and die of one that names nothing
+WAIT_S = 120.0
+_CURE = "try again later or with another --url, or download the area by hand and pass it with --osm FILE"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,9 +76,9 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
         raise TownError(f"{path}: {error}") from None
     _cut(root, places, box)
     if not _streets(root):
-        told = ",".join(f"{value:.5f}" for value in cover)
+        cover_text = ",".join(f"{value:.5f}" for value in cover)
         raise TownError(
-            f"{path}: no street lies in the bounding box {box}; its streets are in {told}: choose a box there"
+            f"{path}: no street lies in the bounding box {box}; its streets are in {cover_text}: choose a box there"
         )
     return Extract(root=root, box=box, bounded=named is not None)
 
@@ -97,7 +103,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
     data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
     if len(data) > SMALL_BYTES and box is not None:
-        require_plain(data, shown(path), 8 * MAX_TAGS)
+        check_plain_xml(data, shown(path), 8 * MAX_TAGS)
         return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
     return data
 
@@ -250,3 +256,34 @@ def _is_needed(item: Element, nodes: set[str], ways: set[str]) -> bool:
     if item.tag == "relation":
         return any(m.get("type") == "way" and m.get("ref") in ways for m in item.iterfind("member"))
     return item.tag == "way"
+
+
+def download(box: Box, folder: Path, url: str = "", wait_s: float = WAIT_S) -> Path:
+    """The extract of an area, from the Overpass server at `url` or from those that SUMO knows, in `folder`.
+
+    Raises TownError with one line when no server answers in time, or answers something else.
+    """
+    check_box(box)
+    if url and (urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).netloc):
+        raise TownError(f"--url {url!r} is not a server address; expected http://... or https://...")
+    home = sumo_home()
+    words = [str(home / "tools" / "osmGet.py"), f"--bbox={','.join(map(repr, box))}", "--prefix", "area"]
+    words += ["--output-dir", str(folder), "--retries", "1", "--retry-delay", "1"]
+    words += ["--url", url] if url else []
+    environment = os.environ | {"SUMO_HOME": str(home)}
+    limits = Limits(wall_s=wait_s, cpu_s=60, memory_bytes=4 << 30, file_bytes=MAX_XML_BYTES)
+    where = url or "the Overpass servers"
+    try:
+        run = run_child("osmGet.py", [sys.executable, *words], folder, environment, limits)
+    except SumoError:
+        raise TownError(f"{where} did not answer within {wait_s:.0f} s; {_CURE}") from None
+    out = folder / "area_bbox.osm.xml"
+    if run.returncode or not out.is_file():
+        raise TownError(f"no map could be downloaded from {where} ({_last_words(run.output)}); {_CURE}")
+    return out
+
+
+def _last_words(output: str) -> str:
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    words = lines[-1] if lines else "no message"
+    return words.removeprefix("urllib.error.")[:200]

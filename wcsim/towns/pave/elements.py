@@ -1,17 +1,20 @@
-"""What changes in the elements of a scenario's files when its net gets pavements: lanes, positions on them, signals."""
+"""What changes in the elements of a scenario's files when its net gets pavements: lanes, positions on them, signals.
+
+Signal programs of a net that has got crossings: each state is given a letter for every new link.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
 from wcsim.towns.pave.lanes import LaneMap
-from wcsim.towns.pave.signals import SignalLinks, padded, shut
 
 SAME_M = 0.01  # as nets are written
-FAR_M = 0.05  # a place that moved farther is told
+FAR_M = 0.05  # a place that moved farther is reported
 LEAST_M = 1.0  # of a stop or an area of which a junction has taken the rest
 _SPANS = frozenset(
     (
@@ -28,10 +31,16 @@ _RIDES = ("ride", "transport")
 _PEOPLE = ("person", "personFlow", "container", "containerFlow")
 _RINGS = "NEMA"  # the type of programs that show a phase of each ring at once
 Way = tuple[str, ...]  # the edges of a route, or the first and the last edge of a trip
+_SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
+_RED = frozenset("rRs")
+_GREEN = frozenset("Gg")
+_OFF = frozenset("oO")
+_CHANGING = frozenset("yYu")
+_STRAIGHT = "s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NeverGreen:
+class _NeverGreen:
     """A crossing that one of its signal's programs never gives green."""
 
     signal: str
@@ -51,8 +60,8 @@ class Paving:
     placed: int = 0  # elements that lie on a lane
     programs: int = 0
     moved_m: dict[str, float] = field(default_factory=dict)  # element -> how far, where that is farther than FAR_M
-    lost: list[str] = field(default_factory=list)  # lanes within junctions that nobody finds again
-    never_green: list[NeverGreen] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)  # lanes within junctions that are not found again
+    never_green: list[_NeverGreen] = field(default_factory=list)
     overridden: set[str] = field(default_factory=set)  # signals of which SUMO loads a program after the net's
     parking: list[str] = field(default_factory=list)  # parking areas beside lanes that have a pavement now
 
@@ -76,7 +85,7 @@ def _first_member(distribution: Element) -> str:
     return names[0] if names else next((child.get("refId", "") for child in distribution), "")
 
 
-def edits_of(root: Element, paving: Paving, *, in_net: bool = False) -> dict[int, dict[str, str]]:
+def find_edits(root: Element, paving: Paving, *, in_net: bool = False) -> dict[int, dict[str, str]]:
     """Attributes of a file, or of the net, that get other values: number of the element -> attribute -> value."""
     found: dict[int, dict[str, str]] = {}
     number_of = {element: number for number, element in enumerate(root.iter())}
@@ -157,7 +166,7 @@ def _note_moved(element: Element, lane: str, along_m: float, paving: Paving) -> 
 
 
 def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
-    """Where somebody departs and arrives: lanes by number, positions on the first and the last edge or the one named.
+    """Where a traveller departs and arrives: lanes by number, positions on the first and last edge or the one named.
 
     https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html (departEdge, arrivalEdge)
     """
@@ -182,7 +191,7 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
 
 
 def _begin(person: Element, paving: Paving) -> Way | None:
-    """The edge where somebody's plan begins, that of its first stage or of one after stops at named places."""
+    """The edge where a person's plan begins, that of its first stage or of one after stops at named places."""
     for stage in person:
         if _tag(stage) == "stop":
             edge = stage.get("edge") or stage.get("lane", "").rpartition("_")[0]
@@ -197,17 +206,17 @@ def _begin(person: Element, paving: Paving) -> Way | None:
 
 def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool]:
     """The edge that an attribute names by number, `way[last]` without one; whether it is that one for sure."""
-    asked = element.get(key)
-    if asked is None:
+    number = element.get(key)
+    if number is None:
         return way[last], True
     is_trip = element.get("from") is not None or element.get("to") is not None  # numbers count along what is routed
-    if is_trip or not asked.isdigit() or int(asked) >= len(way):  # "random"
+    if is_trip or not number.isdigit() or int(number) >= len(way):  # "random"
         return way[last], False
-    return way[int(asked)], True
+    return way[int(number)], True
 
 
 def _way(element: Element, paving: Paving) -> Way | None:
-    """The edges of somebody's way, at least the first and the last, "" for one that is not named; None for neither."""
+    """The edges of a route, at least the first and the last, "" for one that is not named; None for neither."""
     inner = next((child for child in element.iter() if child.get("edges")), None)
     if edges := inner.get("edges", "").split() if inner is not None else []:
         return tuple(edges)
@@ -232,9 +241,9 @@ def _program(
     given = [phase.get("state", "") for phase in phases]
     durations_s = [_number(phase.get("duration")) or 0.0 for phase in phases]
     rings = logic.get("type") == _RINGS
-    states = shut(given, links) if rings else padded(given, durations_s, links)
+    states = _all_red(given, links) if rings else _padded(given, durations_s, links)
     never = [min(links.crossings[link]) for link in links.crossings if all(state[link] == "r" for state in states)]
-    paving.never_green += [NeverGreen(signal=signal, edge=edge, in_net=in_net, rings=rings) for edge in never]
+    paving.never_green += [_NeverGreen(signal=signal, edge=edge, in_net=in_net, rings=rings) for edge in never]
     return {
         number_of[phase]: {"state": state}
         for phase, old, state in zip(phases, given, states, strict=True)
@@ -268,3 +277,133 @@ def _number(text: str | None) -> float | None:
 
 def _text(number: float) -> str:
     return f"{number:.2f}".rstrip("0").rstrip(".") if number else "0"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleLink:
+    """A vehicle's way over a junction, as one of its signal's links."""
+
+    link: int
+    start: str  # edge ids
+    end: str
+    straight: bool
+
+
+@dataclass(slots=True, kw_only=True)
+class SignalLinks:
+    """What the links of one traffic light are in the net with crossings."""
+
+    count: int = 0
+    was: dict[int, int] = field(default_factory=dict)  # link -> the link that it was before
+    drives: list[VehicleLink] = field(default_factory=list)
+    crossings: dict[int, frozenset[str]] = field(default_factory=dict)  # link -> the edges that it crosses
+
+
+def find_links(before: Element, after: Element, shifts: Mapping[str, int]) -> dict[str, SignalLinks]:
+    """The links of all traffic lights of a net that has crossings now; `shifts` says how lane indices moved."""
+    old: dict[tuple[str, str, str, int, int], int] = {}
+    for link in before.iterfind("connection"):
+        if link.get("tl"):
+            old[_key(link, shifts)] = int(link.get("linkIndex", "0"))
+    crossed = {
+        edge.get("id", ""): frozenset(edge.get("crossingEdges", "").split())
+        for edge in after.iterfind("edge")
+        if edge.get("function") == "crossing"
+    }
+    found: dict[str, SignalLinks] = defaultdict(SignalLinks)
+    for link in after.iterfind("connection"):
+        if not link.get("tl"):
+            continue
+        signal, index, key = found[link.get("tl", "")], int(link.get("linkIndex", "0")), _key(link, {})
+        numbers = (index, int(link.get("linkIndex2", "-1")))
+        signal.count = max(signal.count, *(number + 1 for number in numbers))
+        crossing = next((crossed[name] for name in (key[2], key[1]) if name in crossed), None)
+        if crossing is not None and key not in old:
+            signal.crossings |= {number: crossing for number in numbers if number >= 0}
+            continue
+        if key in old:
+            signal.was[index] = old[key]
+        if crossing is None:
+            straight = link.get("dir", "").lower() == _STRAIGHT
+            signal.drives.append(VehicleLink(link=index, start=key[1], end=key[2], straight=straight))
+    return dict(found)
+
+
+def _padded(states: Sequence[str], durations_s: Sequence[float], links: SignalLinks) -> tuple[str, ...]:
+    """The states of a program, in their order, with a letter for each new crossing.
+
+    A crossing is green while no vehicle may drive over it, except those that turn into its street and have to yield;
+    it turns red in time: while lights change before it must be red.
+    """
+    moved = [_moved(state, links) for state in states]
+    free = [{link: _free(state, edges, links.drives) for link, edges in links.crossings.items()} for state in moved]
+    changing = [_changes(state, duration_s) for state, duration_s in zip(states, durations_s, strict=True)]
+    made = []
+    for number, letters in enumerate(moved):
+        then = free[_settled(changing, number)]
+        green = {link for link, is_free in free[number].items() if is_free and then[link]}
+        made.append("".join(_with_yields(_with_crossings(letters, green, links), links)))
+    return tuple(made)
+
+
+def _all_red(states: Sequence[str], links: SignalLinks) -> tuple[str, ...]:
+    """The states of a program, in their order, with each new crossing at red, and all other letters unchanged.
+
+    So it is for a NEMA controller: it shows a state of each ring at once, and none of them alone tells who drives.
+    """
+    return tuple("".join(_with_crossings(_moved(state, links), frozenset(), links)) for state in states)
+
+
+def _settled(changing: Sequence[bool], number: int) -> int:
+    """The first state from `number` on in which lights do not change; the last one before it where all do."""
+    later = number
+    while changing[later] and (later + 1) % len(changing) != number:
+        later = (later + 1) % len(changing)
+    return later
+
+
+def _with_crossings(letters: list[str], green: Set[int], links: SignalLinks) -> list[str]:
+    """A state with the light of each crossing; off where it is off for all vehicles."""
+    lit = list(letters)
+    for link in links.crossings:
+        lit[link] = "G" if link in green else "r"
+        if all(lit[drive.link] in _OFF for drive in links.drives):
+            lit[link] = "o"
+    return lit
+
+
+def _with_yields(letters: list[str], links: SignalLinks) -> list[str]:
+    """A state in which vehicles that turn into a street with a green crossing have to yield."""
+    lit = list(letters)
+    for drive in links.drives:
+        crossed = (edges for link, edges in links.crossings.items() if lit[link] == "G")
+        if lit[drive.link] == "G" and not drive.straight and any(drive.end in edges for edges in crossed):
+            lit[drive.link] = "g"
+    return lit
+
+
+def _moved(state: str, links: SignalLinks) -> list[str]:
+    letters = list(state.ljust(links.count, "r"))
+    for link, was in links.was.items():
+        if was < len(state):
+            letters[link] = state[was]
+    return letters
+
+
+def _free(letters: Sequence[str], edges: frozenset[str], drives: Sequence[VehicleLink]) -> bool:
+    """Whether no vehicle with a green or yellow light crosses without having to yield to walkers."""
+    return not any(
+        letters[drive.link] not in _RED and (drive.start in edges or (drive.end in edges and drive.straight))
+        for drive in drives
+    )
+
+
+def _changes(state: str, duration_s: float) -> bool:
+    letters = set(state)
+    return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < _SHORT_S)
+
+
+def _key(link: Element, shifts: Mapping[str, int]) -> tuple[str, str, str, int, int]:
+    start, end = link.get("from", ""), link.get("to", "")
+    lanes = int(link.get("fromLane", "0")) + shifts.get(start, 0), int(link.get("toLane", "0")) + shifts.get(end, 0)
+    return link.get("tl", ""), start, end, *lanes

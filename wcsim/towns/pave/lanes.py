@@ -15,7 +15,7 @@ _NEAR_END_M = 1.0  # how far before its end a lane still sees what lay beyond it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LaneLine:
+class _LaneLine:
     """A lane as a line with SUMO's positions on it, which may be longer or shorter than it is drawn."""
 
     id: str
@@ -36,11 +36,11 @@ class LaneLine:
 class LaneMap:
     """The lanes of a net before and after; edges by id, lanes from right to left."""
 
-    before: Mapping[str, tuple[LaneLine, ...]]
-    after: Mapping[str, tuple[LaneLine, ...]]
+    before: Mapping[str, tuple[_LaneLine, ...]]
+    after: Mapping[str, tuple[_LaneLine, ...]]
     moved: Mapping[str, str]  # id of every lane before -> after
-    lines: Mapping[str, LaneLine]  # all lanes of before by id, those within junctions too
-    new_lines: Mapping[str, LaneLine]
+    lines: Mapping[str, _LaneLine]  # all lanes of before by id, those within junctions too
+    new_lines: Mapping[str, _LaneLine]
 
     def shift(self, edge: str) -> int:
         """By how many indices the lanes of an edge moved; 0 for an edge that the net does not have."""
@@ -111,7 +111,7 @@ def lane_map(before: Element, after: Element) -> LaneMap:
     )
 
 
-def _edges(net: Element) -> dict[str, tuple[LaneLine, ...]]:
+def _edges(net: Element) -> dict[str, tuple[_LaneLine, ...]]:
     return {
         edge.get("id", ""): _lines(edge.iterfind("lane"))
         for edge in net.iterfind("edge")
@@ -119,7 +119,7 @@ def _edges(net: Element) -> dict[str, tuple[LaneLine, ...]]:
     }
 
 
-def _inner(net: Element) -> dict[str, LaneLine]:
+def _inner(net: Element) -> dict[str, _LaneLine]:
     """Lanes within junctions, which other nets call by other names."""
     return {
         lane.id: lane
@@ -129,10 +129,10 @@ def _inner(net: Element) -> dict[str, LaneLine]:
     }
 
 
-def _lines(lanes: Iterable[Element]) -> tuple[LaneLine, ...]:
+def _lines(lanes: Iterable[Element]) -> tuple[_LaneLine, ...]:
     found = sorted(lanes, key=lambda lane: int(lane.get("index", "0")))
     return tuple(
-        LaneLine(
+        _LaneLine(
             id=lane.get("id", ""), length_m=max(0.01, float(lane.get("length", "0"))), line=_line(lane.get("shape", ""))
         )
         for lane in found

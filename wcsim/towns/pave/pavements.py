@@ -30,9 +30,8 @@ from wcsim.towns.checks.cures import (
     speeds_mps,
 )
 from wcsim.towns.importing.adopt import copy_scenario
-from wcsim.towns.pave.elements import Paving, edits_of, note_routes
+from wcsim.towns.pave.elements import Paving, find_edits, find_links, note_routes
 from wcsim.towns.pave.lanes import lane_map
-from wcsim.towns.pave.signals import links_of
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
@@ -54,7 +53,7 @@ def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     programs = Element("additional")
     programs.extend(logic for logic in before.iterfind("tlLogic") if logic.get("id") in paving.signals)
     elements = list(programs.iter())
-    for number, changes in edits_of(programs, paving, in_net=True).items():
+    for number, changes in find_edits(programs, paving, in_net=True).items():
         elements[number].attrib.update(changes)
     theirs = {logic.get("id") for logic in programs}
     made = [logic for logic in after.iterfind("tlLogic") if logic.get("id") in theirs]
@@ -72,7 +71,7 @@ _TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
 _DECLARED = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)""")
 
 
-def edited(data: bytes, edits: _Edits, where: str) -> bytes:
+def _edited(data: bytes, edits: _Edits, where: str) -> bytes:
     """XML text in which elements have other values of attributes that they have already.
 
     Args:
@@ -166,7 +165,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         after = _root(place)
         lanes = lane_map(before, after)
         shifts = {edge: lanes.shift(edge) for edge in lanes.before}
-        paving = Paving(lanes=lanes, signals=links_of(before, after, shifts))
+        paving = Paving(lanes=lanes, signals=find_links(before, after, shifts))
         if _keep_programs(before, after, paving):
             _write(place, xml_bytes(after))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
@@ -194,7 +193,7 @@ def _count(net: Element, function: str) -> int:
 
 
 def _unpaved(net: Net) -> list[str]:
-    """Edges on which nobody drives a car, and where none is to walk beside them: tracks, paths and closed ones."""
+    """Edges that are closed to cars, so that they get no pavement: tracks, paths and closed ones."""
     return [
         edge.id
         for edge in net.edges
@@ -222,12 +221,12 @@ def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str
 
 
 def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
-    told, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
+    problem, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
     if slowest_mps is None:
-        return f"{told}none is open to cars; choose another scenario"
+        return f"{problem}none is open to cars; choose another scenario"
     if slowest_mps <= fastest_mps:
-        return f"{told}netconvert guessed none; draw them in netedit"
-    return f"{told}all are faster than {fastest_mps:g} m/s; to include them: {pave_command(town, out, slowest_mps)}"
+        return f"{problem}netconvert guessed none; draw them in netedit"
+    return f"{problem}all are faster than {fastest_mps:g} m/s; to include them: {pave_command(town, out, slowest_mps)}"
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
@@ -264,11 +263,11 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
         if root.tag == "net":
             continue
         try:
-            edits = edits_of(root, paving)
+            edits = find_edits(root, paving)
         except TownError as error:
             raise TownError(f"{path.name}: {error}") from None
         if edits:
-            _write(path, edited(data, edits, path.name))
+            _write(path, _edited(data, edits, path.name))
 
 
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
@@ -296,11 +295,11 @@ def _never_green(paving: Paving, cure: str, *, in_net: bool) -> list[str]:
     if not items:
         return []
     found = dict.fromkeys(f"over {item.edge} at {item.signal}" for item in items)
-    told = ", ".join(list(found)[:TOLD]) + " and more" * (len(found) > TOLD)
+    names = ", ".join(list(found)[:TOLD]) + " and more" * (len(found) > TOLD)
     place = "the net" if in_net else "an additional file"
     why = "cars may drive over them in every phase of the signal program"
     why += " (a NEMA controller shows two phases at once)" if any(item.rings for item in items) else ""
-    return [f"these crossings never get green: {why} in {place}: {told}; {cure}"]
+    return [f"these crossings never get green: {why} in {place}: {names}; {cure}"]
 
 
 def _copy_town_toml(town: Town, work: Path, base: Path) -> None:

@@ -2,24 +2,34 @@
 
 A file that writes nothing is left where it is; only one that does is copied, with nothing but those names changed.
 
-What the elements of SUMO's files say of other files: which attribute names one, to be read or to be written.
+What the elements of SUMO's files say of other files: which attribute names one, to be read, included or written.
+
+Names of written files: all in one folder, none twice, none that leads anywhere else.
+
+The border of a scenario: files that lie outside of its folder are neither opened nor copied unasked.
 """
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.reading import FileKind, regular_size, shown
+from wcsim.core.reading import FileKind, is_file, regular_size, shown
 from wcsim.errors import TownError
-from wcsim.towns.scenario.border import require_file, require_inside
-from wcsim.towns.scenario.includes import MAX_DEPTH
 from wcsim.towns.scenario.options import Content, SumoOption
-from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
 
+_ALLOW = "--allow-outside"
+MAX_DEPTH = 16  # of files that include each other
+NOWHERE = ("", "NUL", "nul", "/dev/null")  # "NULL" is a file of that name to SUMO
+_UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
+_MAX_LENGTH = 120
+_SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names
 _READ = {("rerouter", "file"), ("variableSpeedSign", "file"), ("calibrator", "file"), ("include", "href")}
 _TEXTS = ("edgesFile",)  # not XML: a line for each edge
 _PICTURES = ("imgFile", "osgFile", "href")
@@ -27,6 +37,136 @@ _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
 _WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
 _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
 _GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
+
+
+def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
+    """Return when a file lies in the folder `border`, links followed; None is no border.
+
+    Raises:
+        TownError: It lies elsewhere, whether it exists or not; or no system could hold such a file.
+    """
+    try:
+        real = Path(os.path.realpath(path))
+        if border is None or real.is_relative_to(os.path.realpath(border)):
+            return
+    except ValueError as error:  # NUL in the path
+        raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct the name") from None
+    raise TownError(
+        f"{shown(named_by)}: names {shown(path)}, which is outside of its folder {shown(border)}; move it there and "
+        f"correct the name, or permit files elsewhere: {_trust(named_by)}"
+    )
+
+
+def _trust(named_by: Path) -> str:
+    """How a scenario is trusted; a copy of it is for every command."""
+    some = f"{_ALLOW} of wcsim town run and pave"
+    if named_by.suffix != ".sumocfg":
+        return f"{some}, and of wcsim town import, which makes a copy for all others"
+    path, name = named_by.absolute(), re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town"
+    return (
+        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(shown(path, 4096))} "
+        f"--name {name} {_ALLOW}"
+    )
+
+
+def check_file(path: Path, border: Path | None, named_by: Path) -> None:
+    """Return when a file lies in the folder `border` and is a regular one. Raises TownError."""
+    check_inside(path, border, named_by)
+    if not is_file(path):
+        raise TownError(
+            f"{shown(named_by)}: names a file that does not exist: {shown(path)}; restore it or correct "
+            f"{shown(named_by.name)}"
+        )
+    if "," in str(path):
+        raise TownError(f"{shown(path)}: SUMO splits file names at commas; rename the file or its folder")
+
+
+def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...]:
+    """Additional or route files, each followed by all that it includes; what is met again is left out.
+
+    Args:
+        files: As a scenario names them, plain or gzip-compressed.
+        border: The folder outside of which nothing is opened; None for none.
+
+    Raises:
+        TownError: An included file is not there, is no XML, includes itself, or lies outside of the border.
+    """
+    found: dict[Path, Path] = {}  # by where it really lies, for a file has many names
+    for path in files:
+        _follow(path, border, (), found)
+    return tuple(found.values())
+
+
+def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dict[Path, Path]) -> None:
+    real = Path(os.path.realpath(path))
+    if real in above or len(above) >= MAX_DEPTH:
+        chain = " -> ".join(item.name for item in (*above, real))
+        raise TownError(f"{shown(path)}: its files include each other ({chain}); remove one <include>")
+    if real in found:
+        return
+    found[real] = path
+    for name in _included(path):
+        there = path.parent / name
+        check_file(there, border, path)
+        _follow(there, border, (*above, real), found)
+
+
+def _included(path: Path) -> list[str]:
+    """The names that a file includes; most files have none, and are not parsed for that."""
+    data, names = read_bytes(path), list[str]()
+    if b"include" not in data:
+        return names
+
+    def visit(tag: str, attributes: list[str]) -> None:
+        if tag.rpartition(":")[2] == "include":
+            names.append(dict(zip(attributes[::2], attributes[1::2], strict=True)).get("href", ""))
+
+    scan(data, shown(path), visit)
+    return [name for name in names if name]
+
+
+class OutputNames:
+    """The files that a scenario writes into one folder; equal places of the author's are the same file here too."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises TownError for a folder whose name SUMO does not take for one."""
+        strange = sorted(set(str(folder)) & set(_SUMO_SPLITS_AT))
+        if strange:
+            raise TownError(f"{folder}: SUMO cannot write to a path with {' '.join(strange)} in it; choose another")
+        self.folder = folder
+        self._of_author: dict[str, Path] = {}
+        self._taken: set[str] = set()
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All of them, sorted."""
+        return tuple(sorted(self._of_author.values()))
+
+    def place(self, author: str, base: Path, instead: str) -> Path:
+        """Where the file goes that the author named `author` in a file of the folder `base`.
+
+        Args:
+            author: As it is written; a path, a socket, or a name for the console.
+            base: The folder that relative names are taken from.
+            instead: The name to use when the author's has none that can be used.
+        """
+        key = os.path.normpath(base / author)
+        if key not in self._of_author:
+            name = _UNSAFE.sub("_", Path(author).name).strip("_.-")[-_MAX_LENGTH:].lstrip("_.-")
+            if author in ("stdout", "stderr", "-") or not name:
+                name = instead
+            self._of_author[key] = self.folder / self.unique(name)
+        return self._of_author[key]
+
+    def unique(self, name: str) -> str:
+        """The name, with a number in it when it is taken; it is taken from now on."""
+        stem, dot, endings = name.partition(".")
+        number, found = 1, name
+        while found.lower() in self._taken:
+            number += 1
+            found = f"{stem}-{number}{dot}{endings}"
+        self._taken.add(found.lower())
+        return found
 
 
 class _NamesFiles:
@@ -66,7 +206,7 @@ def _may_name(key: str) -> bool:
     return key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
 
 
-def reads(tag: str, key: str) -> bool:
+def _reads(tag: str, key: str) -> bool:
     """Whether SUMO reads the file that this attribute names, as XML."""
     return (tag, key) in _READ
 
@@ -76,12 +216,12 @@ def _reads_text(key: str) -> bool:
     return key in _TEXTS
 
 
-def shows(key: str) -> bool:
+def _shows(key: str) -> bool:
     """Whether sumo-gui shows the picture that this attribute names, which SUMO itself never opens."""
     return key in _PICTURES
 
 
-def writes(key: str) -> bool:
+def _writes(key: str) -> bool:
     """Whether SUMO writes the file that this attribute names, when it does not read it."""
     return _WRITTEN.match(key) is not None
 
@@ -133,7 +273,7 @@ class FilteredFiles:
     def place_option(self, option: SumoOption, path: Path, named_by: Path) -> Path:
         """The file, or the filtered copy of it, that an option names to be read. Raises TownError as `place` does."""
         if option.reads is Content.FOLDER:
-            require_inside(path, self._border, named_by)
+            check_inside(path, self._border, named_by)
             return path.absolute()
         return self.place(path, named_by) if option.reads is Content.XML else self.place_text(path, named_by)
 
@@ -159,7 +299,7 @@ class FilteredFiles:
 
     def _note(self, path: Path, named_by: Path) -> Path:
         whole = path.absolute()
-        require_file(whole, self._border, named_by)
+        check_file(whole, self._border, named_by)
         self.read[whole] = None
         return whole
 
@@ -182,14 +322,14 @@ class FilteredFiles:
         before = dict(element.attrib)
         for key, value in before.items():
             there = path.parent / value
-            if reads(element.tag, key):
+            if _reads(element.tag, key):
                 if value and (filtered := self._place(there, path, above)) != there.absolute():
                     element.set(key, str(filtered))
             elif _reads_text(key):
                 element.set(key, str(self.place_text(there, path)))
-            elif shows(key):
+            elif _shows(key):
                 self.pictures[there.absolute()] = None
-            elif writes(key) and value not in NOWHERE:
+            elif _writes(key) and value not in NOWHERE:
                 element.set(key, str(self._names.place(value, path.parent, f"{element.tag}.xml")))
         if element.tag == "param" and before.get("value"):
             self._change_parameter(element, path, above)
@@ -214,7 +354,7 @@ class FilteredFiles:
 def _make_absolute(element: Element, path: Path) -> None:
     """Names that are read are found from another folder too."""
     for key, value in element.attrib.items():
-        if value and (reads(element.tag, key) or shows(key)):
+        if value and (_reads(element.tag, key) or _shows(key)):
             element.set(key, str((path.parent / value).absolute()))
 
 

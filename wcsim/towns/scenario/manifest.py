@@ -21,7 +21,7 @@ _AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Changes:
+class _Changes:
     """Files of a town that are not as they were imported."""
 
     net: tuple[str, ...]  # the net: the demand was routed through it
@@ -33,26 +33,26 @@ class Changes:
         return self.net + self.others
 
 
-def hashes_of(folder: Path, name: str) -> dict[str, str]:
+def hash_files(folder: Path, name: str) -> dict[str, str]:
     """SHA-256 (hex) of each file of a town that is there, by its ending; of XML without comments and packing."""
     paths = {kind: folder / f"{name}.{kind}" for kind in KINDS}
     return {kind: _digest(path) for kind, path in paths.items() if path.is_file()}
 
 
-def changes_of(town: Town) -> Changes:
+def find_changes(town: Town) -> _Changes:
     """What was changed since the import; nothing for a town without a manifest."""
     noted = town.file.hashes
     changed = [kind for kind in noted if _now(_path(town, kind)) != noted[kind]]
     names = {kind: _path(town, kind) for kind in changed}
     net = town.net.resolve()
-    return Changes(
+    return _Changes(
         net=tuple(path.name for path in names.values() if path.resolve() == net),
         others=tuple(path.name for path in names.values() if path.resolve() != net),
     )
 
 
 def own_work(folder: Path) -> tuple[str, ...]:
-    """What somebody did to a town's folder since its import, as paths in it: changed files and added ones, sorted."""
+    """Files of a town's folder that were changed or added since its import, as paths in it, sorted."""
     try:
         file = read_town_file(folder / "town.toml")
     except (ConfigError, TownError):

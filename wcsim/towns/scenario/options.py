@@ -48,7 +48,7 @@ class Content(Enum):
 
 
 class Treatment(Enum):
-    """What becomes of an option of somebody else's configuration."""
+    """What becomes of an option of an author's configuration."""
 
     KEEP = "keep"
     INPUT = "input"  # names files that SUMO reads
@@ -162,7 +162,7 @@ def read_configuration(sumocfg: Path) -> Configuration:
 
 
 def _fits(option: SumoOption, value: str) -> bool:
-    """Whether a value is of its option's kind: SUMO passes over one that is not, with a message that nobody reads."""
+    """Whether a value is of its option's kind: SUMO ignores one that is not, with a message that is easily missed."""
     kind = option.kind
     if option.name in _NAME_PARTS:
         return re.fullmatch(r"[A-Za-z0-9_.-]+", value) is not None

@@ -44,7 +44,7 @@ def settings_of(config: RunConfig, seed: int) -> Settings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rule:
+class _Rule:
     """What happens to an option, in words for the guide; `value` is fixed, or "" where it depends on the run."""
 
     option: str
@@ -57,35 +57,35 @@ STEP, _ACTION_STEP = "step-length", "default.action-step-length"
 JUMPING = "nonInteracting"
 """Of the models of pedestrians, the one whose people have no way between two streets."""
 RULES = (
-    Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
-    Rule(
+    _Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
+    _Rule(
         option=_ACTION_STEP,
         says="kept, unless `world.action_step_s` is set",
         why="the run sets how often drivers decide",
     ),
-    Rule(option="seed", says="drawn from `--seed`", why="one seed for all random draws"),
-    Rule(option="random", says="false", value="false", why="equal seeds give equal traffic"),
-    Rule(
+    _Rule(option="seed", says="drawn from `--seed`", why="one seed for all random draws"),
+    _Rule(option="random", says="false", value="false", why="equal seeds give equal traffic"),
+    _Rule(
         option="scale",
         says="the scenario's value times `world.demand_scale`; kept while that is 1",
         why="the run sets the amount of traffic",
     ),
-    Rule(
+    _Rule(
         option="time-to-teleport",
         says="kept, unless `world.jam_teleport_s` is set",
         why="the run sets when a jam ends",
     ),
-    Rule(
+    _Rule(
         option="pedestrian.model",
         says=f"kept; with `{JUMPING}` pedestrians jump between streets and ignore wheelchairs",
         why="SUMO moves pedestrians",
     ),
-    Rule(option="no-step-log", says="true", value="true", why="wcsim writes to the console"),
-    Rule(option="no-warnings", says="true", value="true", why="wcsim writes to the console"),
-    Rule(option="duration-log.disable", says="true", value="true", why="wcsim writes to the console"),
-    Rule(option="xml-validation", says="never", value="never", why="no schema is downloaded"),
-    Rule(option="xml-validation.net", says="never", value="never", why="no schema is downloaded"),
-    Rule(option="xml-validation.routes", says="never", value="never", why="no schema is downloaded"),
+    _Rule(option="no-step-log", says="true", value="true", why="wcsim writes to the console"),
+    _Rule(option="no-warnings", says="true", value="true", why="wcsim writes to the console"),
+    _Rule(option="duration-log.disable", says="true", value="true", why="wcsim writes to the console"),
+    _Rule(option="xml-validation", says="never", value="never", why="no schema is downloaded"),
+    _Rule(option="xml-validation.net", says="never", value="never", why="no schema is downloaded"),
+    _Rule(option="xml-validation.routes", says="never", value="never", why="no schema is downloaded"),
 )
 _FIXED = tuple((rule.option, rule.value) for rule in RULES if rule.value)
 _WHY = {rule.option: rule.why for rule in RULES}
@@ -142,9 +142,9 @@ def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override
     for name, value in forced(settings, author_scale(config)):
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
-            told = f"{default} (default)" if author is None and name == STEP else author or ""
+            given = f"{default} (default)" if author is None and name == STEP else author or ""
             why = _WHY[name] + _faster(author or default, config, settings) * (name == STEP)
-            yield Override(option=name, author=told, wcsim=value, why=why)
+            yield Override(option=name, author=given, wcsim=value, why=why)
 
 
 def _aggregated_rows(config: Configuration) -> Iterator[Override]:
@@ -164,16 +164,16 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
 
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:
-    """What shorter steps than the author's do to the traffic, unless somebody says how often drivers decide."""
-    said = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
-    return _FASTER if _seconds(author) > settings.step_s and not said else ""
+    """What shorter steps than the author's do to the traffic, unless the drivers' decision interval is set."""
+    chosen = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    return _FASTER if _seconds(author) > settings.step_s and not chosen else ""
 
 
 def _seconds(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        return 0.0  # as hours:minutes:seconds, which nobody gives a step
+        return 0.0  # as hours:minutes:seconds, which no step is written in
 
 
 def author_scale(config: Configuration) -> float:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError, TownError
-from wcsim.towns.scenario.files import FilteredFiles
+from wcsim.towns.scenario.files import NOWHERE, FilteredFiles, OutputNames
 from wcsim.towns.scenario.options import (
     Configuration,
     GivenOption,
@@ -20,7 +20,6 @@ from wcsim.towns.scenario.options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario.outputs import NOWHERE, OutputNames
 from wcsim.towns.scenario.overrides import (
     AGGREGATED,
     JUMPING,
@@ -94,7 +93,7 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         notes=_notes_of(config),
         outputs=names.paths,
         author_scale=author_scale(config),
-        begin_s=seconds_of(config.value("begin") or "0", town.sumocfg),
+        begin_s=parse_seconds(config.value("begin") or "0", town.sumocfg),
         digest=_digest(text, settings, names.folder, files),
         inputs=tuple(files.read),
     )
@@ -150,10 +149,10 @@ def _refuse_mesoscopic(config: Configuration) -> None:
         raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
 
 
-def seconds_of(text: str, where: Path) -> float:
+def parse_seconds(text: str, where: Path) -> float:
     """A time of SUMO's, in seconds or as [[days:]hours:]minutes:seconds. Raises TownError.
 
-    >>> seconds_of("1:00:30", Path("x"))
+    >>> parse_seconds("1:00:30", Path("x"))
     3630.0
     """
     try:

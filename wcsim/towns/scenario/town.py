@@ -12,8 +12,7 @@ from pathlib import Path
 from wcsim.config import TownFile, parse
 from wcsim.core.reading import FileKind, is_file, is_folder, read_toml, shown
 from wcsim.errors import ConfigError, TownError, meant
-from wcsim.towns.scenario.border import require_file, require_inside
-from wcsim.towns.scenario.includes import with_included
+from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
 from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
 
@@ -42,7 +41,7 @@ class Town:
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()  # the polygons among them
     border: Path | None = None  # the folder outside of which nothing is opened because of it; None: its user trusts it
-    passing: bool = False  # it is driven once: what is built of it is not kept
+    passing: bool = False  # it is driven once: what is built of it is not cached
 
     @property
     def declared(self) -> bool:
@@ -83,25 +82,25 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
 
 
 def _unknown_town(name_or_path: str) -> TownError:
-    told = shown(name_or_path, 160)
+    named = shown(name_or_path, 160)
     if name_or_path.endswith(".sumocfg"):
         return TownError(
-            f"{told}: there is no such file, seen from {Path.cwd()}; expected the path of a .sumocfg, a folder with "
+            f"{named}: there is no such file, seen from {Path.cwd()}; expected the path of a .sumocfg, a folder with "
             f"one, or a town: {_known()}"
         )
     if "/" in name_or_path:
         return TownError(
-            f"{told}: there is no such folder, seen from {Path.cwd()}; expected one with a .sumocfg, or a town: "
+            f"{named}: there is no such folder, seen from {Path.cwd()}; expected one with a .sumocfg, or a town: "
             f"{_known()}"
         )
     return TownError(
-        f"unknown town {told!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
+        f"unknown town {named!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
         f"{meant(name_or_path, _known().split(', '))}"
     )
 
 
 def expanded(path: str) -> Path:
-    """A path that somebody wrote, with their home in place of ~; one of nobody's home stays as it is."""
+    """A path as it was typed, with the home folder in place of ~; that of an unknown user stays as it is."""
     try:
         return Path(path).expanduser()
     except RuntimeError:
@@ -154,14 +153,14 @@ def open_town(path: Path, *, outside: bool = False) -> Town:
     sumocfg = path if path.is_file() else _main_config(path)
     folder = path.parent if path.is_file() else path
     border = None if outside else folder
-    require_inside(sumocfg, border, sumocfg)
+    check_inside(sumocfg, border, sumocfg)
     config = read_configuration(sumocfg)
     nets = config.files("net-file")
     if len(nets) != 1:
         raise TownError(f"{sumocfg}: names {len(nets)} nets; expected one <net-file value=...> in <input>")
     routes, additional = config.files("route-files"), config.files("additional-files")
     for item in (*nets, *routes, *additional):
-        require_file(item, border, sumocfg)
+        check_file(item, border, sumocfg)
     file = _town_file(folder, config)
     return Town(
         name=file.name,
@@ -218,7 +217,7 @@ def net_middle(net: Path) -> tuple[int, int]:
         bounds_m = [float(part) for part in found.group(1).decode().split(",")] if found else []
         west_m, south_m, east_m, north_m = bounds_m or _junction_bounds(net)
         return round((west_m + east_m) / 2), round((south_m + north_m) / 2)
-    except (ValueError, OverflowError):  # whoever opens the net says what is wrong with it
+    except (ValueError, OverflowError):  # the reader of the net reports what is wrong with it
         return 0, 0
 
 
@@ -261,7 +260,7 @@ def _main_config(folder: Path) -> Path:
     named_by_toml = read_town_file(toml).sumocfg if toml.is_file() else ""
     if named_by_toml:
         path = folder / named_by_toml
-        require_inside(path, folder, toml)
+        check_inside(path, folder, toml)
         if not is_file(path):
             raise TownError(f"{toml}: names sumocfg {named_by_toml!r}, which is not there; restore or correct it")
         return path

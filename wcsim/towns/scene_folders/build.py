@@ -1,22 +1,26 @@
-"""Scenes: short hand-written streets, built with netconvert when they are needed."""
+"""Scenes: short hand-written streets, built with netconvert when they are needed, with the seats of their chairs."""
 
 from __future__ import annotations
 
+import hashlib
 import re
 from pathlib import Path
 
-from wcsim.config import parse
-from wcsim.config.scene import SceneFile
+import numpy as np
+
+from wcsim.config import RunConfig, parse
+from wcsim.config.scene import SceneFile, SceneSeat
+from wcsim.core import frames
+from wcsim.core.constants import RECORDED
 from wcsim.core.reading import FileKind, is_file, read_toml, shown
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.importing.adopt_files import copy_file
+from wcsim.towns.importing.adopt import copy_file
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
-from wcsim.towns.scenario.border import require_file
-from wcsim.towns.scenario.files import FilteredFiles
-from wcsim.towns.scenario.outputs import OutputNames
+from wcsim.towns.scenario.files import FilteredFiles, OutputNames, check_file
 from wcsim.towns.scenario.town import Town, expanded, open_town, town_roots
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
+from wcsim.types import SeatSpec, StartSpec
 
 GOLDEN = "golden.trace"
 
@@ -27,6 +31,7 @@ _MORE_FILES = ("add", "poly")
 _SCENE_TOML = FileKind(what="a scene.toml", limit_bytes=1 << 20, error=TownError)
 # normalisation off: the net keeps the coordinates that the author wrote
 _OPTIONS = ["--walkingareas", "--junctions.corner-detail", "5", "--no-turnarounds", "--offset.disable-normalization"]
+XY = tuple[float, float]
 
 
 def list_scenes() -> tuple[Path, ...]:
@@ -104,5 +109,48 @@ def _only(folder: Path, kind: str, *, needed: bool) -> Path | None:
             f"scene {folder}: has {len(found)} files *.{kind}.xml; expected {'one' if needed else 'at most one'}"
         )
     for path in found:
-        require_file(path, folder, folder)
+        check_file(path, folder, folder)
     return found[0] if found else None
+
+
+def scene_digest(folder: Path) -> str:
+    """SHA-256 (hex) over the names and bytes of a scene's files."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.iterdir()):
+        data = path.read_bytes()
+        digest.update(f"{path.name} {len(data)}\n".encode() + data)
+    return digest.hexdigest()
+
+
+def seat_specs(folder: Path, scene: SceneFile, origin_m: XY) -> tuple[SeatSpec, ...]:
+    """The seats of the scene in `folder`, whose town has its origin at `origin_m` of the net.
+
+    Raises:
+        TownError: A recording is not there.
+    """
+    return tuple(_spec(folder, seat, origin_m) for seat in scene.seats)
+
+
+def scene_config(scene: SceneFile, base: RunConfig) -> RunConfig:
+    """The same configuration with the scene's own settings of the world; who looks is not drawn, as it is the scene."""
+    own = {"warmup_s": scene.warmup_s, "attention_share": scene.attention_share}
+    vary = base.vary.model_copy(update={"attention": {}, "reaction": {}})
+    return base.model_copy(update={"world": base.world.model_copy(update=own), "vary": vary})
+
+
+def _spec(folder: Path, wanted: SceneSeat, origin_m: XY) -> SeatSpec:
+    start = frames.world_from_net(np.array(wanted.start_m), origin_m)
+    goal = frames.world_from_net(np.array(wanted.goal_m or wanted.start_m), origin_m)
+    profile = wanted.profile
+    if wanted.recording is not None:
+        file = folder / wanted.recording
+        check_file(file, folder, folder / "scene.toml")
+        profile = f"{RECORDED}{file}"
+    return SeatSpec(
+        profile=profile,
+        start=StartSpec(
+            p_W_m=(float(start[0]), float(start[1])),
+            yaw_rad=frames.yaw_from_sumo(wanted.heading_deg),
+            goal_W_m=(float(goal[0]), float(goal[1])),
+        ),
+    )

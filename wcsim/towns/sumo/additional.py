@@ -78,7 +78,7 @@ def read_items(files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | No
     """All polygons, points of interest and stops of SUMO additional files, without doubles.
 
     Raises:
-        TownError: a polygon or point is broken, or of a type wcsim.* that nobody knows.
+        TownError: a polygon or point is broken, or of an unknown type wcsim.*.
     """
     items: dict[tuple[str, bytes], Item] = {}
     lanes = _Lanes(net)

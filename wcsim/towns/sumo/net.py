@@ -22,7 +22,7 @@ _RAILS = {"rail", "tram", "rail_urban", "rail_electric", "rail_fast", "subway", 
 
 
 class LaneKind(Enum):
-    """What a lane is to somebody who builds its ground."""
+    """What a lane is, for building its ground."""
 
     MOTOR = "motor"
     RAIL = "rail"
@@ -85,7 +85,7 @@ class Connection:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Junction:
+class _Junction:
     """The outline of a junction; empty for those that have none."""
 
     id: str
@@ -100,7 +100,7 @@ class Net:
 
     edges: tuple[Edge, ...]
     connections: tuple[Connection, ...]
-    junctions: tuple[Junction, ...]
+    junctions: tuple[_Junction, ...]
     lefthand: bool = False  # traffic keeps to the left
     phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
@@ -124,7 +124,7 @@ def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
         raise TownError(f"{path}: is not a usable net ({error!r}); build it again with netconvert") from None
     if not any(edge.lanes for edge in edges):
         raise TownError(f"{path}: has no edge with lanes; expected a street net: build it with netconvert")
-    phases = phases_of(root)
+    phases = read_phases(root)
     return _levelled(Net(edges=edges, connections=connections, junctions=junctions, lefthand=lefthand, phases=phases))
 
 
@@ -142,7 +142,7 @@ def _levelled(net: Net) -> Net:
     return replace(net, edges=edges, junctions=junctions, z_origin_m=origin_m)
 
 
-def phases_of(root: Element) -> tuple[tuple[str, str], ...]:
+def read_phases(root: Element) -> tuple[tuple[str, str], ...]:
     """Traffic light and state string of each phase of a file's <tlLogic> elements."""
     return tuple(
         (logic.get("id", ""), phase.get("state", ""))
@@ -247,6 +247,6 @@ def _connection(element: Element) -> Connection:
     )
 
 
-def _junction(element: Element, origin_m: tuple[int, int]) -> Junction:
+def _junction(element: Element, origin_m: tuple[int, int]) -> _Junction:
     outline_m, z_m = _shape(element.get("shape", ""), origin_m)
-    return Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)
+    return _Junction(id=element.attrib["id"], kind=element.get("type", ""), outline_m=outline_m, z_m=z_m)

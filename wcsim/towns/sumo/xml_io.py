@@ -2,10 +2,13 @@
 
 SUMO reads XML with another parser than this process. What passes here means the same to both: XML 1.0 in an encoding
 that holds ASCII as it is, without a document type, nested as deep as a scenario needs.
+
+gzip and bzip2 files are unpacked here too: never more than was asked for, in a time that the result's size bounds.
 """
 
 from __future__ import annotations
 
+import bz2
 import codecs
 import gzip
 import hashlib
@@ -13,13 +16,15 @@ import re
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO, Protocol
 from xml.etree import ElementTree
 from xml.parsers import expat
 
 from wcsim.core.reading import FileKind, opened, shown
 from wcsim.errors import TownError
-from wcsim.towns.sumo.unpack import gunzip
 
+MAX_MEMBERS = 1 << 15  # packed one behind the other in a file; those who pack in blocks of 64 KiB need 16 for a MiB
+_CHUNK_BYTES = 1 << 16
 MAX_XML_BYTES = 200 << 20
 MAX_NESTING = 100  # elements inside each other; SUMO's own files need ten
 MAX_TAGS = 10_000_000  # each takes memory, however short it is
@@ -35,6 +40,71 @@ _DECLARED = re.compile(rb"<\?[xX][mM][lL][\s?]")
 _BLANKS = b" \t\r\n"
 _TRUE = frozenset(("1", "yes", "true", "on", "x", "t"))
 Visit = Callable[[str, list[str]], None]
+
+
+class _Machine(Protocol):
+    @property
+    def eof(self) -> bool: ...
+    @property
+    def unused_data(self) -> bytes: ...
+    @property
+    def needs_input(self) -> bool: ...
+    def decompress(self, data: bytes, max_length: int) -> bytes: ...
+
+
+class _Gunzip:
+    """A member of a gzip file, with the interface that bzip2's has."""
+
+    def __init__(self) -> None:
+        self._machine, self._tail = zlib.decompressobj(31), b""
+
+    @property
+    def eof(self) -> bool:
+        return self._machine.eof
+
+    @property
+    def unused_data(self) -> bytes:
+        return self._machine.unused_data
+
+    @property
+    def needs_input(self) -> bool:
+        return not self._tail
+
+    def decompress(self, data: bytes, max_length: int) -> bytes:
+        part = self._machine.decompress(self._tail + data, max_length)
+        self._tail = self._machine.unconsumed_tail
+        return part
+
+
+def _gunzip(file: BinaryIO, most: int) -> bytes:
+    """The first `most` bytes of what a gzip file holds. Raises EOFError, OSError or zlib.error when it is broken."""
+    return _unpack(file, most, _Gunzip)
+
+
+def bunzip2(file: BinaryIO, most: int) -> bytes:
+    """The first `most` bytes of what a bzip2 file holds. Raises EOFError or OSError when it is broken."""
+    return _unpack(file, most, bz2.BZ2Decompressor)
+
+
+def _unpack(file: BinaryIO, most: int, make: Callable[[], _Machine]) -> bytes:
+    found, left, members, machine = list[bytes](), most, 1, make()
+    data = file.read(_CHUNK_BYTES)
+    while left > 0:
+        part = machine.decompress(data, left)
+        found.append(part)
+        left, data = left - len(part), b""
+        if machine.eof:
+            data = machine.unused_data or file.read(_CHUNK_BYTES)
+            if not data:
+                break
+            machine, members = make(), members + 1
+            if members > MAX_MEMBERS:
+                raise EOFError(f"it is packed in more than {MAX_MEMBERS} pieces")
+        elif machine.needs_input:
+            data = file.read(_CHUNK_BYTES)
+            if not data:
+                raise EOFError("it ends too early")
+    return b"".join(found)
 
 
 def is_true(text: str) -> bool:
@@ -56,7 +126,7 @@ def read_head(path: Path, size: int) -> bytes:
         with opened(path, XML) as file:
             packed = file.read(2) == b"\x1f\x8b"
             file.seek(0)
-            return gunzip(file, size) if packed else file.read(size)
+            return _gunzip(file, size) if packed else file.read(size)
     except (EOFError, zlib.error) as error:
         raise TownError(f"{shown(path)}: cannot be read ({error}); expected {XML.what}") from None
 
@@ -67,8 +137,8 @@ def read_root(path: Path, limit: int = MAX_XML_BYTES) -> ElementTree.Element:
 
 
 def parse_root(data: bytes, where: str) -> ElementTree.Element:
-    """Root element of XML text that every parser reads alike, see `require_plain`. Raises TownError."""
-    require_plain(data, where)
+    """Root element of XML text that every parser reads alike, see `check_plain_xml`. Raises TownError."""
+    check_plain_xml(data, where)
     try:
         root = ElementTree.fromstring(data)  # noqa: S314 - entity declarations are refused above
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -94,9 +164,9 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
     """Go through XML text without keeping it: `visit` gets each tag and its attributes (name, value, name, ...).
 
     Raises:
-        TownError: It is not well-formed, or not what every parser reads alike, see `require_plain`.
+        TownError: It is not well-formed, or not what every parser reads alike, see `check_plain_xml`.
     """
-    require_plain(data, where)
+    check_plain_xml(data, where)
     parser, depth = expat.ParserCreate(), 0
     parser.ordered_attributes = True
 
@@ -118,7 +188,7 @@ def scan(data: bytes, where: str, visit: Visit) -> None:
         raise _malformed(where, error) from None
 
 
-def require_plain(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
+def check_plain_xml(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     """Refuse what one parser may read in another way than the next one, or only in a very long time.
 
     That is: another encoding than UTF-8, ASCII, or one of their 8-bit relatives, whatever the declaration says; another
@@ -134,8 +204,8 @@ def require_plain(data: bytes, where: str, most_tags: int = MAX_TAGS) -> None:
     if _DECLARED.match(head):
         found = _DECLARATION.match(head)
         if found is None or not _ENCODING.fullmatch((found["encoding"] or b"utf-8").decode("ascii")):
-            told = shown(ascii(head.partition(b">")[0][:120])[2:-1], 120)
-            raise TownError(f"{where}: begins with {told}; expected XML 1.0 in UTF-8: save it so")
+            beginning = shown(ascii(head.partition(b">")[0][:120])[2:-1], 120)
+            raise TownError(f"{where}: begins with {beginning}; expected XML 1.0 in UTF-8: save it so")
     if b"<!DOCTYPE" in data:
         raise TownError(f"{where}: has a document type definition; expected plain UTF-8 XML: remove it")
     if data.count(b"<") > most_tags:

@@ -15,9 +15,8 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane import cross_z, length_of
+from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, valid
 from wcsim.towns.ground.surfaces import walkable_lanes
-from wcsim.towns.ground.tiled_geometry import Patches, buffered, valid
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
 
@@ -25,7 +24,7 @@ _MAX_CORNERS = 160  # above this the area is thinned first: the search looks at 
 _SLACK_M = 1e-4
 
 
-def shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
+def _shortest_inside(area: BaseGeometry, start_m: F64, goal_m: F64) -> F64 | None:
     """Shortest polyline (K, 2) from start to goal inside `area`, or None when they are in different parts of it.
 
     A shortest way bends only at inward corners of the area, so a graph of those that see each other holds it.
@@ -205,7 +204,7 @@ class _Builder:
         local = self._local(outline.buffer(REACH_M)) if len(ports) > 1 else outline
         for i, a in enumerate(ports):
             for b in ports[i + 1 :]:
-                way = shortest_inside(local, a.p_m, b.p_m) if a.node != b.node else None
+                way = _shortest_inside(local, a.p_m, b.p_m) if a.node != b.node else None
                 if way is not None:
                     self._add(area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ()))
 
@@ -255,7 +254,7 @@ def _along(space: BaseGeometry, points_m: F64) -> F64 | None:
     line = shapely.LineString(points_m)
     if shapely.covers(space.buffer(1e-4), line):
         return points_m
-    return shortest_inside(space, points_m[0], points_m[-1])
+    return _shortest_inside(space, points_m[0], points_m[-1])
 
 
 def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:

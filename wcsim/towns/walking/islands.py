@@ -1,4 +1,4 @@
-"""Walkable islands: pieces of pavement and footway from which nobody can walk to the rest of the town."""
+"""Walkable islands: pieces of pavement and footway without a way on foot to the rest of the town."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.relief import on_land, relief_of
-from wcsim.towns.ground.surfaces import lane_area, surfaces_of
-from wcsim.towns.ground.tiled_geometry import buffered
+from wcsim.towns.ground.plane_geometry import buffered
+from wcsim.towns.ground.relief import fit_relief, on_land
+from wcsim.towns.ground.surfaces import lane_area, make_surfaces
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 from wcsim.towns.sumo.xml_io import read_root
 
@@ -34,7 +34,7 @@ class Islands:
 
 def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
     """The connected parts of all pavements and crossings together."""
-    surfaces = surfaces_of(on_land(net, relief_of(net)), chair_ways)
+    surfaces = make_surfaces(on_land(net, fit_relief(net)), chair_ways)
     joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
     return [part for part in shapely.get_parts(joined) if part.area > 0.0]
 
@@ -51,7 +51,7 @@ def islands_by_ground(net: Net, net_path: Path, parts: list[BaseGeometry]) -> Is
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CutOff:
-    """A part of the walkable ground from which nobody can walk to the largest one."""
+    """A part of the walkable ground without a way on foot to the largest one."""
 
     edge: str  # one that lies on it
     area_m2: float
@@ -69,7 +69,7 @@ def cut_off(net: Net, parts: list[BaseGeometry]) -> tuple[CutOff, ...]:
     return tuple(CutOff(edge=edges[part], area_m2=parts[part].area) for part in order[1:] if part in edges)
 
 
-def share_of(parts: list[BaseGeometry]) -> float:
+def largest_share(parts: list[BaseGeometry]) -> float:
     """Share of the walkable ground that its largest part holds, 0 to 1."""
     areas_m2 = [part.area for part in parts]
     return max(areas_m2) / sum(areas_m2) if areas_m2 else 0.0
@@ -79,7 +79,7 @@ def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[i
     if not sizes_m2:
         return Islands(share=0.0, area_m2=0.0, footways=frozenset(), roads=frozenset())
     main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part])
-    made_of = ways_of(net_path)
+    made_of = osm_ways_by_edge(net_path)
     kept: set[str] = set()
     stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
     for edge in net.edges:
@@ -142,7 +142,7 @@ def _area_m2(lane: Lane) -> float:
     return 0.5 * abs(float(np.dot(x_m, np.roll(y_m, 1)) - np.dot(y_m, np.roll(x_m, 1))))
 
 
-def ways_of(net_path: Path) -> dict[str, tuple[str, ...]]:
+def osm_ways_by_edge(net_path: Path) -> dict[str, tuple[str, ...]]:
     """The OpenStreetMap ways that each edge was made of: netconvert notes them, unless the edge bears the name."""
     found: dict[str, tuple[str, ...]] = {}
     for edge in read_root(net_path).iterfind("edge"):

@@ -9,11 +9,11 @@ import numpy as np
 import shapely
 
 from wcsim.errors import TownError
-from wcsim.towns.ground.plane import length_of
+from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
 
 SPACING_M = 1.0  # of a route's points
-_START_MARGIN_M = 1.0  # nobody starts at the very end of a pavement
+_START_MARGIN_M = 1.0  # no start lies at the very end of a pavement
 _CROSSING_COST_M = 10.0  # people walk this far round to save a crossing
 _NEVER_GREEN_COST_M = 10_000.0  # and round any town rather than wait at a light that no program frees
 SOON_M = 80.0  # most ways of some hundred metres cross a road, but few episodes last until they do

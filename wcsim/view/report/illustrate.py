@@ -21,7 +21,8 @@ from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, town_
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8
-from wcsim.view.moments import around_picture, map_of, seen_picture, sticks
+from wcsim.view.driven_film import around_picture, seen_picture, sticks
+from wcsim.view.map import MapView
 from wcsim.view.report.failures import FailedEpisode
 
 PICTURES: Final = 8
@@ -146,7 +147,7 @@ def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:
-            street = around_picture(map_of(world, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
+            street = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
             last = len(steps) - 1
             places = np.rint(np.linspace(max(0, last - LAST_S / tick_s), last, PICTURES)).astype(int)
             seen = tuple(

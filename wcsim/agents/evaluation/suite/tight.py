@@ -12,10 +12,8 @@ from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.scene_folders.build import build_scene, scene_of
-from wcsim.towns.scene_folders.digest import scene_digest
-from wcsim.towns.scene_folders.families.catalogue import FAMILIES, write_scene
-from wcsim.towns.scene_folders.seats import scene_config, seat_specs
+from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest, scene_of, seat_specs
+from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 
 _SCENE, _TOWN = "scene", "town"
 _TICK_S = 0.1

@@ -1,12 +1,12 @@
 """All families by name, and a scene of one written as a folder.
 
-People on foot on a pavement so narrow that nobody can step aside.
+People on foot on a pavement too narrow to step aside.
 
 What cars and buses do at the side of the street: a door that opens, a corner that is too narrow.
 
 Bicycles and e-scooters that come up from behind, where the chair's camera does not look.
 
-Kerbs and walls: what the chair itself drives over or into, where nobody else takes part.
+Kerbs and walls: what the chair itself drives over or into, without other road users.
 """
 
 from __future__ import annotations
@@ -20,28 +20,26 @@ import numpy as np
 
 from wcsim.core import seeding
 from wcsim.errors import ConfigError, meant
-from wcsim.towns.scene_folders.families.draft import (
+from wcsim.towns.scene_folders.draft import (
     AFT_M,
     CASTER_M,
+    END_M,
     FORE_M,
     HALF_M,
-    XY,
-    Draft,
-    Node,
-    Place,
-    Push,
-    files_of,
-    mirrored,
-    way_of,
-)
-from wcsim.towns.scene_folders.families.scene_streets import (
-    END_M,
     KERB_Y_M,
     LANE_M,
     WALKER,
+    XY,
+    Draft,
+    Node,
     Pavement,
+    Place,
+    Push,
+    files_of,
     house,
+    mirrored,
     path_types,
+    predict_path,
     row,
     street,
 )
@@ -204,7 +202,7 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
     rider_right_m = 0.5 * width - width_m
     room_m = float(rng.uniform(0.15, 0.35))  # between the two, if the chair kept straight on
     start_m = (0.0, rider_right_m - room_m - HALF_M)
-    way = way_of(start_m, 90.0, stick, drift_s + 4.0)
+    way = predict_path(start_m, 90.0, stick, drift_s + 4.0)
     left_m = way[:, 2] + HALF_M * np.cos(way[:, 3]) + CASTER_M * np.sin(way[:, 3])
     meets = int(np.argmax(left_m > rider_right_m + 0.04))
     touch_s, touch_m = float(way[meets, 0]), float(way[meets, 1])
@@ -230,7 +228,7 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
     )
 
 
-def scooter_cuts_in(rng: np.random.Generator) -> Draft:
+def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
     """A rider passes on a track beside the path, which ends there: it cuts in in front of the chair and slows down."""
     speed_mps, slow_mps = float(rng.uniform(3.2, 4.5)), float(rng.uniform(0.25, 0.5))
     kind, length_m, _ = _rider(rng, speed_mps, "center", f' decel="{_DECEL_MPS2}"')
@@ -238,7 +236,7 @@ def scooter_cuts_in(rng: np.random.Generator) -> Draft:
     forward, merge_s = float(rng.choice((0.5, 0.75))), float(rng.uniform(4.5, 7.5))
     start_m = (0.0, float(rng.uniform(-0.15, 0.15)))
     stick = (Push(0.3, 0.0, forward),)
-    front_m = float(way_of(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
+    front_m = float(predict_path(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
     merge_m = front_m + float(rng.uniform(0.8, 1.5)) + length_m  # where the rider's front is when it has cut in
     begin_m = merge_m - _cut_in_m(speed_mps, slow_mps, merge_s)
     west_m, track_m = min(begin_m, 0.0) - length_m - 5.0, 0.5 * width + 0.6
@@ -295,7 +293,7 @@ def _car_door(rng: np.random.Generator) -> Draft:
     start_m = (-20.0, pavement.at(float(rng.uniform(0.65, 0.9))))
     stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
     open_s = float(rng.uniform(4.0, 7.0))
-    way = way_of(start_m, 90.0, stick, open_s)
+    way = predict_path(start_m, 90.0, stick, open_s)
     speed_mps = (way[-1, 1] - way[-3, 1]) / (way[-1, 0] - way[-3, 0])
     room_m = _STOPS_S * speed_mps + 0.5 * speed_mps**2 / _BRAKE_MPS2 + rng.uniform(0.05, 0.45)
     door_m = float(way[-1, 1] + FORE_M + room_m) + END_M
@@ -332,7 +330,7 @@ def _bus_at_corner(rng: np.random.Generator) -> Draft:
     start_m = (swept_x_m - FORE_M - float(rng.uniform(0.4, 1.2)), pavement.at(0.5 * pavement.width_m))
     push_s = float(rng.uniform(1.0, 5.0))
     stick = (Push(push_s, 0.0, float(rng.choice((0.5, 0.75)))),)
-    way = way_of(start_m, 90.0, stick, push_s + 10.0)
+    way = predict_path(start_m, 90.0, stick, push_s + 10.0)
     enters_s = float(way[int(np.argmax(way[:, 1] + FORE_M > swept_x_m)), 0])
     begin_m = _ARM_M - _CORNER_M - speed_mps * (enters_s - float(rng.uniform(0.6, 1.3)))
     west_m = min(0.0, begin_m - length_m - 5.0) - _ARM_M
@@ -382,7 +380,7 @@ def _oncoming_pair(rng: np.random.Generator) -> Draft:
     start_m = (-20.0, pavement.at(0.5 * pavement.width_m + float(rng.uniform(-0.1, 0.1))))
     stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
     pace_mps, meet_s = float(rng.uniform(0.9, 1.4)), float(rng.uniform(4.0, 7.0))
-    meet_m = float(way_of(start_m, 90.0, stick, meet_s)[-1, 1]) + FORE_M
+    meet_m = float(predict_path(start_m, 90.0, stick, meet_s)[-1, 1]) + FORE_M
     begin_m = meet_m + pace_mps * meet_s + END_M
     people = "\n".join(
         f'<person id="{name}" type="walker" depart="0" departPos="{begin_m + back_m:.2f}">'
@@ -407,7 +405,7 @@ def _person_turns_round(rng: np.random.Generator) -> Draft:
     start_m = (-20.0, pavement.at(0.5 * pavement.width_m + float(rng.uniform(-0.1, 0.1))))
     stick = (Push(0.4, 0.0, 0.75),)
     pace_mps, turn_s = float(rng.uniform(0.6, 0.9)), float(rng.uniform(4.0, 7.0))
-    chair_m = float(way_of(start_m, 90.0, stick, turn_s)[-1, 1]) + FORE_M
+    chair_m = float(predict_path(start_m, 90.0, stick, turn_s)[-1, 1]) + FORE_M
     turn_m = chair_m + float(rng.uniform(0.5, 0.9)) + END_M
     begin_m = turn_m - 0.95 * pace_mps * turn_s
     stop = f'<stop lane="WE_0" startPos="{turn_m - 0.2:.2f}" endPos="{turn_m + 0.2:.2f}" duration="6"/>'
@@ -437,7 +435,7 @@ _DRAWN = MappingProxyType[str, Callable[[np.random.Generator], Draft]](
         "overtaking-rider": _overtaking_rider,
         "person-turns-round": _person_turns_round,
         "reversing-off-kerb": _reversing_off_kerb,
-        "scooter-cuts-in": scooter_cuts_in,
+        "scooter-cuts-in": _scooter_cuts_in,
         "turning-beside-drop": _turning_beside_drop,
         "twisted-ramp": _twisted_ramp,
     }

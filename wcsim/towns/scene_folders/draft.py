@@ -24,6 +24,16 @@ FORE_M, CASTER_M, AFT_M, HALF_M = 0.8, 0.5, 0.34, 0.31
 """The usual chair, from its drive axle: to the footplate's edge, the casters, its rear end; and half its width."""
 
 XY = tuple[float, float]
+END_M = 50.0
+LANE_M = 3.25
+KERB_Y_M = -LANE_M
+_HOUSE_M = 8.0
+
+_EDGES = '<edge id="WE" from="W" to="E" type="street"/>\n<edge id="EW" from="E" to="W" type="street"/>'
+_CROSSING = '<crossing node="E" edges="WE EW" priority="true" width="3"/>'
+WALKER = (
+    '<vType id="walker" vClass="pedestrian" length="0.28" width="0.48" height="1.75" speedDev="0" maxSpeed="{:.2f}"/>'
+)
 
 
 class Node(NamedTuple):
@@ -35,7 +45,7 @@ class Node(NamedTuple):
     z_m: float = 0.0
 
 
-class Thing(NamedTuple):
+class _Thing(NamedTuple):
     """What stands somewhere: a polygon of SUMO's or wcsim's types, filled."""
 
     name: str
@@ -62,7 +72,7 @@ class Place:
     types: str
     edges: str
     crossings: str = ""
-    things: tuple[Thing, ...] = ()
+    things: tuple[_Thing, ...] = ()
     kerb_height_m: float = 0.12
 
 
@@ -101,7 +111,7 @@ def mirrored(draft: Draft) -> Draft:
     )
 
 
-def way_of(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s: float) -> F64:
+def predict_path(start_m: XY, heading_deg: float, stick: Sequence[Push], until_s: float) -> F64:
     """Where the stick alone leads a chair of the usual settings, on flat ground, obeyed 0.2 s late.
 
     Returns:
@@ -155,7 +165,7 @@ def _csv(draft: Draft) -> str:
     return "\n".join(["time_s,x,y", *(f"{t:.1f},{_text(x)},{_text(y)}" for t, x, y in rows), ""])
 
 
-def _poly(thing: Thing) -> str:
+def _poly(thing: _Thing) -> str:
     shape = " ".join(f"{_text(x)},{_text(y)}" for x, y in thing.outline_m)
     return f'<poly id="{thing.name}" type="{thing.kind}" fill="1" shape="{shape}"/>'
 
@@ -186,3 +196,58 @@ recording = "{RECORDING}"
 def _text(value: float) -> str:
     """Millimetres are enough; never a minus before nothing."""
     return f"{round(value, 3) + 0.0:.3f}"
+
+
+class Pavement(NamedTuple):
+    """The pavement south of a street that runs east, whose kerb is on the left of who drives east."""
+
+    width_m: float
+
+    @property
+    def outer_y_m(self) -> float:
+        """Its side away from the road."""
+        return KERB_Y_M - self.width_m
+
+    def at(self, from_kerb_m: float) -> float:
+        """Net coordinate y so far from the kerb."""
+        return KERB_Y_M - from_kerb_m
+
+    def types(self) -> str:
+        """The street's type."""
+        return (
+            f'<type id="street" priority="3" numLanes="1" speed="8.33" width="{LANE_M}" '
+            f'sidewalkWidth="{self.width_m:.2f}" disallow="pedestrian wheelchair"/>'
+        )
+
+
+def street(pavement: Pavement, *things: _Thing, kerb_height_m: float = 0.12) -> Place:
+    """A street that runs east between pavements; `things` stand beside it."""
+    return Place(
+        nodes=(Node("W", -END_M, 0.0), Node("E", END_M, 0.0)),
+        types=pavement.types(),
+        edges=_EDGES,
+        crossings=_CROSSING,
+        things=things,
+        kerb_height_m=kerb_height_m,
+    )
+
+
+def row(pavement: Pavement, away_m: float = 0.0) -> _Thing:
+    """A row of houses along a pavement, so far from it."""
+    return house("row", (-45.0, 45.0), pavement.outer_y_m - away_m)
+
+
+def house(name: str, x_m: XY, near_y_m: float, kind: str = "building") -> _Thing:
+    """A house, or the like, south of `near_y_m`."""
+    far_y_m = near_y_m - _HOUSE_M
+    west_m, east_m = x_m
+    corners = ((west_m, far_y_m), (east_m, far_y_m), (east_m, near_y_m), (west_m, near_y_m), (west_m, far_y_m))
+    return _Thing(name, kind, corners)
+
+
+def path_types(width_m: float, name: str = "shared", priority: int = 1) -> str:
+    """A type of path for walkers and riders together."""
+    return (
+        f'<type id="{name}" priority="{priority}" numLanes="1" speed="8.33" width="{width_m:.2f}" '
+        'allow="pedestrian bicycle scooter"/>'
+    )

@@ -8,6 +8,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from wcsim.types import F64
+
 _FINEST_M = 64.0
 BLOCK_M = 400.0
 _LAP_M = 0.05  # of blocks: side by side they would part along cracks as thin as a number's last digit
@@ -15,12 +17,27 @@ WHOLE_M = 1200.0  # areas up to this size are buffered as they are
 _ARC = 16  # segments a quarter circle: shapely's own
 
 
+def cross_z(a: F64, b: F64) -> F64:
+    """Upward component (...,) of the cross product of plane vectors (..., 2); positive when b lies to the left of a.
+
+    >>> float(cross_z(np.array([1.0, 0.0]), np.array([0.0, 2.0])))
+    2.0
+    """
+    area: F64 = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return area
+
+
+def length_of(points_m: F64) -> float:
+    """Length in metres of a polyline (K, 2)."""
+    return float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())
+
+
 def valid(area: BaseGeometry) -> BaseGeometry:
     """The same area, mended where it crosses itself, at which overlays fail: buffers on a grid and fast clips do."""
     return area if area.is_valid else shapely.make_valid(area, method="structure", keep_collapsed=False)
 
 
-def clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
+def _clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
     """The part of an area inside a rectangle; GEOS 3.14's fast clipping fails where an area only touches it."""
     try:
         return valid(shapely.clip_by_rect(area, *bounds))
@@ -49,7 +66,7 @@ class Patches:
         edge_m = _FINEST_M * 2.0**level
         col = int((0.5 * (x0 + x1) - self._left_m) // edge_m)
         row = int((0.5 * (y0 + y1) - self._bottom_m) // edge_m)
-        return clipped(self._square(level, col, row), bounds)
+        return _clipped(self._square(level, col, row), bounds)
 
     def _square(self, level: int, col: int, row: int) -> BaseGeometry:
         """The area in one square and half a square around it."""
@@ -60,7 +77,7 @@ class Patches:
             edge_m = _FINEST_M * 2.0**level
             x0, y0 = self._left_m + (col - 0.5) * edge_m, self._bottom_m + (row - 0.5) * edge_m
             around = self._square(level + 1, col // 2, row // 2)
-            self._cut[key] = clipped(around, (x0, y0, x0 + 2.0 * edge_m, y0 + 2.0 * edge_m))
+            self._cut[key] = _clipped(around, (x0, y0, x0 + 2.0 * edge_m, y0 + 2.0 * edge_m))
         return self._cut[key]
 
 
@@ -87,5 +104,5 @@ def buffered(
         for y in np.arange(y0 - reach_m, y1 + reach_m, BLOCK_M):
             near = patches.near((x - beside_m, y - beside_m, x + BLOCK_M + beside_m, y + BLOCK_M + beside_m))
             if not near.is_empty:
-                blocks.append(clipped(buffer(near), (x, y, x + BLOCK_M + _LAP_M, y + BLOCK_M + _LAP_M)))
+                blocks.append(_clipped(buffer(near), (x, y, x + BLOCK_M + _LAP_M, y + BLOCK_M + _LAP_M)))
     return shapely.union_all(blocks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shapely
 
-from wcsim.towns.ground.tiled_geometry import Patches, buffered
+from wcsim.towns.ground.plane_geometry import Patches, buffered
 
 HOLE = ((0.09, 0.43), (0.1, 0.05), (0.26, 0.47), (-0.06, 0.56))
 AREA = shapely.set_precision(shapely.Polygon(shapely.box(-2, -2, 2, 2).exterior, [HOLE]), 0.01)

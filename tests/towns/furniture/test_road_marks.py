@@ -10,10 +10,10 @@ import pytest
 import shapely
 
 from wcsim.towns.build_street import build_street
-from wcsim.towns.cache.street_arrays import street_of
-from wcsim.towns.furniture.lane_marks import lane_marks
-from wcsim.towns.ground.relief import on_land, relief_of
-from wcsim.towns.ground.surfaces import Surfaces, surfaces_of
+from wcsim.towns.cache.street_cache import unpack_street
+from wcsim.towns.furniture.road_marks import lane_marks
+from wcsim.towns.ground.relief import fit_relief, on_land
+from wcsim.towns.ground.surfaces import Surfaces, make_surfaces
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.scene_folders.build import build_scene
 from wcsim.towns.sumo.net import Net, read_net
@@ -58,8 +58,8 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Town:
 
 def net_of(town: Town) -> tuple[Net, Surfaces]:
     whole = read_net(town.net, town.file.origin_m)
-    net = on_land(whole, relief_of(whole))
-    return net, surfaces_of(net, town.file.chair_ways)
+    net = on_land(whole, fit_relief(whole))
+    return net, make_surfaces(net, town.file.chair_ways)
 
 
 def painted(town: Town, relief: Relief = FLAT) -> GroundPaint:
@@ -137,6 +137,6 @@ def test_a_street_of_walking_speed_has_no_lines(town: Town) -> None:
 
 
 def test_a_built_street_keeps_its_paint_in_its_tiles(town: Town) -> None:
-    kept, made = street_of(build_street(town)).mesh.paint, painted(town)
+    kept, made = unpack_street(build_street(town)).mesh.paint, painted(town)
     rows = [np.unique(np.c_[p.quads_W_m.reshape(-1, 12), p.mark], axis=0) for p in (kept, made)]
     assert np.array_equal(*rows)

@@ -1,19 +1,39 @@
-"""What OpenStreetMap's tags say about being on the ground, below it, above it, or indoors."""
+"""What OpenStreetMap's tags say about being on the ground, below it, above it, or indoors, and lengths in them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 
-from wcsim.towns.osm.lengths import metres
-
+_FOOT_M = 0.3048
 _INSIDE = ("underground", "indoor", "roof", "rooftop", "overhead", "overground", "kiosk")
 _NO = ("", "no")
 STOREY_M = 3.2
 
 
+def metres(text: str) -> float | None:
+    """A length in OpenStreetMap's spelling, or None; of several the largest.
+
+    >>> metres("12.5 m"), metres("40 ft"), metres("3;4,5"), metres("12'"), metres("about ten")
+    (12.5, 12.192, 4.5, 3.6576, None)
+    """
+    known = [value for value in map(_one, text.split(";")) if value is not None]
+    return max(known) if known else None
+
+
+def _one(text: str) -> float | None:
+    plain = text.strip().lower().replace(",", ".").lstrip("~")
+    feet = re.fullmatch(r"(\d{1,4}(?:\.\d+)?)\s*'\s*(?:(\d{1,2}(?:\.\d+)?)\s*\")?", plain)
+    if feet:
+        return round((float(feet[1]) + float(feet[2] or 0.0) / 12.0) * _FOOT_M, 4)
+    found = re.fullmatch(r"(-?\d{1,6}(?:\.\d+)?)\s*(m|metre|metres|meter|meters|ft|feet)?", plain)
+    if not found:
+        return None
+    return round(float(found[1]) * (_FOOT_M if found[2] in ("ft", "feet") else 1.0), 4)
+
+
 def off_ground(tags: Mapping[str, str]) -> bool:
-    """True for things that nobody meets on the street: under ground, indoors, on bridges or upper floors.
+    """True for things that are not on the street: under ground, indoors, on bridges or upper floors.
 
     >>> off_ground({"level": "0;1"}), off_ground({"level": "-1"}), off_ground({"layer": "1"}), off_ground({})
     (False, True, True, False)
