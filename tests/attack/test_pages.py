@@ -22,7 +22,7 @@ from wcsim.cli.main import main
 from wcsim.drive.playing.play_messages import FailedLine
 from wcsim.drive.playing.play_state import about_of
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.training.demo_page import DemoShown, write_demo_page
+from wcsim.view.report.demo_page import DemoShown, write_demo_page
 
 pytestmark = [
     pytest.mark.browser,

@@ -16,8 +16,7 @@ from wcsim.errors import ConfigError, FileError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import KeptResult
-    from wcsim.view.report.failures import FailedEpisode
-    from wcsim.view.report.illustrate import Illustration, Key
+    from wcsim.view.report.failures import FailedEpisode, Illustration, Key
 
 _MOST_PICTURES = 1000
 
@@ -71,19 +70,17 @@ def _is_test(folder: Path) -> bool:
 
 
 def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
-    from wcsim.view.report.training.learning_curve import crossing, read_training
-    from wcsim.view.report.training.round_figures import told_of
-    from wcsim.view.report.training.selection import selections
-    from wcsim.view.report.training.training_page import write_training_page
-    from wcsim.view.report.training.waiting import waitings
+    from wcsim.view.report.client_sections import client_sections
+    from wcsim.view.report.learning_curve import crossing, read_training
+    from wcsim.view.report.training_page import rounds_summary, write_training_page
 
     training = read_training(folders)
-    page = write_training_page(training, out, (*selections(training), *waitings(training)))
+    page = write_training_page(training, out, client_sections(training))
     for name, steps in training.steps.items():
         stdout_console().print(f"{name}: {crossing(steps).told()}", soft_wrap=True, markup=False)
     for name, rounds in training.rounds.items():
         if rounds:
-            stdout_console().print(f"{name}: {told_of(rounds)}", soft_wrap=True, markup=False)
+            stdout_console().print(f"{name}: {rounds_summary(rounds)}", soft_wrap=True, markup=False)
     return page
 
 
@@ -104,7 +101,7 @@ def _of_test(options: Options, out: Path) -> Path:
 
 
 def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
-    from wcsim.view.report.illustrate import chosen, illustrated, order_of
+    from wcsim.view.report.failures import chosen, illustrated, order_of
 
     wanted = chosen(failures, options.pictures)
     if not wanted:

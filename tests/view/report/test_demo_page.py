@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from tests.drive.page.test_page import CHROMIUM, FLAGS
-from wcsim.view.report.training.demo_page import DemoShown, write_demo_page
+from wcsim.view.report.demo_page import DemoShown, write_demo_page
 
 NUMBERS = {
     "crashes_own": 12, "crashes_other": 10, "km": 12.34, "kpi1_mean": 0.123, "kpi1_within": 1.0,

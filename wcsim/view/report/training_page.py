@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 from wcsim.agents.learning.watching.metrics import KPI1_STEPS
+from wcsim.agents.rounds.round_log import TrainedRound
+from wcsim.core.reading import counted
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart
 from wcsim.view.report.figures import figure
-from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, table
-from wcsim.view.report.page import Section, facts, page, shown, write_page
-from wcsim.view.report.training.learning_curve import (
+from wcsim.view.report.learning_curve import (
     KPI1_LIMIT,
     OVER,
     LogRow,
@@ -24,8 +24,32 @@ from wcsim.view.report.training.learning_curve import (
     running_means,
     switch_step,
 )
-from wcsim.view.report.training.round_figures import round_sections
+from wcsim.view.report.markup import (
+    Cell,
+    Exhibit,
+    Markup,
+    Section,
+    csv_of,
+    el,
+    facts,
+    joined,
+    page,
+    shown,
+    table,
+    write_page,
+)
 
+Runs = Mapping[str, tuple[TrainedRound, ...]]
+_THOUSAND: Final = 1000.0
+_LOSS_SAYS: Final = (
+    "Loss at the end of a round, smoothed over about 50 updates, over all 81 positions. Each round adds new driving "
+    "data, so the loss may rise although the network gets better"
+)
+_CRASH_SAYS: Final = (
+    "Crashes per 1,000 new steps of data: users and the oracle drive, and from the third round on, in a share of the "
+    "episodes, the network of the round before the last. Their driving is disturbed on purpose, so this is no "
+    "measure of the network"
+)
 _KPI1_SAYS: Final = (
     f"Distance between the agent's own best action and the user's stick, and its limit {KPI1_LIMIT}. In the first "
     f"phase the user's action is executed. A dot is 100 steps, a line the mean of the last {KPI1_STEPS}. Triangle: "
@@ -50,6 +74,76 @@ _FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
 _NAMES: Final = {"kpi1": "fig-7a-kpi1", "length": "fig-7b-length", "overestimate": "overestimate"}
 
 
+def _round_sections(runs: Runs) -> list[tuple[Section, Sequence[Exhibit]]]:
+    """The section of the page with what belongs to it; none where no run has rounds."""
+    if not any(runs.values()):
+        return []
+    drawn = [
+        _round_figure(runs, "round-loss", "loss", _LOSS_SAYS, lambda rounds: [each.loss for each in rounds]),
+        _round_figure(runs, "round-crashes", "crashes per 1,000 steps", _CRASH_SAYS, _crash_rates),
+    ]
+    rows = _round_table(runs)
+    body = el("div", el("div", *map(shown, drawn), class_="charts"), shown(rows))
+    return [(Section(name="rounds", title="Rounds of driving and learning", body=body), (*drawn, rows))]
+
+
+def _crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
+    """Crashes per 1,000 steps that each round added; NaN where it added none."""
+    return [_THOUSAND * each.crashes / each.new_steps if each.new_steps else math.nan for each in rounds]
+
+
+def rounds_summary(rounds: Sequence[TrainedRound]) -> str:
+    """A run's rounds in a line.
+
+    >>> at = {"round": 0, "steps": 2000, "new_steps": 2000, "updates": 50, "loss": 0.25, "wait_s": 1, "learn_s": 2}
+    >>> rounds_summary((TrainedRound(tight_share=0.2, crashes=4, **at),))
+    '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
+    """
+    last, rate = rounds[-1], _crash_rates(rounds)[-1]
+    told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
+    return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+
+
+def _round_figure(
+    runs: Runs, name: str, label: str, says: str, of: Callable[[Sequence[TrainedRound]], Iterable[float]]
+) -> Exhibit:
+    curves, plain = [], list[list[Cell]]()
+    for run, rounds in runs.items():
+        known = [(each, value) for each, value in zip(rounds, of(rounds), strict=True) if math.isfinite(value)]
+        values = [value for _, value in known]
+        curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
+        plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
+    svg = curve_chart(name, label, curves)
+    return figure(name, label[0].upper() + label[1:], f"{says}.", csv_of(("run", "round", "steps", label), plain), svg)
+
+
+def _round_table(runs: Runs) -> Exhibit:
+    headings = (
+        *("run", "round", "steps", "new", "of these with dangers", "crashes", "per 1,000 steps", "updates", "loss"),
+        *("waited for worlds, s", "learned, s"),
+    )
+    rows: list[list[Cell]] = [
+        [
+            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
+            _rounded_cell(rate, 1), each.updates, _rounded_cell(each.loss, 3), round(each.wait_s), round(each.learn_s),
+        ]
+        for run, rounds in runs.items()
+        for each, rate in zip(rounds, _crash_rates(rounds), strict=True)
+    ]  # fmt: skip
+    return Exhibit(
+        name="rounds",
+        title="Rounds",
+        says="Steps: all samples so far. New: added in this round. With dangers: share of all steps in which some "
+        "stick position ends in a crash. Crashes of this round. Updates so far. Times are wall-clock time.",
+        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
+        csv=csv_of(headings, rows),
+    )
+
+
+def _rounded_cell(value: float, digits: int) -> Cell:
+    return round(value, digits) if math.isfinite(value) else None
+
+
 def write_training_page(training: Training, folder: Path, more: Sequence[tuple[Section, Exhibit]] = ()) -> Path:
     """Write the page of a training; where it is.
 
@@ -63,7 +157,7 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
         DiskFullError: It cannot be written.
     """
     episodes = any(training.clients.values()) or any(training.steps.values())
-    rounds = round_sections(training.rounds)
+    rounds = _round_sections(training.rounds)
     if not episodes and not rounds:
         raise PolicyError(f"{folder}: no client has logged a step yet; continue the training with --resume")
     parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]

@@ -57,7 +57,7 @@ class Training:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LimitCrossing:
+class _LimitCrossing:
     """Where the mean of KPI 1 over the last 2,000 steps came below the limit."""
 
     step: int | None  # at which it first did; None where it never did
@@ -68,7 +68,7 @@ class LimitCrossing:
     def told(self) -> str:
         """In words.
 
-        >>> LimitCrossing(step=3200, last=0.1, left=9000).told()
+        >>> _LimitCrossing(step=3200, last=0.1, left=9000).told()
         'KPI 1 (mean of 2000 steps) is below 0.1768 from step 3200 on, above it again since step 9000'
         """
         mean = f"KPI 1 (mean of {KPI1_STEPS} steps)"
@@ -161,16 +161,16 @@ def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
     return [math.fsum(values[first : place + 1]) / (place + 1 - first) for place, first in enumerate(firsts)]
 
 
-def crossing(rows: Sequence[TrainedSteps]) -> LimitCrossing:
+def crossing(rows: Sequence[TrainedSteps]) -> _LimitCrossing:
     """Where the mean of KPI 1 over the last 2,000 steps first was at most the limit."""
     means = running_means([row.kpi1 for row in rows])
     within = [place for place, mean in enumerate(means) if mean <= KPI1_LIMIT and place + 1 >= OVER]
     last = means[-1] if len(means) >= OVER else None
     if not within:
-        return LimitCrossing(step=None, last=last)
+        return _LimitCrossing(step=None, last=last)
     left = rows[within[-1] + 1].step if within[-1] + 1 < len(rows) else None
     first = rows[within[0]]
-    return LimitCrossing(step=first.step, last=last, left=left, elapsed_s=first.elapsed_s)
+    return _LimitCrossing(step=first.step, last=last, left=left, elapsed_s=first.elapsed_s)
 
 
 def kpi1_of(run: Path) -> float:

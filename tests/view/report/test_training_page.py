@@ -12,8 +12,8 @@ from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.training.learning_curve import TrainedSteps, crossing, read_training
-from wcsim.view.report.training.training_page import write_training_page
+from wcsim.view.report.learning_curve import TrainedSteps, crossing, read_training
+from wcsim.view.report.training_page import write_training_page
 
 INFO = RunInfo(seed=1, town="corner")
 

@@ -9,8 +9,7 @@ from typing import Final
 
 from wcsim.agents.evaluation.matrix import TestResult
 from wcsim.core.files import write_bytes
-from wcsim.view.report.markup import Markup, data_uri, el, joined, table
-from wcsim.view.report.page import Section, page
+from wcsim.view.report.markup import Markup, Section, data_uri, el, joined, page, table
 
 DEMO_PAGE: Final = "demo.html"
 _COLUMNS: Final = (
