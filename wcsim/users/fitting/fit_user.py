@@ -21,7 +21,7 @@ from wcsim.types import F64, Joystick
 from wcsim.users.fitting.habit_fit import FittedNumber, looks, usual_speed
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
 from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, hand_series
-from wcsim.users.fitting.stick_positions import at_switches, require_stick
+from wcsim.users.fitting.stick_positions import at_switches, check_stick
 from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
 from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
 from wcsim.users.recording.drive_types import DriveRecording
@@ -174,14 +174,14 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
         wanted: Whether the intents are what was wanted; else they were made by the user model, which never looks away.
 
     Raises:
-        ConfigError: There is no intent, no episode of some seconds, or no stick (see `require_stick`); or the drives
+        ConfigError: There is no intent, no episode of some seconds, or no stick (see `check_stick`); or the drives
             are of different ticks, or of chairs that take a stick otherwise.
     """
     if not all(drive.knows_intents for drive in drives):
         raise ConfigError("a drive has ticks without an intent; expected an intent in every tick")
     _require_alike(drives)
     for drive in drives:
-        require_stick(drive.name, drive.ticks)
+        check_stick(drive.name, drive.ticks)
     series = hand_series(drives)
     if not series:
         raise ConfigError(

@@ -25,7 +25,7 @@ def at_switches(sticks: F64) -> Bool:
     return found
 
 
-def require_stick(name: str, ticks: Sequence[RecordedTick]) -> None:
+def check_stick(name: str, ticks: Sequence[RecordedTick]) -> None:
     """Raise ConfigError for a drive by keys, or by the switches of the page of a drive, of which no hand can be fitted.
 
     The four switches of the user model are none of these: who drove with them is fitted by what they do.

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from wcsim.config.study import StudyBlock, StudyFile, StudyPlace, StudyQuestion
-from wcsim.drive.keeping.study_plan import END, StepKind, latin_square, order_words, parts_of, steps_of
+from wcsim.drive.recording.study_plan import END, StepKind, latin_square, order_words, remaining_steps, study_parts
 
 
 def block(name: str) -> StudyBlock:
@@ -39,7 +39,10 @@ def test_each_stands_everywhere_and_behind_each_other_equally_often(count: int) 
 def test_participants_go_through_all_orders_and_blocks_through_all_places() -> None:
     file = study()
     met = Counter(
-        (part.block.name, part.place.seed) for number in range(1, 5) for part in parts_of(file, number) if part.number
+        (part.block.name, part.place.seed)
+        for number in range(1, 5)
+        for part in study_parts(file, number)
+        if part.number
     )
     assert len(met) == 16 and set(met.values()) == {1}
     assert order_words(file, 1) == order_words(file, 5) != order_words(file, 2)
@@ -47,7 +50,7 @@ def test_participants_go_through_all_orders_and_blocks_through_all_places() -> N
 
 
 def test_the_practice_comes_first_and_nothing_is_asked_about_it() -> None:
-    steps = steps_of(study(), 1)
+    steps = remaining_steps(study(), 1)
     told = [(step.kind, step.part.block.name if step.part else "") for step in steps]
     assert told[:6] == [
         (StepKind.WELCOME, ""),
@@ -62,12 +65,12 @@ def test_the_practice_comes_first_and_nothing_is_asked_about_it() -> None:
 
 
 def test_what_is_done_is_not_done_again() -> None:
-    steps = steps_of(study(), 1, done={"p", "a"}, driven={"b"})
+    steps = remaining_steps(study(), 1, done={"p", "a"}, driven={"b"})
     told = [(step.kind, step.part.block.name if step.part else "") for step in steps]
     assert told[:4] == [(StepKind.WELCOME, ""), (StepKind.ASK, "b"), (StepKind.REST, ""), (StepKind.READ, "d")]
-    assert [step.kind for step in steps_of(study(), 1, done=set("pabcd"))] == [
+    assert [step.kind for step in remaining_steps(study(), 1, done=set("pabcd"))] == [
         StepKind.WELCOME,
         StepKind.ASK,
         StepKind.END,
     ]
-    assert [step.kind for step in steps_of(study(), 1, done={*"pabcd", END})] == [StepKind.END]
+    assert [step.kind for step in remaining_steps(study(), 1, done={*"pabcd", END})] == [StepKind.END]

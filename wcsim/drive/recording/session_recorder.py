@@ -1,4 +1,4 @@
-"""Who keeps a drive: each tick goes into a file from which the same drive is made again (docs/recordings.md)."""
+"""Records a drive: each tick goes into a file from which the same drive is made again (docs/recordings.md)."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _RECORDED = "the simulated user is a recording, which a drive cannot be replayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KeptNews:
-    """What is new about keeping."""
+class RecorderStatus:
+    """What has changed about the recording."""
 
     on: bool  # ticks go into a file
     file: str = ""  # it, or the one that they went into
     told: str = ""  # for the person
-    log: str = ""  # for whoever started the drive; "" for nothing to say
+    log: str = ""  # for the console; "" for nothing to log
 
 
-class DriveKeeper:
-    """Looks on at a session from its first tick on, and writes. A file that cannot be written on never ends the drive.
+class SessionRecorder:
+    """Records a session from its first tick on. A file that cannot be written never ends the drive.
 
     Args:
-        session: Who is looked on at; it has not been driven yet.
+        session: What is recorded; it has not been driven yet.
         names: Of new files, one for each world.
-        tell: Hears when keeping begins and ends.
+        tell: Called when a recording begins and ends.
     """
 
-    def __init__(self, session: DriveSession, names: Iterator[Path], tell: Callable[[KeptNews], object]) -> None:
+    def __init__(self, session: DriveSession, names: Iterator[Path], tell: Callable[[RecorderStatus], object]) -> None:
         self._session, self._names, self._tell = session, names, tell
         self._recorder: DriveRecorder | None = None
         self._header: DriveHeader | None = None  # of the world that is driven; None where nothing is kept of it
@@ -97,7 +97,7 @@ class DriveKeeper:
             self._note_first(EventKind.ASSISTANCE, "off")
         if session.driver is DriverKind.SIMULATED:
             self._note_first(EventKind.DRIVER, session.driver.value)
-        self._tell(KeptNews(on=True, told="Recording starts when you drive."))
+        self._tell(RecorderStatus(on=True, told="Recording starts when you drive."))
 
     def _sits_in_scene(self) -> bool:
         """Whether the recorded user beside the person is the one of a generated scene, which is made again with it."""
@@ -112,7 +112,9 @@ class DriveKeeper:
         for event in self._waiting:
             self._recorder.note(event)
         self._waiting = []
-        self._tell(KeptNews(on=True, file=self._file, log=f"recording to {shown(path)}: {self._session.place.told}"))
+        self._tell(
+            RecorderStatus(on=True, file=self._file, log=f"recording to {shown(path)}: {self._session.place.told}")
+        )
         return self._recorder
 
     def _note(self, event: DriveEvent) -> None:
@@ -140,7 +142,7 @@ class DriveKeeper:
         """Nothing more is kept of this world; what was, is."""
         self._end()
         told = "Recording has stopped" if self._file else "This drive is not recorded"
-        self._tell(KeptNews(on=False, file=self._file, told=f"{told}: {why}", log=f"not recording: {why}"))
+        self._tell(RecorderStatus(on=False, file=self._file, told=f"{told}: {why}", log=f"not recording: {why}"))
 
     def _end(self) -> None:
         self._header = None
@@ -149,7 +151,7 @@ class DriveKeeper:
             recorder.close()
             minutes = self._kept * self._session.tick_s / 60.0
             log = f"wrote {shown(self._file)}: {self._kept} ticks, {minutes:.1f} min"
-            self._tell(KeptNews(on=False, file=self._file, log=log))
+            self._tell(RecorderStatus(on=False, file=self._file, log=log))
 
 
 def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> RecordedTick:

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.drive.keeping.studies import STUDY, Participant, write_study
+from tests.drive.recording.studies import STUDY, Participant, write_study
 from wcsim.bridge.drives.remake import verify_drive
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
-from wcsim.drive.keeping import study_lead
-from wcsim.drive.keeping.open_study import OpenStudy, open_study, rows_of, shipped_studies
-from wcsim.drive.keeping.study_plan import StepKind
-from wcsim.drive.keeping.study_table import columns_of, read_rows
+from wcsim.drive.recording import study_lead
+from wcsim.drive.recording.open_study import OpenStudy, open_study, participant_rows, shipped_studies
+from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
 from wcsim.users.recording.drive_reader import read_drive
 
@@ -78,7 +77,7 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     person.answer(1)
     assert (person.view.kind, person.view.told) == (StepKind.END, ("Thanks.", "Everything is saved."))
 
-    rows = rows_of(study)
+    rows = participant_rows(study)
     assert [row["block"] for row in rows] == ["practice", "more", "alone", "end"]
     assert [row["part"] for row in rows] == ["0", "1", "2", ""]
     assert [row["ended"] for row in rows] == ["minutes", "stopped", "minutes", ""]
@@ -113,15 +112,15 @@ def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin
     person.press()
     assert (person.view.kind, person.view.where) == (StepKind.READ, "Part 2 of 2")
     person.until(StepKind.END)
-    assert [row["block"] for row in rows_of(study)] == ["practice", "more", "alone", "end"]
-    assert rows_of(study)[1]["answer_effort"] == "4"
+    assert [row["block"] for row in participant_rows(study)] == ["practice", "more", "alone", "end"]
+    assert participant_rows(study)[1]["answer_effort"] == "4"
     assert {path.name for path in study.folder.glob("*.drive")} == {
         "0-practice.drive",
         "1-more.drive",
         "2-alone.drive",
         "2-alone-2.drive",
     }
-    assert rows_of(study)[2]["recording"].endswith("2-alone-2.drive"), "that of the drive that counts"
+    assert participant_rows(study)[2]["recording"].endswith("2-alone-2.drive"), "that of the drive that counts"
     assert begin(study).view.kind is StepKind.END
     other = begin(opened(corner, tmp_path, 1))
     assert other.view.kind is StepKind.WELCOME
@@ -175,7 +174,7 @@ def test_help_that_is_asked_for_in_a_pause_is_in_the_row_of_its_block(
     for _ in range(2):
         person.session.ask_for_help()
     person.press()  # ended early, without another tick
-    assert rows_of(study)[0]["helps"] == "1", "one call a tick counts"
+    assert participant_rows(study)[0]["helps"] == "1", "one call a tick counts"
 
 
 def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None:
@@ -186,10 +185,10 @@ def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None
     person.drive()
     person.press()
     assert person.view.arrivals_left == 1 and person.session is not None
-    person.session.tally.arrivals = 1
+    person.session.metrics.arrivals = 1
     assert person.drive() == 1
     person.answer(0, 0)
-    assert rows_of(opened(corner, tmp_path, 1, text))[1]["ended"] == "arrivals"
+    assert participant_rows(opened(corner, tmp_path, 1, text))[1]["ended"] == "arrivals"
     person.close()
 
 
@@ -205,7 +204,7 @@ def test_answers_that_cannot_be_written_are_asked_for_again(
             person.answer(0, 0)
     assert any("no room" in line and "kpi" not in line for line in person.said), "the figures are not lost"
     person.answer(0, 0)
-    assert [row["block"] for row in rows_of(study)] == ["more"]
+    assert [row["block"] for row in participant_rows(study)] == ["more"]
     person.close()
 
 
@@ -214,7 +213,7 @@ def test_a_street_that_cannot_be_opened_may_be_tried_again(
 ) -> None:
     person = begin(opened(corner, tmp_path))
     with monkeypatch.context() as gone:
-        gone.setattr(study_lead, "start_of", lambda *_: (_ for _ in ()).throw(TownError("the town is gone")))
+        gone.setattr(study_lead, "study_start", lambda *_: (_ for _ in ()).throw(TownError("the town is gone")))
         person.press()
         assert (person.view.button, person.view.trouble) == ("Try again", "the town is gone")
         person.press()
@@ -289,7 +288,7 @@ def test_the_study_that_is_shipped_can_begin(tmp_path: Path) -> None:
     study = open_study("assistance", 2, tmp_path)
     assert study.order == "less>more>alone"
     assert parse_json(StudyFile, study.file.model_dump_json(), "again") == study.file
-    assert read_rows(study.table, columns_of(study.file)) == ()
+    assert read_rows(study.table, table_columns(study.file)) == ()
 
 
 def test_each_part_is_in_the_table_where_questions_come_at_the_end_alone(
@@ -300,4 +299,4 @@ def test_each_part_is_in_the_table_where_questions_come_at_the_end_alone(
     study = opened(corner, tmp_path, text=text)
     person = begin(study)
     person.until(StepKind.END)
-    assert [row["block"] for row in rows_of(study)] == ["practice", "more", "alone", "end"]
+    assert [row["block"] for row in participant_rows(study)] == ["practice", "more", "alone", "end"]

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.drive.serving.door import Door, content_policy, new_token
+from wcsim.drive.serving.access_control import AccessControl, content_policy, new_token
 
 HERE = "127.0.0.1:8080"
-LOCAL = Door(host="127.0.0.1")
+LOCAL = AccessControl(host="127.0.0.1")
 EVERYWHERE = ".".join("0000")
 
 
@@ -42,7 +42,7 @@ def test_a_foreign_origin_reads_no_file_either() -> None:
 
 def test_on_a_network_the_token_opens() -> None:
     token = new_token()
-    door = Door(host="10.0.0.5", token=token)
+    door = AccessControl(host="10.0.0.5", token=token)
     name, origin = "10.0.0.5:8080", "http://10.0.0.5:8080"
     assert door.refusal(name, origin, f"/socket?token={token}", socket=True) == ""
     assert door.refusal(name, None, f"/?token={token}", socket=False) == ""
@@ -60,10 +60,12 @@ def test_on_a_network_the_token_opens() -> None:
 
 def test_at_every_address_any_name_will_do_with_the_token_and_none_without() -> None:
     assert (
-        Door(host=EVERYWHERE, token="t" * 32).refusal("box:1", "http://box:1", f"/socket?token={'t' * 32}", socket=True)
+        AccessControl(host=EVERYWHERE, token="t" * 32).refusal(
+            "box:1", "http://box:1", f"/socket?token={'t' * 32}", socket=True
+        )
         == ""
     )
-    assert Door(host=EVERYWHERE).refusal("box:1", "http://box:1", "/socket", socket=True) != ""
+    assert AccessControl(host=EVERYWHERE).refusal("box:1", "http://box:1", "/socket", socket=True) != ""
 
 
 def test_tokens_are_long_and_differ() -> None:

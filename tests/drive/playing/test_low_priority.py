@@ -6,9 +6,9 @@ import sys
 CODE = """
 import os
 before = os.getsid(0)
-from wcsim.drive.playing.giving_way import LAST, give_way
-give_way()
-give_way()  # a second time changes nothing
+from wcsim.drive.playing.low_priority import LAST, run_at_low_priority
+run_at_low_priority()
+run_at_low_priority()  # a second time changes nothing
 print(os.getsid(0) == os.getpid() != before, os.nice(0) == LAST, os.sched_getscheduler(0) == os.SCHED_IDLE)
 """
 

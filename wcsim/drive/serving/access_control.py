@@ -1,4 +1,4 @@
-"""Who may come in: checks of a request's host, origin and token, without any socket."""
+"""Access control: checks of a request's host, origin and token, without any socket."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 from urllib.parse import parse_qs, urlsplit
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
-ANYWHERE: Final = ("0.0.0.0", "::")  # noqa: S104 - named by the person who starts it, and only with a token
+_ANYWHERE: Final = ("0.0.0.0", "::")  # noqa: S104 - named by the person who starts it, and only with a token
 _HOST: Final = re.compile(r"(?P<name>\[[0-9a-fA-F:]{2,45}\]|[A-Za-z0-9.-]{1,253})(?::[0-9]{1,5})?")
 _TOKEN_BYTES: Final = 24
 
@@ -21,15 +21,15 @@ def new_token() -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Door:
-    """Lets in whom the address was given to.
+class AccessControl:
+    """Accepts requests that know the printed address.
 
     A page of another site can make a browser connect to this machine, and can give its own name this machine's address:
     so the name by which a request came has to be one of ours, and the page that it came from has to be that name's.
     """
 
     host: str  # that the server listens at
-    token: str = ""  # asked of everybody where there is one
+    token: str = ""  # required of every page where there is one
 
     def refusal(self, host: str | None, origin: str | None, path: str, *, socket: bool) -> str:
         """Why a request is refused, "" for one that is let in.
@@ -53,7 +53,7 @@ class Door:
         return ""
 
     def _is_ours(self, name: str) -> bool:
-        if self.host in ANYWHERE:
+        if self.host in _ANYWHERE:
             return bool(self.token)
         return name == self.host.lower() or (self.host in LOOPBACK and name in LOOPBACK)
 

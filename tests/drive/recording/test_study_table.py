@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.drive.keeping.study_table import append_row, read_rows
+from wcsim.drive.recording.study_plan import append_row, read_rows
 from wcsim.errors import ConfigError, DiskFullError
 
 COLUMNS = ("participant", "block", "answer")

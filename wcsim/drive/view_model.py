@@ -1,4 +1,4 @@
-"""What a page is told of a session: what it is, how it stands, and what happens."""
+"""The view model of a drive: what its page shows of the session, of its state, and of events."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile_names
 
-_TOLD: Final = {
+_NOTICES: Final = {
     EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
     EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
     EventKind.HELP_END: ("note", "Help is over. The assistance is as before."),
@@ -22,12 +22,12 @@ _TOLD: Final = {
 }
 
 
-class Keeper(Protocol):
-    """Who keeps time."""
+class _Clock(Protocol):
+    """The clock of a drive."""
 
     @property
     def paused(self) -> bool:
-        """Whether somebody stopped it."""
+        """Whether it was stopped."""
 
     @property
     def pace(self) -> float:
@@ -46,7 +46,7 @@ class Keeper(Protocol):
     gap_s: float
 
 
-def about_of(session: DriveSession) -> m.About:
+def drive_about(session: DriveSession) -> m.About:
     """What is driven, and what else could be."""
     suites = {
         name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
@@ -70,19 +70,19 @@ def about_of(session: DriveSession) -> m.About:
     )
 
 
-def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> m.DriveState:
+def drive_state(clock: _Clock, session: DriveSession, last: DrivenTick | None) -> m.DriveState:
     """The drive as it is; `last` is its newest tick, None at the beginning of an episode."""
     rest = Joystick(0.0, 0.0)
     return m.DriveState(
         tick=session.ticks,
         time_s=round(session.time_s, 3),
-        step=session.tally.steps,
+        step=session.metrics.steps,
         driver=session.driver,
-        paused=keeper.paused,
-        waiting=keeper.waiting,
-        let_go=keeper.must_rest,
+        paused=clock.paused,
+        waiting=clock.waiting,
+        let_go=clock.must_rest,
         alone=not session.handed_over,
-        pace=keeper.pace,
+        pace=clock.pace,
         stick=_xy(last.stick if last else rest),
         chosen=_xy(last.chosen if last else rest),
         commanded=_xy(last.commanded if last else rest),
@@ -100,26 +100,26 @@ def state_of(keeper: Keeper, session: DriveSession, last: DrivenTick | None) -> 
         crash=session.crash,
         profile=session.profile,
         kpis=_kpis(session),
-        tick_ms=round(1000.0 * keeper.tick_s, 2),
-        pictures_ms=round(1000.0 * keeper.picture_s, 2),
-        rate=round(1.0 / keeper.gap_s, 1) if keeper.gap_s > 0.0 else 0.0,
+        tick_ms=round(1000.0 * clock.tick_s, 2),
+        pictures_ms=round(1000.0 * clock.picture_s, 2),
+        rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
     )
 
 
 def _kpis(session: DriveSession) -> m.Kpis:
-    tally = session.tally
+    metrics = session.metrics
     return m.Kpis(
-        kpi1=None if tally.kpi1 is None else round(tally.kpi1, 4),
-        kpi2=round(tally.kpi2, 1),
-        way_m=round(tally.way_m, 1),
+        kpi1=None if metrics.kpi1 is None else round(metrics.kpi1, 4),
+        kpi2=round(metrics.kpi2, 1),
+        way_m=round(metrics.way_m, 1),
         time_s=round(session.time_s, 1),
-        crashes=tally.crashes,
-        arrivals=tally.arrivals,
-        given_up=tally.given_up,
-        helps=tally.helps,
-        overrules=tally.overrules,
-        warnings=tally.warnings,
-        interventions=tally.interventions,
+        crashes=metrics.crashes,
+        arrivals=metrics.arrivals,
+        given_up=metrics.given_up,
+        helps=metrics.helps,
+        overrules=metrics.overrules,
+        warnings=metrics.warnings,
+        interventions=metrics.interventions,
     )
 
 
@@ -127,11 +127,11 @@ def _xy(stick: Joystick) -> tuple[float, float]:
     return round(stick.x, 3), round(stick.y, 3)
 
 
-class PageTeller:
-    """Tells the page of what happens.
+class PageNotifier:
+    """Sends events to the page.
 
     Args:
-        say: Hears the lines for the page.
+        say: Sends a notice to the page.
     """
 
     def __init__(self, say: Callable[[m.Notice], None]) -> None:
@@ -144,8 +144,8 @@ class PageTeller:
         """Those that a person wants to hear of; a crash is in the state."""
         if event.told == ELSEWHERE:
             self._say(m.Notice(kind="note", told="No place before the crash is free. You start somewhere else."))
-        elif event.kind in _TOLD:
-            kind, told = _TOLD[event.kind]
+        elif event.kind in _NOTICES:
+            kind, told = _NOTICES[event.kind]
             self._say(m.Notice(kind=kind, told=told))
         elif event.kind is EventKind.HELP:
             self._say(m.Notice(kind="note", told=event.told))

@@ -15,12 +15,12 @@ from wcsim.bridge.drives.made_scene import made_scene_of, town_of_scene
 from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.ego import ego
+from wcsim.core.files import check_new_file, numbered_names
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
-from wcsim.drive.keeping.drive_keeper import DriveKeeper, KeptNews
-from wcsim.drive.keeping.kept_files import file_names, require_new
+from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
-from wcsim.drive.starting import DriveStart, require_kept
+from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
 from wcsim.types import Joystick
 from wcsim.users.profile_file import profile_of_json
@@ -38,9 +38,9 @@ class Kept:
     """A session that is kept, and what was told of it."""
 
     def __init__(self, start: DriveStart, path: Path) -> None:
-        self.news: list[KeptNews] = []
+        self.news: list[RecorderStatus] = []
         self.session = DriveSession(start)
-        self.session.look_on(DriveKeeper(self.session, file_names(path), self.news.append))
+        self.session.add_observer(SessionRecorder(self.session, numbered_names(path), self.news.append))
 
     def drive(self, ticks: int, more: Wish | None = None) -> None:
         for number in range(ticks):
@@ -220,21 +220,21 @@ def test_a_drive_that_never_moved_leaves_no_file(kept: Kept, tmp_path: Path) -> 
 
 def test_files_are_new_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.drive"
-    assert require_new(path, "--record") == path
+    assert check_new_file(path, "--record") == path
     path.touch()
     (tmp_path / "a-2.drive").touch()
     with pytest.raises(ConfigError, match="exists; expected the name of a new file"):
-        require_new(path, "--record")
+        check_new_file(path, "--record")
     with pytest.raises(ConfigError, match=f": {path} cannot be written to; choose another place with --record"):
         monkeypatch.chdir(tmp_path)
-        require_new(Path("a.drive/b.drive"), "--record")
-    assert next(file_names(path)) == tmp_path / "a-3.drive"
+        check_new_file(Path("a.drive/b.drive"), "--record")
+    assert next(numbered_names(path)) == tmp_path / "a-3.drive"
 
 
 def test_what_cannot_be_made_again_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"the recorded user recorded:a\.csv cannot be part of a recorded drive"):
-        require_kept(DriveStart(profile="recorded:a.csv"))
-    assert require_kept(DriveStart(suite="dev", block=TIGHT_BLOCK, profile="")).block == TIGHT_BLOCK
+        check_recordable(DriveStart(profile="recorded:a.csv"))
+    assert check_recordable(DriveStart(suite="dev", block=TIGHT_BLOCK, profile="")).block == TIGHT_BLOCK
 
 
 @pytest.mark.parametrize("profile", ["", "competent"])

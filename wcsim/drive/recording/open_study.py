@@ -13,13 +13,12 @@ from wcsim.agents.policy_api import Levelled
 from wcsim.config import CONFIG_FILE, parse
 from wcsim.config.study import StudyFile, StudyPlace
 from wcsim.core.reading import is_file, parse_toml, read_text, shown
-from wcsim.drive.keeping.study_plan import order_words
-from wcsim.drive.keeping.study_table import columns_of, read_rows
-from wcsim.drive.starting import PRESET, DriveStart, checked, require_kept
+from wcsim.drive.recording.study_plan import order_words, read_rows, table_columns
+from wcsim.drive.starting import PRESET, DriveStart, check_recordable, checked
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import expanded
 
-MOST_PARTICIPANTS: Final = 9999
+_MOST_PARTICIPANTS: Final = 9999
 _SHIPPED: Final = Path(__file__).parents[2] / "config" / "presets" / "studies"
 
 
@@ -71,8 +70,8 @@ def open_study(
         TownError: There is no such town.
         PolicyError: There is no such policy, or it has no such level.
     """
-    if not 1 <= participant <= MOST_PARTICIPANTS:
-        raise ConfigError(f"--participant {participant}: expected 1 to {MOST_PARTICIPANTS}")
+    if not 1 <= participant <= _MOST_PARTICIPANTS:
+        raise ConfigError(f"--participant {participant}: expected 1 to {_MOST_PARTICIPANTS}")
     path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in shipped_studies() else expanded(name_or_path)
     if not is_file(path):
         known = ", ".join(shipped_studies())
@@ -84,15 +83,15 @@ def open_study(
     place_of_results = out or Path("studies") / file.name
     study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
-        require_kept(checked(start_of(file, place, network)))
+        check_recordable(checked(study_start(file, place, network)))
     _require_levels(study, shown(path))
-    rows_of(study)
+    participant_rows(study)
     return study
 
 
-def rows_of(study: OpenStudy) -> tuple[dict[str, str], ...]:
+def participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
     """The participant's rows. Raises ConfigError for a table of another study."""
-    rows = read_rows(study.table, columns_of(study.file))
+    rows = read_rows(study.table, table_columns(study.file))
     other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
     if other is not None:
         raise ConfigError(
@@ -102,7 +101,7 @@ def rows_of(study: OpenStudy) -> tuple[dict[str, str], ...]:
     return tuple(row for row in rows if row["participant"] == str(study.participant))
 
 
-def start_of(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
+def study_start(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
     """What is opened for a place; an episode of a suite has its own user. `network` is as in `OpenStudy`."""
     drives = DriveStart(policy=file.policy, network=network)
     if place.suite:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
-from wcsim.drive.keeping.drive_keeper import DriveKeeper
-from wcsim.drive.keeping.kept_files import file_names
-from wcsim.drive.keeping.open_study import OpenStudy
-from wcsim.drive.keeping.study_lead import StudyHands, StudyLead
-from wcsim.drive.keeping.study_plan import StepKind
-from wcsim.drive.keeping.study_view import StudyView
+from wcsim.core.files import numbered_names
+from wcsim.drive.recording.open_study import OpenStudy
+from wcsim.drive.recording.session_recorder import SessionRecorder
+from wcsim.drive.recording.study_lead import StudyHands, StudyLead
+from wcsim.drive.recording.study_plan import StepKind, StudyView
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.types import Joystick
@@ -90,7 +89,7 @@ class Participant:
     def _open(self, start: DriveStart, path: Path) -> DriveSession:
         self.close()
         self.session = self._held.enter_context(DriveSession(start))
-        self.session.look_on(DriveKeeper(self.session, file_names(path), lambda _: None))
+        self.session.add_observer(SessionRecorder(self.session, numbered_names(path), lambda _: None))
         return self.session
 
     def close(self) -> None:

@@ -10,12 +10,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from wcsim.core.files import numbered_names
 from wcsim.core.reading import shown
-from wcsim.drive.keeping.kept_files import file_names
-from wcsim.drive.keeping.open_study import OpenStudy, rows_of, start_of
-from wcsim.drive.keeping.study_plan import END, StepKind, StudyPart, StudyStep, questions_of, steps_of
-from wcsim.drive.keeping.study_table import Row, answer_column, answers_of, append_row, columns_of, read_rows
-from wcsim.drive.keeping.study_view import StudyView, view_of
+from wcsim.drive.recording.open_study import OpenStudy, participant_rows, study_start
+from wcsim.drive.recording.study_plan import (
+    END,
+    Row,
+    StepKind,
+    StudyPart,
+    StudyStep,
+    StudyView,
+    answer_choices,
+    answer_column,
+    append_row,
+    read_rows,
+    remaining_steps,
+    step_questions,
+    step_view,
+    table_columns,
+)
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import WcsimError
@@ -32,8 +45,8 @@ def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: s
         file: Of its recording.
         ended: Why: "minutes", "arrivals", or "stopped" by the participant.
     """
-    tally, place = session.tally, session.place
-    moving_s = tally.moving_ticks * session.tick_s
+    metrics, place = session.metrics, session.place
+    moving_s = metrics.moving_ticks * session.tick_s
     return {
         **_head(study, part.block.name),
         "part": str(part.number),
@@ -46,17 +59,17 @@ def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: s
         "recording": file,
         "ended": ended,
         "minutes": f"{session.counted_s / 60.0:.4f}",
-        "kpi1": "" if tally.kpi1 is None else f"{tally.kpi1:.5f}",
-        "kpi2": f"{tally.kpi2:.2f}",
-        "distance_m": f"{tally.way_m:.2f}",
-        "speed_mps": f"{tally.way_m / moving_s:.4f}" if moving_s else "",
-        "arrivals": str(tally.arrivals),
-        "given_up": str(tally.given_up),
-        "crashes": str(tally.crashes),
-        "warnings": str(tally.warnings),
-        "interventions": str(tally.interventions),
-        "helps": str(tally.helps),
-        "overrulings": str(tally.overrules),
+        "kpi1": "" if metrics.kpi1 is None else f"{metrics.kpi1:.5f}",
+        "kpi2": f"{metrics.kpi2:.2f}",
+        "distance_m": f"{metrics.way_m:.2f}",
+        "speed_mps": f"{metrics.way_m / moving_s:.4f}" if moving_s else "",
+        "arrivals": str(metrics.arrivals),
+        "given_up": str(metrics.given_up),
+        "crashes": str(metrics.crashes),
+        "warnings": str(metrics.warnings),
+        "interventions": str(metrics.interventions),
+        "helps": str(metrics.helps),
+        "overrulings": str(metrics.overrules),
     }
 
 
@@ -76,7 +89,7 @@ def _head(study: OpenStudy, block: str) -> dict[str, str]:
     }
 
 
-NO_ANSWER = -1
+_NO_ANSWER = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,11 +114,11 @@ class StudyLead:
     def __init__(self, study: OpenStudy, hands: StudyHands) -> None:
         """Raises ConfigError for a table that cannot be read."""
         self._study, self._hands = study, hands
-        done = {row["block"] for row in rows_of(study)}
-        steps = steps_of(study.file, study.participant, done)
+        done = {row["block"] for row in participant_rows(study)}
+        steps = remaining_steps(study.file, study.participant, done)
         parts = dict.fromkeys(step.part for step in steps if step.part is not None)
         self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
-        self._steps = steps_of(study.file, study.participant, done, self._rows)
+        self._steps = remaining_steps(study.file, study.participant, done, self._rows)
         self._at, self._view = 0, StudyView(step=0, kind=StepKind.END, participant=study.participant, title="")
         self._session: DriveSession | None = None
         self._file, self._failed, self._rested_s = "", False, 0.0
@@ -151,24 +164,24 @@ class StudyLead:
         self._next()
 
     def answer(self, step: int, answers: Sequence[int]) -> None:
-        """Write the answers to this step's questions, numbers from 0 on, `NO_ANSWER` for one that is left out.
+        """Write the answers to this step's questions, numbers from 0 on, `_NO_ANSWER` for one that is left out.
 
         Raises:
             WcsimError: They are not this step's, or could not be written.
         """
         if step != self._at or self.step.kind is not StepKind.ASK:
             return
-        asked = questions_of(self._study.file, self.step)
+        asked = step_questions(self._study.file, self.step)
         told: dict[str, str] = {}
         if len(answers) != len(asked):
             raise WcsimError(f"got {len(answers)} answers; expected {len(asked)}: reload the page")
         for question, number in zip(asked, answers, strict=True):
-            words = answers_of(question)
-            if not NO_ANSWER <= number < len(words):
+            words = answer_choices(question)
+            if not _NO_ANSWER <= number < len(words):
                 raise WcsimError(
                     f"got answer {number} to question {question.name}; expected 0 to {len(words) - 1}: reload the page"
                 )
-            told[answer_column(question)] = "" if number == NO_ANSWER else words[number]
+            told[answer_column(question)] = "" if number == _NO_ANSWER else words[number]
         part = self.step.part
         self._write(_end_row(self._study) if part is None else self._rows[part.block.name], told)
         if part is not None:
@@ -188,7 +201,7 @@ class StudyLead:
             return
         block, self._failed = part.block, self._failed or bool(session.assistance.failed)
         left_s = 60.0 * block.minutes - session.counted_s
-        over = block.arrivals is not None and session.tally.arrivals >= block.arrivals
+        over = block.arrivals is not None and session.metrics.arrivals >= block.arrivals
         if over or left_s <= 1e-6:
             self._finish("arrivals" if over else "minutes")
         elif int(left_s) != self._shown_s:
@@ -202,7 +215,7 @@ class StudyLead:
 
     def _enter(self) -> None:
         step = self.step
-        self._view = view_of(self._study.file, step, self._at, self._study.participant)
+        self._view = step_view(self._study.file, step, self._at, self._study.participant)
         if step.kind is StepKind.READ:
             self._prepare()
         elif step.kind is StepKind.DRIVE:
@@ -221,13 +234,13 @@ class StudyLead:
         self._show(ready=False, trouble="")
         self._file, self._failed = "", False
         name = f"{part.number}-{part.block.name}.drive"
-        path = next(file_names(self._study.folder / name), None)
+        path = next(numbered_names(self._study.folder / name), None)
         try:
             if path is None:
                 raise WcsimError(
                     f"{shown(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
                 )
-            session = self._hands.open(start_of(self._study.file, part.place, self._study.network), path)
+            session = self._hands.open(study_start(self._study.file, part.place, self._study.network), path)
             if part.block.level is not None:
                 session.set_level(part.block.level)
             session.assist(part.block.assistance)
@@ -235,7 +248,7 @@ class StudyLead:
             self._show(ready=True, button="Try again", trouble=str(error))
             return
         self._session, self._file = session, str(path)
-        self._view = view_of(self._study.file, self.step, self._at, self._study.participant)
+        self._view = step_view(self._study.file, self.step, self._at, self._study.participant)
         self._show()
 
     def _finish(self, ended: str) -> None:
@@ -250,7 +263,7 @@ class StudyLead:
         try:
             after = self._steps[self._at + 1]
             if after.kind is StepKind.ASK and after.part is part and part.number:  # and not the questions of the end
-                append_row(self._result(part), columns_of(self._study.file), row)
+                append_row(self._result(part), table_columns(self._study.file), row)
             else:
                 self._write(row, {})
         except WcsimError as error:
@@ -260,7 +273,7 @@ class StudyLead:
     def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
         """The figures of a part that was driven in a sitting before, whose questions were not answered."""
         path = self._result(part)
-        rows = read_rows(path, columns_of(self._study.file))
+        rows = read_rows(path, table_columns(self._study.file))
         found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
         if found:
             self._hands.say(f"{part.block.name} was driven before; only its questions are left: {shown(path)}")
@@ -280,7 +293,7 @@ class StudyLead:
         return self._study.folder / f"{part.number}-{part.block.name}.csv"
 
     def _write(self, row: Row, answers: Row) -> None:
-        append_row(self._study.table, columns_of(self._study.file), {**row, **answers})
+        append_row(self._study.table, table_columns(self._study.file), {**row, **answers})
         self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {shown(self._study.table)}")
 
     # --- what is shown ---
@@ -291,7 +304,7 @@ class StudyLead:
             return
         left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.counted_s), part.block.arrivals
         self._shown_s = int(left_s)
-        self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.tally.arrivals)
+        self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.metrics.arrivals)
 
     def _tell_rest(self, left_s: float) -> None:
         self._shown_s = math.ceil(left_s)

@@ -1,4 +1,4 @@
-"""A process that gives way to all others of its machine, for what only looks on."""
+"""The lowest scheduling priority for a process that only watches."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ LAST: Final = 19  # the lowest priority
 _GROUP: Final = Path("/proc/self/autogroup")
 
 
-def give_way() -> None:
-    """Let every other process have the processor first.
+def run_at_low_priority() -> None:
+    """Give this process the lowest priority: every other one gets the processor first.
 
     Linux shares it among sessions before it looks at the priorities within one, so a terminal that only watches would
     get as much as that in which something is trained: this process leaves for a session of its own, which comes last.
