@@ -23,8 +23,7 @@ from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
 from wcsim.types import Joystick
-from wcsim.users.profile_file import profile_of_json
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import profile, profile_of_json
 from wcsim.users.recorded import find_user
 from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_recorder import DriveRecorder

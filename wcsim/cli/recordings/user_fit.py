@@ -16,8 +16,7 @@ from wcsim.cli.shared.common import OutFile, check_output, write_json, write_who
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
-from wcsim.users.profile_file import profile_text
-from wcsim.users.profiles import UserProfile, profile
+from wcsim.users.profiles import UserProfile, profile, profile_text
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.users.fitting.fit_user import UserFit
@@ -91,7 +90,7 @@ def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     from wcsim.bridge.drives.remake import town_of_drive
     from wcsim.bridge.drives.shadow import seen_drive, with_shadow
     from wcsim.users.fitting.fit_user import fit_user
-    from wcsim.users.fitting.stick_positions import check_stick
+    from wcsim.users.fitting.hand_series import check_stick
 
     for drive in drives:
         check_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.header.accompanied])

@@ -11,7 +11,7 @@ from wcsim.core.reading import shown
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
-from wcsim.users.profile_file import profile_json
+from wcsim.users.profiles import profile_json
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 
