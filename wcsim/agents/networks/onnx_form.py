@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import torch
 from torch import nn
 
-from wcsim.errors import PolicyError
+from wcsim.errors import PolicyError, check_installed
 
 OPSET = 18
 
@@ -20,10 +20,9 @@ def can_export() -> bool:
     return find_spec("onnx") is not None and find_spec("onnxruntime") is not None
 
 
-def require_onnx() -> None:
+def check_onnx() -> None:
     """Raise PolicyError where the extra `onnx` is not installed."""
-    if not can_export():
-        raise PolicyError("exporting needs ONNX, which is not installed: pip install 'wcsim[onnx]'")
+    check_installed("exporting needs ONNX", "onnx", "onnx", "onnxruntime", error=PolicyError)
 
 
 class Bare(nn.Module):
@@ -51,7 +50,7 @@ def exported(net: nn.Module, given: tuple[torch.Tensor, ...], inputs: Sequence[s
         PolicyError: ONNX is not installed, or the network cannot be expressed in it.
     """
     held = io.BytesIO()
-    require_onnx()
+    check_onnx()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # tracing warns of every shape that is a Python number

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +11,7 @@ import tyro
 from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.core.reading import counted, is_file, is_folder, shown
-from wcsim.errors import ConfigError, FileError
+from wcsim.errors import ConfigError, FileError, check_installed
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import KeptResult
@@ -52,8 +51,7 @@ def run(words: list[str]) -> int:
         )
     out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
     check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
-    if find_spec("matplotlib") is None:
-        raise ConfigError("figures need matplotlib, which is not installed: python -m pip install 'wcsim[report]'")
+    check_installed("figures need matplotlib", "report", "matplotlib")
     path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
     stdout_console().print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
     return 0

@@ -74,9 +74,9 @@ def run(words: list[str]) -> int:
     require_driver(options.policy, options.network)
     from wcsim.agents.export.onnx_export import export_policy  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
-    from wcsim.agents.networks.onnx_form import require_onnx
+    from wcsim.agents.networks.onnx_form import check_onnx
 
-    require_onnx()
+    check_onnx()
     config, ride, recorded = _ride(options)
     bar_ms = LIMIT_MS - RESERVE_MS
     facts = export_policy(

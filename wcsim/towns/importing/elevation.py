@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ import numpy as np
 
 from wcsim.core.reading import FileKind, read_bytes, shown
 from wcsim.core.seeding import generator
-from wcsim.errors import TownError
+from wcsim.errors import TownError, check_installed
 from wcsim.towns.osm.area import Box, grown, size_m
 from wcsim.types import F64
 
@@ -132,8 +131,7 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
 
 def require_rasterio() -> None:
     """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
-    if find_spec("rasterio") is None:
-        raise TownError("--dem and --hill need rasterio, which is not installed: pip install 'wcsim[dem]'")
+    check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
 
 
 @contextmanager
