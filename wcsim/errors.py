@@ -42,6 +42,7 @@ A message says what was wrong, what was got, what was expected, and what to do.
 from __future__ import annotations
 
 import difflib
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -194,6 +195,19 @@ class PolicyError(FileError):
 
 class InterruptedRunError(WcsimError):
     """Raised when the user stopped a run; everything done so far is saved and usable."""
+
+
+def check_installed(need: str, extra: str, *modules: str, error: type[WcsimError] = ConfigError) -> None:
+    """Raise `error` where one of these modules, which an extra brings, is not installed.
+
+    Args:
+        need: What needs what, as "--cluster needs Ray".
+        extra: The extra of wcsim.
+        modules: Top-level names.
+        error: The class of the error.
+    """
+    if any(find_spec(name) is None for name in modules):
+        raise error(f"{need}, which is not installed: pip install 'wcsim[{extra}]'") from None
 
 
 def meant(word: str, known: Iterable[str]) -> str:

@@ -262,7 +262,6 @@ SAME_FILE_NAME = {
     "report": "of a training, and of a town",
     "run": "its section of a run file, a scene's, and the command of a town's",
     "scene": "its file, and the command",
-    "sensors": "their section of a run file, and their numbers in a snapshot",
     "soak": "the benchmark, and its script",
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",

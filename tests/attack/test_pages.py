@@ -20,9 +20,9 @@ from wcsim.agents.learning.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.drive.playing.play_messages import FailedLine
-from wcsim.drive.playing.play_state import about_of
+from wcsim.drive.playing.play_state import film_about
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.training.demo_page import DemoShown, write_demo_page
+from wcsim.view.report.demo_page import DemoShown, write_demo_page
 
 pytestmark = [
     pytest.mark.browser,
@@ -123,7 +123,7 @@ def test_a_drive_and_a_film_of_hostile_names_show_them(context: Any, name: str) 
             page.hear(msgspec.structs.replace(ABOUT, **words, towns=[evil], profiles=[evil], suites=suites))
         else:
             line = FailedLine(policy=evil, block=0, seat=0, told=evil)
-            page.hear(about_of(msgspec.structs.replace(films.ABOUT, title=evil, town=evil), (line,), evil, 0))
+            page.hear(film_about(msgspec.structs.replace(films.ABOUT, title=evil, town=evil), (line,), evil, 0))
         page.page.wait_for_timeout(20)
     assert (page.errors, page.page.evaluate("window.evil")) == ([], None)
     assert page.page.locator("iframe, svg[onload], img[onerror], a[autofocus]").count() == 0

@@ -18,7 +18,7 @@ from wcsim.drive.driven import EventKind
 from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
-from wcsim.drive.stating import about_of, state_of
+from wcsim.drive.view_model import drive_about, drive_state
 from wcsim.types import ClassId, Joystick
 
 SLOW_S = 40.0  # to open a street that was never built
@@ -120,7 +120,7 @@ def test_a_policy_that_breaks_stops_time_once(drive: DriveRunner) -> None:
     assert drive.session is not None
     drive.session.assistance._policy = Breaks(None)
     events = Noted()
-    drive.session.look_on(events)
+    drive.session.add_observer(events)
     for _ in range(6):
         assert not drive.paused
         drive._tick(100.0)
@@ -143,7 +143,7 @@ def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: DriveRunner,
     assert drive.session is not None
     drive.session.assistance._policy = BreaksAtOnce(where)
     events = Noted()
-    drive.session.look_on(events)
+    drive.session.add_observer(events)
     if where == "reset":
         drive.session.assistance.reset(None)
     drive._tick(100.0)
@@ -314,7 +314,7 @@ def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
 def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(drive: DriveRunner) -> None:
     session = drive.session
     assert session is not None
-    assert about_of(session).seed == session.place.start.seed
+    assert drive_about(session).seed == session.place.start.seed
     ground, told = session.world.street.grid, {}
     for y in range(-30, 31):
         xy = (float(session.client.plant.p_WB_m[0]), float(y))
@@ -322,4 +322,4 @@ def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(dri
     for kind in (ClassId.ROAD, ClassId.SIDEWALK):
         session.world.put_chair(0, np.array(told[kind]), 0.0)
         drive._tick(100.0)
-        assert state_of(drive, session, drive._last).on_road is (kind is ClassId.ROAD)
+        assert drive_state(drive, session, drive._last).on_road is (kind is ClassId.ROAD)

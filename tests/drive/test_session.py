@@ -14,7 +14,7 @@ from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.session import AT_REST, DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
-from wcsim.drive.stating import PageTeller
+from wcsim.drive.view_model import PageNotifier
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.types import Joystick, StartSpec
 from wcsim.users.user import SimulatedUser
@@ -34,8 +34,8 @@ def test_a_scripted_stick_moves_the_chair_and_rest_stops_it(session: DriveSessio
     assert abs(driven[-1].speed_mps) < 0.02
     assert {each.commanded for each in driven[:20]} == {Joystick(0.0, 1.0)}
     assert [each.tick for each in driven] == list(range(1, 46))
-    assert session.tally.way_m == pytest.approx(way_m, rel=0.2)
-    assert session.tally.kpi1 == 0.0, "the chair did what the stick said"
+    assert session.metrics.way_m == pytest.approx(way_m, rel=0.2)
+    assert session.metrics.kpi1 == 0.0, "the chair did what the stick said"
     assert all(each.intent is None for each in driven), "nobody knows what a person wants"
 
 
@@ -70,7 +70,7 @@ def test_help_and_overruling_are_counted_and_written_down(session: DriveSession,
     session.tick(Wish(help=True))
     for overrule in (True, True, False, True):
         session.tick(Wish(overrule=overrule))
-    assert (session.tally.helps, session.tally.overrules) == (1, 2)
+    assert (session.metrics.helps, session.metrics.overrules) == (1, 2)
     kinds = noted.kinds()
     assert kinds.count(EventKind.HELP) == 1
     assert kinds.count(EventKind.OVERRULE) == 2 and kinds.count(EventKind.OVERRULE_END) == 1
@@ -82,10 +82,10 @@ def test_a_call_for_help_counts_when_it_is_heard(session: DriveSession, noted: N
     session.tick(Wish())
     for _ in range(2):
         session.ask_for_help()
-    assert session.tally.helps == 1 and noted.kinds().count(EventKind.HELP) == 1, "no tick may follow; once a tick"
+    assert session.metrics.helps == 1 and noted.kinds().count(EventKind.HELP) == 1, "no tick may follow; once a tick"
     assert session.tick(Wish()).help_asked and not session.tick(Wish()).help_asked
     session.ask_for_help()
-    assert session.tally.helps == 2
+    assert session.metrics.helps == 2
 
 
 def test_nothing_counts_before_the_user_hands_the_chair_over(session: DriveSession, noted: Noted) -> None:
@@ -93,11 +93,11 @@ def test_nothing_counts_before_the_user_hands_the_chair_over(session: DriveSessi
     for _ in range(5):
         assert not session.handed_over
         session.tick(AHEAD)
-    assert (session.counted_s, session.tally.way_m, len(noted.ticks)) == (0.0, 0.0, 5)
+    assert (session.counted_s, session.metrics.way_m, len(noted.ticks)) == (0.0, 0.0, 5)
     for _ in range(3):
         assert session.handed_over
         session.tick(AHEAD)
-    assert session.counted_s == pytest.approx(3 * session.tick_s) and session.tally.way_m > 0.0
+    assert session.counted_s == pytest.approx(3 * session.tick_s) and session.metrics.way_m > 0.0
     assert session.time_s == pytest.approx(8 * session.tick_s)
 
 
@@ -145,7 +145,7 @@ def test_after_a_crash_the_drive_goes_on_some_metres_before_it(session: DriveSes
     assert 4.9 < math.dist(crash, back_m) < 12.0
     assert np.linalg.norm(trail - back_m, axis=1).min() < 0.3, "where the chair has been"
     assert np.allclose(session.route.points_W_m[-1], goal) and faces(session)
-    assert noted.events[-1].told == "before the crash" and (session.episode, session.tally.crashes) == (1, 1)
+    assert noted.events[-1].told == "before the crash" and (session.episode, session.metrics.crashes) == (1, 1)
 
 
 def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
@@ -157,7 +157,7 @@ def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
         assert session.time_s < 15.0
     monkeypatch.setattr(session.world, "start_facing", lambda *_: None)
     said: list[m.Notice] = []
-    session.look_on(PageTeller(said.append))
+    session.add_observer(PageNotifier(said.append))
     session.tick(Wish())
     assert [notice.told for notice in said] == ["No place before the crash is free. You start somewhere else."]
 
@@ -174,7 +174,7 @@ def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveS
     assert [second.step, third.step, last.step] == [1, 1, 1]
     assert (third.profile, session.profile) == ("slow", "slow")
     assert np.abs(last.p_WB_m - first).max() < 0.01, "the street begins as it did"
-    assert session.tally.episode_steps == [1, 1, 1]
+    assert session.metrics.episode_steps == [1, 1, 1]
     with pytest.raises(ConfigError, match="unknown user profile"):
         session.change_user("nobody")
     assert session.tick(Wish()).profile == "slow"
@@ -252,7 +252,7 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
 
 def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSession, noted: Noted) -> None:
     said: list[m.Notice] = []
-    session.look_on(PageTeller(said.append))
+    session.add_observer(PageNotifier(said.append))
     session.tick(Wish(help=True))
     assert session.help_left_s == pytest.approx(9.9) and session.assistance.level == 2.0
     for _ in range(100):
@@ -275,8 +275,8 @@ def test_the_request_of_a_simulated_user_counts_and_is_answered_where_that_is_se
     events = replace(session.client.events, help_asked=True)
     session._client = replace(session.client, events=events)
     session.tick(Wish())
-    assert session.tally.helps == 0, "a person drives"
+    assert session.metrics.helps == 0, "a person drives"
     session._client = replace(session.client, events=events)
     session.drive_by(DriverKind.SIMULATED)
     session.tick(Wish())
-    assert session.tally.helps == 1 and bool(session.assistance.help_left) is answered
+    assert session.metrics.helps == 1 and bool(session.assistance.help_left) is answered

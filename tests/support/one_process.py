@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from wcsim.view.report import illustrate
+from wcsim.view.report import failures
 
 
 class OneProcess:
@@ -41,5 +41,5 @@ class OneProcess:
 def in_this_process() -> Iterator[None]:
     """Failures are illustrated without further processes; those have a test of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(illustrate, "ProcessPoolExecutor", OneProcess)
+        patch.setattr(failures, "ProcessPoolExecutor", OneProcess)
         yield

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.samples import straight_route, strip_street
 from wcsim.types import ClassId
-from wcsim.users.pavement_edges import FARTHEST_M, Edges, spread, wanted_aside
+from wcsim.users.avoidance import FARTHEST_M, Edges, spread, wanted_aside
 from wcsim.users.route_line import Path
 
 GRID = strip_street().grid

@@ -9,8 +9,19 @@ from hypothesis import strategies as st
 
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
-from wcsim.users.profile_file import profile_json, profile_of_json, profile_text, read_profile
-from wcsim.users.profiles import PROFILE_LIMITS, UserProfile, is_of_file, profile, profile_names, recordings, sample
+from wcsim.users.profiles import (
+    PROFILE_LIMITS,
+    UserProfile,
+    is_of_file,
+    profile,
+    profile_json,
+    profile_names,
+    profile_of_json,
+    profile_text,
+    read_profile,
+    recordings,
+    sample,
+)
 from wcsim.users.recorded import find_user
 
 

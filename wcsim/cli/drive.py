@@ -11,12 +11,12 @@ import tyro
 from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse, says
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
-from wcsim.drive.keeping.kept_files import require_new
+from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
 if TYPE_CHECKING:  # loads what --help must not
-    from wcsim.drive.keeping.open_study import OpenStudy
+    from wcsim.drive.recording.open_study import OpenStudy
     from wcsim.drive.starting import DriveStart
 
 _SET_BY_STUDY = ("--profile", "--seed", "--suite", "--block", "--seat", "--record")
@@ -96,7 +96,7 @@ def _require_place(options: Options, words: list[str]) -> None:
     if options.out is not None or options.participant is not None:
         raise ConfigError("--participant and --out are for a study; expected --study with them")
     if options.record is not None:
-        require_new(options.record, "--record")
+        check_new_file(options.record, "--record")
     require_driver(options.policy, options.network)
     require_user(options.profile)
     if options.suite:
@@ -118,7 +118,7 @@ def _require_alone(options: Options, words: list[str]) -> None:
 
 
 def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | None]:
-    from wcsim.drive.starting import DriveStart, checked, require_kept
+    from wcsim.drive.starting import DriveStart, check_recordable, checked
 
     start = DriveStart(
         town=options.town,
@@ -131,15 +131,15 @@ def _started(options: Options, words: list[str]) -> tuple[DriveStart, Path | Non
         seat=options.seat,
     )
     if options.record is not None:
-        require_kept(start)
+        check_recordable(start)
     return checked(start), options.record
 
 
 def _studied(options: Options, words: list[str]) -> tuple[DriveStart, OpenStudy]:
-    from wcsim.drive.keeping.open_study import open_study, start_of
+    from wcsim.drive.recording.open_study import open_study, study_start
 
     if options.participant is None:
         raise ConfigError("--study without --participant; expected a number from 1, a different one for each person")
     named = options.policy if says(words, "--policy") else ""
     study = open_study(options.study, options.participant, options.out, named, options.network)
-    return start_of(study.file, study.file.places[0], study.network), study
+    return study_start(study.file, study.file.places[0], study.network), study

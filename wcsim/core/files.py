@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever meets a half-written one, and where those lie that can be made again."""
+"""Writing files whole or not at all, names for new ones, and where those lie that can be made again."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from typing import Any
 
 from filelock import FileLock
 
-from wcsim.core.reading import require_no_links
-from wcsim.errors import DiskFullError, PolicyError
+from wcsim.core.reading import require_no_links, shown
+from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _SEAL = "seal"
 _DAMAGED = ".damaged"  # added to the name of what was passed over
 WORK_PREFIX = "wcsim-work-"  # of folders of workers, in which a killed one leaves all that is temporary
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
+_MOST_NAMES = 10_000
 _FOLDER_MODE = 0o755  # without the right to enter it, nobody reads what lies in a folder
 
 
@@ -190,6 +191,31 @@ def folder_bytes(folder: Path) -> int:
                 status = os.lstat(f"{place}/{name}")
                 total += status.st_size if stat.S_ISREG(status.st_mode) else 0
     return total
+
+
+def check_new_file(path: Path, option: str) -> Path:
+    """The same path. Raises ConfigError when something is there already, or nothing can be written there."""
+    if os.path.lexists(path):
+        raise ConfigError(f"{option} {shown(path)} exists; expected the name of a new file")
+    folder = next(each for each in path.absolute().parents if each.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"{option} {shown(path)}: {shown(folder)} cannot be written to; choose another place with {option}"
+        )
+    return path
+
+
+def numbered_names(first: Path) -> Iterator[Path]:
+    """The first name, and then FILE-2, FILE-3, ... of which nothing is there yet.
+
+    >>> names = numbered_names(Path("no-such-folder/a.drive"))
+    >>> [str(next(names)) for _ in range(3)]
+    ['no-such-folder/a.drive', 'no-such-folder/a-2.drive', 'no-such-folder/a-3.drive']
+    """
+    for number in range(1, _MOST_NAMES + 1):
+        path = first if number == 1 else first.with_name(f"{first.stem}-{number}{first.suffix}")
+        if not os.path.lexists(path):
+            yield path
 
 
 def sha256(path: Path) -> str:

@@ -10,7 +10,7 @@ from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import shown
 from wcsim.drive.drawing.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.driven import DriverKind
-from wcsim.drive.keeping.study_view import StudyView
+from wcsim.drive.recording.study_plan import StudyView
 from wcsim.errors import ProtocolError
 
 MOST_BYTES: Final = 2048  # of a page's message

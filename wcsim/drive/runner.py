@@ -11,26 +11,25 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.core.files import numbered_names
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
 from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
 from wcsim.drive.driven import DrivenTick, DriveObserver, DriverKind, EventKind
-from wcsim.drive.keeping.drive_keeper import DriveKeeper, KeptNews
-from wcsim.drive.keeping.kept_files import file_names
-from wcsim.drive.keeping.open_study import OpenStudy
-from wcsim.drive.keeping.study_lead import StudyHands, StudyLead
-from wcsim.drive.keeping.study_plan import StepKind
-from wcsim.drive.keeping.study_view import StudyView
+from wcsim.drive.recording.open_study import OpenStudy
+from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
+from wcsim.drive.recording.study_lead import StudyHands, StudyLead
+from wcsim.drive.recording.study_plan import StepKind, StudyView
 from wcsim.drive.session import DriveSession
-from wcsim.drive.starting import DriveStart, checked, require_offered
-from wcsim.drive.stating import PageTeller, about_of, state_of
+from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
+from wcsim.drive.view_model import PageNotifier, drive_about, drive_state
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.types import Joystick
 
 JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
-CRASH_S: Final = 3.0  # so long a crash is shown
+_CRASH_S: Final = 3.0  # so long a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
 _SET_BY_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
@@ -64,7 +63,7 @@ class DriveRunner:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._pipe, self._start, self._observers, self._clock = pipe, start, observers, clock
-        self._names = file_names(keep) if isinstance(keep, Path) else None
+        self._names = numbered_names(keep) if isinstance(keep, Path) else None
         self._study = keep if isinstance(keep, OpenStudy) else None
         self._lead: StudyLead | None = None
         self.session: DriveSession | None = None
@@ -112,10 +111,10 @@ class DriveRunner:
         """End the drive, and say what it was."""
         if self.session is not None:
             session, self.session = self.session, None
-            tally = session.tally
+            metrics = session.metrics
             told = (
-                f"{session.place.told}: {session.time_s / 60.0:.1f} min, {tally.way_m:.0f} m, "
-                f"{counted(tally.arrivals, 'arrival')}, {counted(tally.crashes, 'crash')}; pictures took "
+                f"{session.place.told}: {session.time_s / 60.0:.1f} min, {metrics.way_m:.0f} m, "
+                f"{counted(metrics.arrivals, 'arrival')}, {counted(metrics.crashes, 'crash')}; pictures took "
                 f"{100.0 * self._share():.0f} % of the CPU time"
             )
             session.close()
@@ -191,7 +190,7 @@ class DriveRunner:
         step_s = session.tick_s / self.pace if self.pace else 0.0
         self._due_s = max(self._due_s + step_s, now_s)
         if session.crash:
-            self._held_s = now_s + CRASH_S
+            self._held_s = now_s + _CRASH_S
         if session.ended:
             self._watch.require_rest()
         failed = bool(session.assistance.failed)
@@ -215,14 +214,14 @@ class DriveRunner:
     def _say(self, message: Any) -> None:
         self._pipe.send_bytes(JSON + m.spoken(message))
 
-    def _tell_kept(self, news: KeptNews) -> None:
+    def _tell_kept(self, news: RecorderStatus) -> None:
         self._say(m.Keeping(on=news.on, file=news.file, told=news.told))
         if news.log:
             self._log(news.log)
 
     def _state(self) -> None:
         if self.session is not None:
-            state = state_of(self, self.session, self._last)
+            state = drive_state(self, self.session, self._last)
             self._told_waiting = state.waiting
             self._say(state)
 
@@ -291,10 +290,10 @@ class DriveRunner:
 
     def _set_user(self, said: m.SetUser) -> None:
         session = self._open_session()
-        require_offered(DriveStart(town=self._start.town, profile=said.profile), self._start)
+        check_offered(DriveStart(town=self._start.town, profile=said.profile), self._start)
         checked(DriveStart(town=session.place.start.town, profile=said.profile))
         self._begin_anew(lambda: session.change_user(said.profile))
-        self._say(about_of(session))
+        self._say(drive_about(session))
 
     def _begin_anew(self, begin: Callable[[], None], told: str = "") -> None:
         if told:
@@ -303,7 +302,7 @@ class DriveRunner:
             begin()
         finally:
             if told and self.session is not None:  # nothing is waited for any more, also where it was refused
-                self._say(about_of(self.session))
+                self._say(drive_about(self.session))
         self._watch.require_rest()
         self._held_s, self._last = 0.0, None
 
@@ -320,7 +319,7 @@ class DriveRunner:
             block=said.block,
             seat=said.seat,
         )
-        self._open(checked(require_offered(start, self._start)))
+        self._open(checked(check_offered(start, self._start)))
 
     def _open(self, start: DriveStart) -> None:
         """Open a place in the stead of the one that is open; one that cannot be opened is told of."""
@@ -338,15 +337,15 @@ class DriveRunner:
         self._pictures, self._last = None, None
         self._watch.require_rest()
         self.session = session = DriveSession(
-            start, (PageTeller(self._say), *self._observers()), lambda told: self._say(m.Busy(told=told))
+            start, (PageNotifier(self._say), *self._observers()), lambda told: self._say(m.Busy(told=told))
         )
         if self._names is not None:
-            session.look_on(DriveKeeper(session, self._names, self._tell_kept))
+            session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
         session.face_way()
         self._pictures = DrivePictures(session)
         self._due_s = self._opened_s = self._clock()
         self._held_s, self.paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
-        self._say(about_of(session))
+        self._say(drive_about(session))
         self._state()
         self._log(f"{session.place.told}: ready to drive")
         return session
@@ -370,7 +369,7 @@ class DriveRunner:
         self._lead.begin()
 
     def _open_part(self, start: DriveStart, path: Path) -> DriveSession:
-        self._names = file_names(path)
+        self._names = numbered_names(path)
         try:
             return self._open_place(start)
         except WcsimError:

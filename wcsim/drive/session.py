@@ -17,16 +17,15 @@ from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
-from wcsim.drive.driven import DriveEvent, DrivenTick, DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveEvent, DriveMetrics, DrivenTick, DriveObserver, DriverKind, EventKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.drive.tally import DriveTally
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64, ClientSnapshot, Command, Joystick, Route, StartSpec
 from wcsim.users.hand import in_gate
 from wcsim.users.recording.drive_bytes import start_json
 
 AT_REST = Joystick(0.0, 0.0)
-NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
+_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
 _BACK_M: Final = 5.0  # from a crash to where the next episode begins
@@ -60,7 +59,7 @@ class DriveSession(Closing):
         say: Callable[[str], object] | None = None,
     ) -> None:
         """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
-        self.tally, self.driver = DriveTally(), DriverKind.PERSON
+        self.metrics, self.driver = DriveMetrics(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
         self._ticks, self._episode, self._help = 0, 0, False  # `_help`: asked for since the last tick
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
@@ -93,7 +92,7 @@ class DriveSession(Closing):
     @property
     def counted_s(self) -> float:
         """Seconds of driving that are judged: as in the suite, none before a handover, when the user drives alone."""
-        return self.tally.ticks * self.tick_s
+        return self.metrics.ticks * self.tick_s
 
     @property
     def ticks(self) -> int:
@@ -145,8 +144,8 @@ class DriveSession(Closing):
         """Whether the person has the chair by now: in some episodes of suites the user drives alone at first."""
         return self._step >= self.place.handover_step
 
-    def look_on(self, observer: DriveObserver) -> None:
-        """Tell somebody else from now on; closed with the session, as the others are."""
+    def add_observer(self, observer: DriveObserver) -> None:
+        """Send ticks and events to another observer from now on; it is closed with the session."""
         self._observers = (*self._observers, observer)
 
     def drive_by(self, driver: DriverKind) -> None:
@@ -177,7 +176,7 @@ class DriveSession(Closing):
         if self._help:
             return
         self._help = True
-        self.tally.helps += self.handed_over
+        self.metrics.helps += self.handed_over
         if raises and self.handed_over:
             self.assistance.ask_for_help()
         deed = "assists the most" if self.assistance.levels else "drives the chair half as fast"
@@ -241,7 +240,7 @@ class DriveSession(Closing):
         user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
         let_wait(user, patient=not by_user)
         self._move(answer)
-        sticks = user.sticks.copy() if by_user else NO_STICKS
+        sticks = user.sticks.copy() if by_user else _NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
         self._help = False
         self._pass_help()
@@ -330,7 +329,7 @@ class DriveSession(Closing):
     def _tell(self, driven: DrivenTick) -> None:
         """Count the tick, and tell who looks on what happened in it."""
         if driven.step > self.place.handover_step:
-            self.tally.add(driven, self.tick_s)
+            self.metrics.add(driven, self.tick_s)
         now = (driven.warning, driven.intervening, driven.overruled)
         kinds = (EventKind.WARNING, EventKind.INTERVENING, EventKind.OVERRULE)
         for kind, is_on, was in zip(kinds, now, self._said, strict=True):
@@ -417,7 +416,7 @@ class DriveSession(Closing):
         return "before the crash"
 
     def _next(self, why: str) -> None:
-        self.tally.end_episode()
+        self.metrics.end_episode()
         self._episode += 1
         self._begin()
         self._face_way()

@@ -84,7 +84,7 @@ def checked(start: DriveStart) -> DriveStart:
     return start
 
 
-def require_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
+def check_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
     """The same start. Raises ConfigError where a page wants what no page offers: a file of its own choice.
 
     Whoever has the page's address can ask; files are named by the person who starts the drive, in `begun`.
@@ -100,7 +100,7 @@ def require_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
     return start
 
 
-def require_kept(start: DriveStart) -> DriveStart:
+def check_recordable(start: DriveStart) -> DriveStart:
     """The same start. Raises ConfigError for one whose drive could not be made again from a file."""
     if start.profile.startswith(RECORDED):
         raise ConfigError(

@@ -14,12 +14,12 @@ from wcsim.types import Joystick
 LOST_S: Final = 0.5  # without a message the stick counts no more
 GONE_S: Final = 1.5  # without one it has to be let go of before it counts again
 STANDS_STILL_S: Final = 3.0  # then time stops too: by now the chair has
-RESTS: Final = 0.1  # a stick within this is at rest
+_RESTS: Final = 0.1  # a stick within this is at rest
 
 
 def rests(x: float, y: float) -> bool:
     """Whether a stick has been let go of."""
-    return math.hypot(x, y) < RESTS
+    return math.hypot(x, y) < _RESTS
 
 
 class StickWatch:

@@ -8,8 +8,7 @@ import numpy as np
 
 from wcsim.types.actors import ActorState, SignalState
 from wcsim.types.arrays import F64, Bool, ComparesArrays
-from wcsim.types.chair import Contact, Joystick, PlantState
-from wcsim.types.sensors import SensorFrame
+from wcsim.types.chair import Contact, Joystick, PlantState, SensorFrame
 from wcsim.types.street import (
     Route,
 )

@@ -23,8 +23,7 @@ from wcsim.core.reading import FileKind, read_text, shown
 from wcsim.errors import ConfigError, JournalError
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
-from wcsim.users.profile_file import read_profile
-from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile
+from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, read_profile
 from wcsim.users.recording.drive_reader import is_drive, read_drive
 from wcsim.users.recording.drive_types import RecordedTick, moves_as_here, wcsim_version
 from wcsim.users.route_line import Path

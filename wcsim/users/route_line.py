@@ -18,7 +18,7 @@ _HINT_BACK_M, _HINT_AHEAD_M = 3.0, 8.0
 _LOST_M = 3.0  # farther from the hinted stretch than this, the whole route is searched
 
 
-class RoutePoint(NamedTuple):
+class _RoutePoint(NamedTuple):
     """A point seen from the route."""
 
     arc_m: float  # along the route
@@ -51,7 +51,7 @@ class Path:
         """The length of the whole route."""
         return self._arc[-1]
 
-    def project(self, x_m: float, y_m: float, hint_m: float) -> RoutePoint:
+    def project(self, x_m: float, y_m: float, hint_m: float) -> _RoutePoint:
         """The nearest place on the route, searched around `hint_m` first, so that a route may cross itself."""
         first = self._segment(hint_m - _HINT_BACK_M)
         last = max(first + 1, bisect_left(self._arc, hint_m + _HINT_AHEAD_M))
@@ -82,9 +82,9 @@ class Path:
     def _segment(self, arc_m: float) -> int:
         return min(max(bisect_right(self._arc, arc_m) - 1, 0), len(self._unit) - 1)
 
-    def _nearest(self, x_m: float, y_m: float, first: int, last: int) -> tuple[RoutePoint, float]:
+    def _nearest(self, x_m: float, y_m: float, first: int, last: int) -> tuple[_RoutePoint, float]:
         i, ahead_m, left_m, off_m = _nearest(self._points, self._unit, self._lengths, x_m, y_m, first, last)
-        return RoutePoint(self._arc[i] + ahead_m, left_m), off_m
+        return _RoutePoint(self._arc[i] + ahead_m, left_m), off_m
 
     def _find_corners(self) -> list[tuple[float, float]]:
         """(arc, angle turned around there) of every bend worth slowing down for, in order."""

@@ -21,10 +21,9 @@ from wcsim.core.joystick import pushed, yaw_rate_limit
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Joystick, Outline, Route, Street, UserView
 from wcsim.users import avoidance
-from wcsim.users.avoidance import Body
+from wcsim.users.avoidance import Body, Edges
 from wcsim.users.crossing import Crossing, Kerbs, crossings
 from wcsim.users.hand import Hand, SwitchHand, on_disc
-from wcsim.users.pavement_edges import Edges
 from wcsim.users.perception import Perception, Seen
 from wcsim.users.profiles import UserProfile
 from wcsim.users.route_line import Path
@@ -107,7 +106,7 @@ _CALM_S = 5.0  # so long without that a scare is over
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class _Plan:
     """What the user has decided on."""
 
     wish: Joystick
@@ -273,7 +272,7 @@ class SimulatedUser:
             half_m=self._outline.half_lw_m,
         )
 
-    def _plan(self, view: UserView, body: Body, path: Path) -> Plan:
+    def _plan(self, view: UserView, body: Body, path: Path) -> _Plan:
         seen = self._perception.look(view)
         self._witness = (view, seen)
         speed = self.profile.speed_share * self._chair.v_max_mps
@@ -294,12 +293,12 @@ class SimulatedUser:
         goal = self._goal(body, path, goal_m)
         if kerb_m is not None and speed < 0.3:
             self._moved = None  # who turned here already would swing the footplate over the kerb
-            return Plan(wish=self._straight_on(body, speed), patience=_WAIT_PATIENCE)
+            return _Plan(wish=self._straight_on(body, speed), patience=_WAIT_PATIENCE)
         self._free_when_stuck(body, view.time_s)
         turn = self._turned(body, goal, seen, view.time_s)
         if turn is not None:
             return turn
-        return Plan(wish=self._steered(body, goal, speed))
+        return _Plan(wish=self._steered(body, goal, speed))
 
     def _calls(self, too_fast_mps: float, time_s: float) -> bool:
         """Whether it asks for help: it is scared, and was not in the seconds before."""
@@ -337,7 +336,7 @@ class SimulatedUser:
         ahead = body.x_m + math.cos(body.yaw_rad), body.y_m + math.sin(body.yaw_rad)
         return self._steered(body, ahead, speed_mps)
 
-    def _turned(self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float) -> Plan | None:
+    def _turned(self, body: Body, goal: tuple[float, float], seen: Seen, time_s: float) -> _Plan | None:
         """A turn on the spot, with room made for it before; None when none is needed."""
         axle = self._axle(body)
         if self._turning is None:
@@ -356,11 +355,11 @@ class SimulatedUser:
         patience = _TURN_PATIENCE if self._turning.turns else 1.0
         on_m, turn_rad = to_do
         if on_m < 0.0:
-            return Plan(wish=Joystick(0.0, _BACK_STICK), patience=patience)
+            return _Plan(wish=Joystick(0.0, _BACK_STICK), patience=patience)
         yaw = body.yaw_rad + min(max(turn_rad, -2.0), 2.0)
         speed = min(CREEP_MPS, avoidance.safe_speed(body, seen.things, BRAKE_MPS2, self.profile.reaction_s))
         there = (body.x_m + math.cos(yaw), body.y_m + math.sin(yaw))
-        return Plan(wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience)
+        return _Plan(wish=self._steered(body, there, speed if on_m > 0.0 else 0.0), patience=patience)
 
     def _free_when_stuck(self, body: Body, time_s: float) -> None:
         """Back up, or next time creep on, when the chair hangs on something: a kerb, a caster across."""

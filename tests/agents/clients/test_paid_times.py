@@ -14,7 +14,7 @@ from wcsim.server.protocol.members import Member
 from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, _pays_of
-from wcsim.view.report.training.waiting import HEADINGS, waiting_rows
+from wcsim.view.report.client_sections import HEADINGS, waiting_rows
 
 
 def state(learned_s, waited_s, pid=1, names=("a", "b"), lives=(7, 8)):
@@ -52,9 +52,7 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
 
 
 def test_two_clients_of_one_name_are_told_apart():
-    mates = [
-        Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)
-    ]
+    mates = [Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)]
     assert names_of(mates) == ["a (seat 1)", "a"]
 
 

@@ -18,8 +18,8 @@ from wcsim.agents.policy_api import tell_delay
 from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
 from wcsim.bridge.drives.remake import config_of_drive
 from wcsim.config import RunConfig, load_run_config
-from wcsim.drive.keeping.drive_keeper import DriveKeeper
-from wcsim.drive.keeping.kept_files import file_names
+from wcsim.core.files import numbered_names
+from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError
@@ -51,7 +51,7 @@ def again(policy: Path, ride: RecordedRide, config: RunConfig) -> list[int]:
 def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.drive"
     session = DriveSession(DriveStart(town=str(corner), policy=str(policy), seed=4))
-    session.look_on(DriveKeeper(session, file_names(path), lambda news: None))
+    session.add_observer(SessionRecorder(session, numbered_names(path), lambda news: None))
     sticks = [Joystick(0.8 * math.sin(0.3 * number), 0.6) for number in range(TICKS)]
     chosen = [session.tick(Wish(stick=stick)).action for stick in sticks]
     session.close()

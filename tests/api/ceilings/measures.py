@@ -30,8 +30,8 @@ IDEAS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "meters": (
         "wcsim/supervisor/kpi.py",
-        "wcsim/drive/tally.py",
-        "wcsim/drive/playing/sums.py",
+        "wcsim/drive/driven.py",
+        "wcsim/drive/playing/tick_film.py",
         "wcsim/agents/learning/callbacks.py",
     ),
     "learners": (

@@ -14,7 +14,7 @@ from tests.support.framing import chained
 from tests.users.recording.drives import tick, write_drive
 from wcsim.config import parse_json, read_toml
 from wcsim.config.study import StudyFile
-from wcsim.users.profile_file import profile_text, read_profile
+from wcsim.users.profiles import profile_text, read_profile
 from wcsim.users.recording.drive_bytes import event_payload, header_payload, tick_payload
 from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 from wcsim.users.recording.drive_recorder import DriveRecorder

@@ -20,11 +20,11 @@ from wcsim.agents.rounds.round_log import note_round, read_rounds
 from wcsim.config import parse
 from wcsim.config.study import StudyFile
 from wcsim.core.reading import FileKind, parse_toml
-from wcsim.drive.keeping.study_table import append_row, columns_of, read_rows
+from wcsim.drive.recording.study_plan import append_row, read_rows, table_columns
 from wcsim.view.report.failures import failures_of
 from wcsim.view.report.suite_page import write_suite_page
 
-COLUMNS = columns_of(parse(StudyFile, parse_toml(toml_text(STUDY), "a study", FileKind(what="", limit_bytes=1)), ""))
+COLUMNS = table_columns(parse(StudyFile, parse_toml(toml_text(STUDY), "a study", FileKind(what="", limit_bytes=1)), ""))
 
 _ODD = (*NASTY, *("/../../../x", "../../../x", "a/../../../../x") * 4)
 

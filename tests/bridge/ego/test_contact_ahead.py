@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.bridge.ego.test_kerb_drop import KERB_X_M, raster, step_grid
 from tests.physics.rig import FORWARD, actor, rig, step_street
+from tests.physics.wheelchair.test_kerb_drop import KERB_X_M, raster, step_grid
 from tests.support.plants import plant_state
 from wcsim.bridge.ego.contact_ahead import SLOWER_MPS, meets_body, meets_edge
 from wcsim.config import ChairConfig

@@ -25,8 +25,7 @@ from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
-from wcsim.users.profile_file import profile_json, profile_of_json, read_profile
-from wcsim.users.profiles import profile, profile_names, sample
+from wcsim.users.profiles import profile, profile_json, profile_names, profile_of_json, read_profile, sample
 from wcsim.users.recorded import write_recording
 from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_recorder import DriveRecorder

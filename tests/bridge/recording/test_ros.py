@@ -174,7 +174,7 @@ def test_static_transforms_are_offered_as_those_who_listen_to_them_ask(bag):
 
 
 def test_without_the_extra_it_is_said_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(ConfigError, match=r"pip install 'wcsim\[bag\]'"):
         RosBag(tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())

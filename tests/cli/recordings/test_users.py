@@ -11,8 +11,7 @@ import pytest
 from tests.cli.test_bad_input import refused
 from tests.users.fitting.plane_drives import plane_drive
 from tests.users.recording.drives import write_drive
-from wcsim.users.profile_file import read_profile
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import profile, read_profile
 
 
 @pytest.fixture(scope="module")

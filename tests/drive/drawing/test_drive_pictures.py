@@ -7,9 +7,16 @@ import cv2
 import numpy as np
 import pytest
 
-from wcsim.drive.drawing.guidance import GOAL_RGB, WAY_RGB, ground_points, mark_goal
-from wcsim.drive.drawing.pictures import CameraKind, DrivePictures, PageLooks
-from wcsim.drive.drawing.still import StillPictures
+from wcsim.drive.drawing.pictures import (
+    GOAL_RGB,
+    WAY_RGB,
+    CameraKind,
+    DrivePictures,
+    PageLooks,
+    StillPictures,
+    ground_points,
+    mark_goal,
+)
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.types import Joystick
 

@@ -10,8 +10,7 @@ from tests.drive.page.stage import PageAlone
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT, film_of
 from wcsim.drive.playing.film_states import FilmAbout, Flag
-from wcsim.drive.playing.play_state import about_of, state_of
-from wcsim.drive.playing.player import Player
+from wcsim.drive.playing.play_state import Player, film_about, film_state
 
 pytestmark = [
     pytest.mark.browser,
@@ -31,9 +30,9 @@ def test_the_lamp_says_who_decides_where_that_is_known(browser: Any) -> None:
     context = browser.new_context()
     page = PageAlone(context, "play.html")
     for about, told in ((ABOUT, DECIDES), (JOURNAL, [(Flag(0), "not known")])):
-        page.hear(about_of(about, (), "", -1))
+        page.hear(film_about(about, (), "", -1))
         for flags, words in told:
-            page.hear(state_of(film_of(1, {0: flags}), Player(), 0, {0: "ann"}, ("", "", True)))
+            page.hear(film_state(film_of(1, {0: flags}), Player(), 0, {0: "ann"}, ("", "", True)))
             page.until(lambda words=words: page.text("#lamp-who span") == words)
     assert page.errors == []
     context.close()

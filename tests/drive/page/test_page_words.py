@@ -15,8 +15,7 @@ from tests.drive.playing.films import ABOUT as FILM
 from tests.drive.playing.films import chair, step
 from wcsim.drive import messages as m
 from wcsim.drive.playing.film_states import Flag
-from wcsim.drive.playing.play_state import about_of, marks_of, state_of
-from wcsim.drive.playing.player import Player
+from wcsim.drive.playing.play_state import Player, film_about, film_marks, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
 pytestmark = [
@@ -77,9 +76,9 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
         made.add(step(at, chair(0, at, Flag.CRASHED if at == 1 else Flag(0), reason="hit a scooter" * (at == 1))))
     player = Player()
     player.seek(2, first=0, count=3)
-    film.hear(about_of(FILM, (), "", -1))
-    film.hear(marks_of(made))
-    film.hear(state_of(made, player, 0, {0: "ann"}, ("", "", False)))
+    film.hear(film_about(FILM, (), "", -1))
+    film.hear(film_marks(made))
+    film.hear(film_state(made, player, 0, {0: "ann"}, ("", "", False)))
     film.until(lambda: film.text("#big") == "The chair hit a scooter.")
     film.page.click("#on-crash")
     film.until(lambda: film.text("#notice") == "This is the last crash.")

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from tests.drive.keeping.studies import write_study
 from tests.drive.page.test_page import CHROMIUM, FLAGS, wait
+from tests.drive.recording.studies import write_study
 from tests.drive.serving.served import PATIENCE_S, served
 from tests.drive.serving.test_served_study import SHORT
 

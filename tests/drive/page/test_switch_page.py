@@ -10,8 +10,7 @@ from tests.drive.page.stage import REST, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.page.test_stick_page import AHEAD, STILL, crash, leave
 from wcsim.drive import messages as m
-from wcsim.drive.keeping.study_plan import StepKind
-from wcsim.drive.keeping.study_view import StudyView
+from wcsim.drive.recording.study_plan import StepKind, StudyView
 
 pytestmark = [
     pytest.mark.browser,

@@ -7,10 +7,8 @@ import pytest
 from tests.drive.playing.films import ABOUT, chair, film_of, step
 from wcsim.drive.playing.film_states import Flag
 from wcsim.drive.playing.play_messages import PlayMarks, PlayState
-from wcsim.drive.playing.play_state import CRASH_TICKS, about_of, marks_of, state_of
-from wcsim.drive.playing.player import Player
-from wcsim.drive.playing.sums import ChairSums
-from wcsim.drive.playing.tick_film import MOST_MARKS, TickFilm
+from wcsim.drive.playing.play_state import CRASH_TICKS, Player, film_about, film_marks, film_state
+from wcsim.drive.playing.tick_film import MOST_MARKS, ChairSums, TickFilm
 from wcsim.errors import ProtocolError
 
 CRASH = Flag.CRASHED
@@ -19,7 +17,7 @@ CRASH = Flag.CRASHED
 def state(film: TickFilm, at: int, seat: int = 0) -> PlayState:
     player = Player()
     player.seek(at, first=film.first, count=film.count)
-    return state_of(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
+    return film_state(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
 
 
 def test_any_frame_is_there_at_once_whatever_was_looked_at_before() -> None:
@@ -142,7 +140,7 @@ def test_marks_are_bounded_too() -> None:
     film = film_of(1, {})
     for _ in range(MOST_MARKS + 10):
         film.mark("gap", "again")
-    told = marks_of(film)
+    told = film_marks(film)
     assert (len(told.marks), told.left_out) == (MOST_MARKS, 10)
 
 
@@ -157,9 +155,9 @@ def test_a_chair_that_is_not_in_the_street_is_told_of() -> None:
 
 def test_a_page_gets_it_as_json() -> None:
     film = film_of(30, {9: CRASH})
-    for said in (about_of(ABOUT, (), "", -1), state(film, 9), marks_of(film)):
+    for said in (film_about(ABOUT, (), "", -1), state(film, 9), film_marks(film)):
         assert msgspec.json.decode(msgspec.json.encode(said))["say"] in ("about", "state", "marks")
-    assert isinstance(marks_of(film), PlayMarks)
+    assert isinstance(film_marks(film), PlayMarks)
 
 
 def test_a_picture_begins_anew_with_an_episode() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.drive.starting import DriveStart, require_offered
+from wcsim.drive.starting import DriveStart, check_offered
 from wcsim.errors import ConfigError
 
 BEGUN = DriveStart(town="/home/me/own/own.sumocfg", profile="recorded:mine.drive", suite="/home/me/list.json")
@@ -22,7 +22,7 @@ BEGUN = DriveStart(town="/home/me/own/own.sumocfg", profile="recorded:mine.drive
     ],
 )
 def test_what_is_on_the_page_and_what_the_drive_began_with_may_be_asked_for(asked: DriveStart) -> None:
-    assert require_offered(asked, BEGUN) == asked
+    assert check_offered(asked, BEGUN) == asked
 
 
 @pytest.mark.parametrize(
@@ -40,6 +40,6 @@ def test_a_page_names_no_file_and_does_not_hear_whether_it_is_there(tmp_path: Pa
     told = []
     for name in (file, str(tmp_path / "there.toml"), str(tmp_path / "not-there.toml")):
         with pytest.raises(ConfigError, match="is not one that the page offers") as caught:
-            require_offered(replace(DriveStart(), **{key: name}), DriveStart())
+            check_offered(replace(DriveStart(), **{key: name}), DriveStart())
         told.append(str(caught.value).replace(name, "NAME"))
     assert told[1].split("is not one")[1] == told[2].split("is not one")[1]

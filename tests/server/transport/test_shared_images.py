@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.support.worlds import quick_config
-from wcsim.agents.clients.client import exit_of
+from wcsim.agents.clients.client import exit_code
 from wcsim.config import CameraConfig
 from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolError
 from wcsim.server.launch.states import ClientExit
@@ -153,9 +153,9 @@ def test_a_ring_has_the_same_bounds_for_who_writes_and_who_reads_it(tmp_path, mo
 
 
 def test_pictures_that_will_never_fit_are_not_asked_for_again():
-    assert exit_of(PicturesError("65 cameras")) == ClientExit.USER_ERROR
-    assert exit_of(ProtocolError("the pictures cannot be opened")) == ClientExit.SERVER_GONE
-    assert exit_of(DiskFullError("no room")) == ClientExit.DISK_FULL
+    assert exit_code(PicturesError("65 cameras")) == ClientExit.USER_ERROR
+    assert exit_code(ProtocolError("the pictures cannot be opened")) == ClientExit.SERVER_GONE
+    assert exit_code(DiskFullError("no room")) == ClientExit.DISK_FULL
 
 
 OWNER = """

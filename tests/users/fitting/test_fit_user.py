@@ -15,8 +15,7 @@ from wcsim.errors import ConfigError
 from wcsim.types import Joystick
 from wcsim.users.fitting.fit_user import by_switches, fit_user, is_told
 from wcsim.users.fitting.hand_series import hand_series
-from wcsim.users.profile_file import profile_text, read_profile
-from wcsim.users.profiles import profile, profile_names, sample
+from wcsim.users.profiles import profile, profile_names, profile_text, read_profile, sample
 
 BASE = profile("competent")
 FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "away_share": 0.06}  # where a drawn number may be zero

@@ -10,8 +10,7 @@ import numpy as np
 from wcsim import __version__
 from wcsim.config import load_run_config
 from wcsim.types import Joystick
-from wcsim.users.profile_file import profile_json
-from wcsim.users.profiles import profile
+from wcsim.users.profiles import profile, profile_json
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 

@@ -23,9 +23,8 @@ from wcsim.view.report.charts import (
     share_chart,
     town_chart,
 )
-from wcsim.view.report.figures import levels_of
-from wcsim.view.report.ground import ground_around
-from wcsim.view.report.training.learning_curve import running_means
+from wcsim.view.report.figures import ground_around, levels_of
+from wcsim.view.report.learning_curve import running_means
 
 CURVE = Curve(name="c", steps=[1, 2], values=[1.0, 2.0], means=[1.0, 1.5], switch=1, crossing=2)
 PLACES = {"$a_1$": 0, "b@0.5": 1, "b@0.75": 2}

@@ -12,8 +12,7 @@ from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.result_files import KeptEpisode, read_result
 from wcsim.config import RewardConfig
 from wcsim.types import Events, Joystick
-from wcsim.view.report.failures import failures_of, judged, last_speed_mps, where_typed, worst_of
-from wcsim.view.report.illustrate import chosen
+from wcsim.view.report.failures import chosen, failures_of, judged, last_speed_mps, where_typed, worst_of
 
 NOTHING = Events(
     episode=0, step=0, crashed=False, crash_reason="", truncated=False, arrived=False, gave_up=False

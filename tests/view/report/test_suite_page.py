@@ -13,9 +13,8 @@ import pytest
 
 from tests.view.report.results import POLICIES, SCRIPT, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.failures import failures_of
+from wcsim.view.report.failures import Illustration, SeenMoment, failures_of
 from wcsim.view.report.figures import figures_of, obedience_figure
-from wcsim.view.report.illustrate import Illustration, SeenMoment
 from wcsim.view.report.suite_page import write_suite_page
 from wcsim.view.report.tables import SAFETY, SERVICE
 

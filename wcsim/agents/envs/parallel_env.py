@@ -16,15 +16,14 @@ import numpy.typing as npt
 from wcsim.agents.envs.env_spec import Chairs, EnvOptions, checked_chairs, checked_seed, drawn_seed, make_face
 from wcsim.agents.envs.episode_view import EpisodeStep, Info
 from wcsim.core import seeding
-from wcsim.errors import ConfigError, ProtocolError
+from wcsim.errors import ProtocolError, check_installed
 from wcsim.supervisor.observation import Observation
 
 try:
     from pettingzoo import ParallelEnv
 except ModuleNotFoundError:
-    raise ConfigError(
-        "wcsim.parallel_env needs PettingZoo, which is not installed: pip install 'wcsim[pettingzoo]'"
-    ) from None
+    check_installed("wcsim.parallel_env needs PettingZoo", "pettingzoo", "pettingzoo")
+    raise
 
 
 class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]  # PettingZoo has no types

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import torch
 from torch import nn
 
-from wcsim.errors import PolicyError
+from wcsim.errors import PolicyError, check_installed
 
 OPSET = 18
 
@@ -22,8 +22,7 @@ def can_export() -> bool:
 
 def check_onnx() -> None:
     """Raise PolicyError where the extra `onnx` is not installed."""
-    if not can_export():
-        raise PolicyError("exporting needs ONNX, which is not installed: pip install 'wcsim[onnx]'")
+    check_installed("exporting needs ONNX", "onnx", "onnx", "onnxruntime", error=PolicyError)
 
 
 class Bare(nn.Module):

@@ -22,7 +22,7 @@ from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, NotFinite, O
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import FileKind, is_file, read_toml, shown
-from wcsim.errors import ConfigError, PolicyError
+from wcsim.errors import ConfigError, PolicyError, check_installed
 
 MODEL_FILE: Final = "policy.onnx"
 ABOUT_FILE: Final = "policy.toml"
@@ -174,12 +174,9 @@ def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
 
 def open_session(path: Path) -> Any:
     """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`."""
-    try:
-        import onnxruntime
-    except ImportError:
-        raise PolicyError(
-            f"{shown(path)} needs ONNX Runtime, which is not installed: pip install 'wcsim[onnx]'"
-        ) from None
+    check_installed(f"{shown(path)} needs ONNX Runtime", "onnx", "onnxruntime", error=PolicyError)
+    import onnxruntime
+
     if path.stat().st_size > _LIMIT_BYTES:
         raise PolicyError(f"{shown(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}")
     options = onnxruntime.SessionOptions()

@@ -6,8 +6,7 @@ from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import SeatSpec
-from wcsim.users.profile_file import profile_json
-from wcsim.users.profiles import UserProfile
+from wcsim.users.profiles import UserProfile, profile_json
 from wcsim.users.recording.drive_types import PERSON, DriveHeader, wcsim_version
 
 

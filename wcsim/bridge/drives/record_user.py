@@ -14,8 +14,7 @@ from wcsim.core import seeding
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ClientSnapshot, Command, Joystick, SeatSpec
-from wcsim.users.profile_file import profile_text
-from wcsim.users.profiles import UserProfile, sample
+from wcsim.users.profiles import UserProfile, profile_text, sample
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import RecordedTick
 

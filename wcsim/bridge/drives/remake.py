@@ -22,7 +22,7 @@ from wcsim.core.reading import shown
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import ClientSnapshot, Command, SeatSpec
-from wcsim.users.profile_file import profile_of_json
+from wcsim.users.profiles import profile_of_json
 from wcsim.users.recording.drive_bytes import start_of_json
 from wcsim.users.recording.drive_types import (
     RESPAWN,

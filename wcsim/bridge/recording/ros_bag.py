@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.core.closing import Closing
-from wcsim.errors import ConfigError, JournalError
+from wcsim.errors import JournalError, check_installed
 from wcsim.types import F32, F64, U8
 
 _VERSION: Final = 8  # of the format that ROS 2 Humble and later read
@@ -26,13 +26,10 @@ class RosBag(Closing):
 
     def __init__(self, path: Path) -> None:
         """Begin a file. Raises ConfigError when the extra is not installed."""
-        try:
-            from rosbags.rosbag2 import StoragePlugin, Writer
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError:
-            raise ConfigError(
-                "--mcap needs rosbags, which is not installed; expected the extra: pip install 'wcsim[bag]'"
-            ) from None
+        check_installed("--mcap needs rosbags", "bag", "rosbags")
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+
         self._path = path
         self._store: Any = get_typestore(Stores.ROS2_HUMBLE)
         self._work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,12 +11,11 @@ import tyro
 from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.core.reading import counted, is_file, is_folder, shown
-from wcsim.errors import ConfigError, FileError
+from wcsim.errors import ConfigError, FileError, check_installed
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import KeptResult
-    from wcsim.view.report.failures import FailedEpisode
-    from wcsim.view.report.illustrate import Illustration, Key
+    from wcsim.view.report.failures import FailedEpisode, Illustration, Key
 
 _MOST_PICTURES = 1000
 
@@ -53,8 +51,7 @@ def run(words: list[str]) -> int:
         )
     out = options.out or (options.folders[0] if len(kinds) == 1 else Path("runs") / "report")
     check_folder("FOLDER" if options.out is None and len(kinds) == 1 else "--out", out)
-    if find_spec("matplotlib") is None:
-        raise ConfigError("figures need matplotlib, which is not installed: python -m pip install 'wcsim[report]'")
+    check_installed("figures need matplotlib", "report", "matplotlib")
     path = _of_test(options, out) if kinds[0] else _of_trainings(options.folders, out)
     stdout_console().print(f"{path}: open it in a browser", soft_wrap=True, markup=False)
     return 0
@@ -71,19 +68,17 @@ def _is_test(folder: Path) -> bool:
 
 
 def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
-    from wcsim.view.report.training.learning_curve import crossing, read_training
-    from wcsim.view.report.training.round_figures import told_of
-    from wcsim.view.report.training.selection import selections
-    from wcsim.view.report.training.training_page import write_training_page
-    from wcsim.view.report.training.waiting import waitings
+    from wcsim.view.report.client_sections import client_sections
+    from wcsim.view.report.learning_curve import crossing, read_training
+    from wcsim.view.report.training_page import rounds_summary, write_training_page
 
     training = read_training(folders)
-    page = write_training_page(training, out, (*selections(training), *waitings(training)))
+    page = write_training_page(training, out, client_sections(training))
     for name, steps in training.steps.items():
         stdout_console().print(f"{name}: {crossing(steps).told()}", soft_wrap=True, markup=False)
     for name, rounds in training.rounds.items():
         if rounds:
-            stdout_console().print(f"{name}: {told_of(rounds)}", soft_wrap=True, markup=False)
+            stdout_console().print(f"{name}: {rounds_summary(rounds)}", soft_wrap=True, markup=False)
     return page
 
 
@@ -104,7 +99,7 @@ def _of_test(options: Options, out: Path) -> Path:
 
 
 def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
-    from wcsim.view.report.illustrate import chosen, illustrated, order_of
+    from wcsim.view.report.failures import chosen, illustrated, order_of
 
     wanted = chosen(failures, options.pictures)
     if not wanted:

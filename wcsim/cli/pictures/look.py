@@ -44,7 +44,7 @@ def run(words: list[str]) -> int:
     in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     missing = missing_folder(video)
 
-    from wcsim.drive.drawing.still import StillPictures  # these load the simulators, which --help must not
+    from wcsim.drive.drawing.pictures import StillPictures  # these load the simulators, which --help must not
     from wcsim.view.filming import BusiestMoment, open_stage
     from wcsim.view.pictures import write_png
 

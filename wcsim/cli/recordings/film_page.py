@@ -92,8 +92,7 @@ def _told(failure: FailedEpisode) -> str:
 
 def serve_film(start: PlayStart, host: str, port: int) -> int:
     """Serve the page until Ctrl-C."""
-    from wcsim.drive.serving.page_kind import PLAY
-    from wcsim.drive.serving.server import ServeOrder, serve_drive
+    from wcsim.drive.serving.server import PLAY, ServeOrder, serve_drive
 
     order = ServeOrder(start=start, kind=PLAY, host=host, port=port, say=lambda told: print(told, flush=True))
     try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -14,7 +13,7 @@ import tyro
 from wcsim.cli.recordings.film_page import FilmOrder, play_start, result_folder, serve_film
 from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
 from wcsim.core.reading import is_file, is_folder, shown
-from wcsim.errors import ConfigError, WcsimError
+from wcsim.errors import ConfigError, WcsimError, check_installed
 
 TRACE: Final = "trace"
 JOURNAL: Final = "journal"
@@ -233,8 +232,7 @@ def _mcap(options: Options, mcap: Path) -> int:
     """A journal holds all, as its world is made again; a trace knows the chairs, a drive its one and the sticks."""
     found = _find(options.runs[0], JOURNAL, "a run folder of a server or of `wcsim town run`, or a recorded drive")
     _require_heard(found, options)
-    if find_spec("rosbags") is None:
-        raise ConfigError("--mcap needs rosbags, which is not installed; install it: pip install 'wcsim[bag]'")
+    check_installed("--mcap needs rosbags", "bag", "rosbags")
     counts: dict[str, int] = {}
 
     def fill(part: Path) -> None:

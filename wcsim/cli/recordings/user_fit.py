@@ -14,10 +14,9 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, check_output, write_json, write_whole
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.drive.keeping.kept_files import require_new
+from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
-from wcsim.users.profile_file import profile_text
-from wcsim.users.profiles import UserProfile, profile
+from wcsim.users.profiles import UserProfile, profile, profile_text
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.users.fitting.fit_user import UserFit
@@ -46,7 +45,7 @@ class UserFitOptions:
 def run(options: UserFitOptions) -> int:
     """Fit, print, write."""
     check_output("--out", options.out, ".toml")
-    require_new(options.out, "--out")  # a profile may have been changed by hand since
+    check_new_file(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
     if not options.drives:
         raise ConfigError("users fit got no file; expected one or more recorded drives")
@@ -91,10 +90,10 @@ def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     from wcsim.bridge.drives.remake import town_of_drive
     from wcsim.bridge.drives.shadow import seen_drive, with_shadow
     from wcsim.users.fitting.fit_user import fit_user
-    from wcsim.users.fitting.stick_positions import require_stick
+    from wcsim.users.fitting.hand_series import check_stick
 
     for drive in drives:
-        require_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.header.accompanied])
+        check_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.header.accompanied])
         town_of_drive(drive.header)
     print("replaying the drives, to see the street as their driver did", file=sys.stderr)
     seen = [seen_drive(drive) for drive in drives if drive.ticks]

@@ -17,8 +17,7 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
-from wcsim.users.profile_file import read_profile
-from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile
+from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, read_profile
 
 SMALL_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
 _MOST_MINUTES = 600.0

@@ -22,8 +22,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.users.profile_file import read_profile
-from wcsim.users.profiles import HELD_OUT, PROFILE_SUFFIX, is_of_file, profile
+from wcsim.users.profiles import HELD_OUT, PROFILE_SUFFIX, is_of_file, profile, read_profile
 
 
 class Asked(Protocol):

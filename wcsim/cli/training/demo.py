@@ -156,7 +156,7 @@ def _film(demo: _Demo) -> Path:
 
 
 def _page(demo: _Demo, config: RunConfig, results: Sequence[TestResult], still: Path) -> Path:
-    from wcsim.view.report.training.demo_page import DemoShown, write_demo_page
+    from wcsim.view.report.demo_page import DemoShown, write_demo_page
 
     shown = DemoShown(
         learned=how_it_learns(config),
@@ -197,6 +197,4 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
 
 def free_folder(parent: Path, name: str) -> Path:
     """The first of name, name-2, name-3, ... that does not exist yet."""
-    return next(
-        path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists()
-    )
+    return next(path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists())

@@ -29,7 +29,7 @@ from wcsim.core.reading import counted, shown
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.towns.scenario.town import Town
-from wcsim.view.report.training.learning_curve import kpi1_of
+from wcsim.view.report.learning_curve import kpi1_of
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite

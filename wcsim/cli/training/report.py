@@ -19,7 +19,7 @@ from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
 from wcsim.server.journal.ledger import Audit, LedgerEntry, audits, iter_ledger, ledger_facts
 from wcsim.server.journal.parts import part_files
 from wcsim.server.launch.states import LaunchState
-from wcsim.view.report.training.learning_curve import crossing, read_training
+from wcsim.view.report.learning_curve import crossing, read_training
 
 
 class TickRate:

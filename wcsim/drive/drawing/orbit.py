@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from wcsim.physics.sensors.camera_geometry import look_at
 from wcsim.types import F64
 
-NEAREST_M, FARTHEST_M = 2.0, 40.0
-LOWEST_RAD, HIGHEST_RAD = math.radians(4.0), math.radians(88.0)
+_NEAREST_M, _FARTHEST_M = 2.0, 40.0
+_LOWEST_RAD, HIGHEST_RAD = math.radians(4.0), math.radians(88.0)
 AIM_M = 0.9  # above the ground: the middle of who sits in the chair
-AHEAD_SHARE = 0.35  # of the distance: the camera aims so far ahead of the chair while it looks from behind
-LAG_S = 0.5  # the camera comes after a turn of the chair so slowly, which spares the stomach
+_AHEAD_SHARE = 0.35  # of the distance: the camera aims so far ahead of the chair while it looks from behind
+_LAG_S = 0.5  # the camera comes after a turn of the chair so slowly, which spares the stomach
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +32,8 @@ def clamped(turn_rad: float, tilt_rad: float, distance_m: float) -> Orbit:
     """
     return Orbit(
         turn_rad=math.remainder(turn_rad, 2.0 * math.pi),
-        tilt_rad=min(max(tilt_rad, LOWEST_RAD), HIGHEST_RAD),
-        distance_m=min(max(distance_m, NEAREST_M), FARTHEST_M),
+        tilt_rad=min(max(tilt_rad, _LOWEST_RAD), HIGHEST_RAD),
+        distance_m=min(max(distance_m, _NEAREST_M), _FARTHEST_M),
     )
 
 
@@ -44,7 +44,7 @@ def eased(yaw_rad: float, wanted_rad: float, dt_s: float) -> float:
     (1.0, 3.115)
     """
     gap = math.remainder(wanted_rad - yaw_rad, 2.0 * math.pi)
-    return math.remainder(yaw_rad + gap * (1.0 - math.exp(-dt_s / LAG_S)), 2.0 * math.pi)
+    return math.remainder(yaw_rad + gap * (1.0 - math.exp(-dt_s / _LAG_S)), 2.0 * math.pi)
 
 
 def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
@@ -57,7 +57,7 @@ def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
     """
     x_m, y_m, z_m = (float(value) for value in p_WB_m)
     flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
-    ahead_m = AHEAD_SHARE * flat_m * max(0.0, math.cos(orbit.turn_rad))
+    ahead_m = _AHEAD_SHARE * flat_m * max(0.0, math.cos(orbit.turn_rad))
     aim = (x_m + ahead_m * math.cos(yaw_rad), y_m + ahead_m * math.sin(yaw_rad), z_m + AIM_M)
     return look_at(stand(p_WB_m, yaw_rad, orbit), aim)
 

@@ -16,10 +16,10 @@ from typing import Final
 import cv2
 import numpy as np
 
+from wcsim.bridge.ego.start_place import bearing_rad
+from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
 from wcsim.core.frames import rad
-from wcsim.drive.drawing.guidance import ground_points, mark_chair, mark_goal, mark_way
-from wcsim.drive.drawing.moment import Moment
 from wcsim.drive.drawing.orbit import AIM_M, HIGHEST_RAD, Orbit, eased, eye, stand
 from wcsim.drive.session import DriveSession
 from wcsim.errors import ConfigError
@@ -27,14 +27,22 @@ from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
 from wcsim.physics.renderer.cast import Cast
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import Instances, actor_instances, chair_pose
+from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
-from wcsim.types import F64, U8, Bool, Street
+from wcsim.types import F32, F64, U8, ActorState, Bool, CameraFrame, Route, SignalState, Street
+from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
 from wcsim.view.pictures import class_colours, depth_colours
 
+_AHEAD_M: Final = 30.0
+_EVERY_M: Final = 0.9
+_OVER_M: Final = 0.06  # so high above the ground, or it would lie in it
+_DOT_M: Final = 0.13  # radius
+_POLE_M: Final = 2.4
+_BEHIND_M: Final = 0.35  # so much nearer a thing hides a dot
+WAY_RGB, GOAL_RGB, _RIM_RGB, _CHAIR_RGB = (0, 122, 94), (196, 30, 58), (255, 255, 255), (16, 92, 184)
 _PX: Final = 9
 _LOOK = Pinhole(width_px=_PX, height_px=_PX, focal_px=6.0 * _PX, near_m=0.05, range_m=60.0)  # a cone as wide as a chair
 _MARGIN_M: Final = 0.3  # before a wall
@@ -42,6 +50,144 @@ _ROOM_M: Final = 3.5  # from so far away a chair is seen whole, with some street
 _LEAST_M: Final = 1.2
 _TILTS_RAD: Final = tuple(math.radians(step) for step in range(0, 75, 12))  # above the one that was asked for
 _LAG_S: Final = 0.3
+_FIELD_RAD: Final = rad(54.0)  # of the picture's shorter side, about
+_QUALITY: Final = 80
+_CAMERA_PX: Final = (320, 240)
+_MAP_PX, _MAP_SPAN_M = 320, 60.0
+_PART = struct.Struct("<cI")
+_HEAD = struct.Struct("<I")
+_NO_SEAT: Final = -1
+SMALLEST_PX, LARGEST_PX = 160, 1280
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """One moment of a street with chairs in it."""
+
+    actors: tuple[ActorState, ...]
+    signals: tuple[SignalState, ...]
+    chairs: tuple[ChairPose, ...]
+    seat: int  # whose pictures these are; one of `chairs`
+    jumped: bool = False  # the chair is somewhere else than a moment ago: the picture's camera does not come after it
+    route: Route | None = None  # None where it is not known
+    done_m: float = 0.0  # along the route
+    frame: CameraFrame | None = None  # what its front camera saw; drawn, without errors, where that is not known
+
+    @property
+    def column(self) -> int:
+        """Where the chair is among `chairs`."""
+        return [chair.seat for chair in self.chairs].index(self.seat)
+
+    @property
+    def chair(self) -> ChairPose:
+        """The chair itself."""
+        return self.chairs[self.column]
+
+    @property
+    def yaw_rad(self) -> float:
+        """Its heading."""
+        R_WB = rotation_of(self.chair.q_WB)
+        return math.atan2(R_WB[1, 0], R_WB[0, 0])
+
+
+def ground_points(route: Route, done_m: float, grid: Ground) -> F64:
+    """Points (n, 3) of the way on the ground ahead; the last is the destination, however far.
+
+    Args:
+        route: The way.
+        done_m: How far along it the chair is.
+        grid: The ground's heights.
+    """
+    length_m = float(route.arc_m[-1])
+    first_m = math.ceil((done_m + 1.2) / _EVERY_M) * _EVERY_M  # on a raster: dots lie still while the chair drives
+    arcs_m = np.append(np.arange(first_m, min(done_m + _AHEAD_M, length_m), _EVERY_M), length_m)
+    xy = np.column_stack([np.interp(arcs_m, route.arc_m, route.points_W_m[:, axis]) for axis in (0, 1)])
+    return np.column_stack([xy, np.asarray(grid.height_at(xy), np.float64) + _OVER_M])
+
+
+def _mark_way(image: U8, depth_m: F32, camera: Pinhole, T_CW: F64, points_W_m: F64) -> U8:
+    """Draw the way into a picture, behind what stands before it; the picture itself is returned.
+
+    Args:
+        image: (H, W, 3) RGB, written to.
+        depth_m: (H, W) of the same picture.
+        camera: That took it.
+        T_CW: (3, 4) world to camera frame.
+        points_W_m: (n, 3) see `ground_points`.
+    """
+    for point in points_W_m[:-1][::-1]:
+        seen = _seen(point, camera, T_CW, depth_m)
+        if seen is not None:
+            u, v, far_m = seen
+            radius = max(2, round(camera.focal_px * _DOT_M / far_m))
+            axes = (radius, max(1, round(radius * 0.45)))
+            cv2.ellipse(image, (u, v), axes, 0.0, 0.0, 360.0, WAY_RGB, cv2.FILLED, cv2.LINE_AA)
+            cv2.ellipse(image, (u, v), axes, 0.0, 0.0, 360.0, _RIM_RGB, 1, cv2.LINE_AA)
+    foot, top = points_W_m[-1], points_W_m[-1] + (0.0, 0.0, _POLE_M)
+    seen, above = _seen(foot, camera, T_CW, depth_m), _pixel(top, camera, T_CW)
+    if seen is not None and above is not None:
+        u, v, _ = above
+        size = max(6, abs(seen[1] - v) // 3)
+        cv2.line(image, seen[:2], (u, v), _RIM_RGB, max(2, size // 6), cv2.LINE_AA)
+        flag = np.array([(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], np.int32)
+        cv2.fillPoly(image, [flag], GOAL_RGB, cv2.LINE_AA)
+        cv2.polylines(image, [flag], True, _RIM_RGB, 1, cv2.LINE_AA)
+    return image
+
+
+def _mark_chair(chart: U8, yaw_rad: float) -> U8:
+    """Draw the chair into the middle of a map (S, S, 3) as an arrow, larger than it is; the map is returned."""
+    middle, (ahead, left) = 0.5 * chart.shape[0], (math.cos(yaw_rad), math.sin(yaw_rad))
+    corners = [(11.0, 0.0), (-8.0, 7.0), (-4.0, 0.0), (-8.0, -7.0)]
+    arrow = [(middle + a * ahead - b * left, middle - a * left - b * ahead) for a, b in corners]
+    cv2.fillPoly(chart, [np.array(arrow, np.int32)], _CHAIR_RGB, cv2.LINE_AA)
+    cv2.polylines(chart, [np.array(arrow, np.int32)], True, _RIM_RGB, 2, cv2.LINE_AA)
+    return chart
+
+
+def mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
+    """Draw the destination into a map (S, S, 3), north up with the chair in the middle; one beyond it at the edge.
+
+    Args:
+        chart: Written to, and returned.
+        goal_m: (2,) from the chair, x east and y north.
+        span_m: From edge to edge.
+    """
+    size = chart.shape[0]
+    scale, reach = size / span_m, 0.5 * size - 12.0
+    away = np.array([goal_m[0], -goal_m[1]]) * scale
+    far = float(np.abs(away).max())
+    inside = far <= reach
+    u, v = (0.5 * size + (away if inside else away * (reach / far))).round().astype(int).tolist()
+    if inside:
+        cv2.line(chart, (u, v), (u, v - 16), _RIM_RGB, 2, cv2.LINE_AA)
+    flag = np.array([(u, v - 16), (u + 12, v - 11), (u, v - 6)] if inside else _arrow(u, v, away), np.int32)
+    cv2.fillPoly(chart, [flag], GOAL_RGB, cv2.LINE_AA)
+    cv2.polylines(chart, [flag], True, _RIM_RGB, 1, cv2.LINE_AA)
+    return chart
+
+
+def _arrow(u: int, v: int, along: F64) -> list[tuple[float, float]]:
+    x, y = along / np.hypot(*along)
+    return [(u + 9 * x, v + 9 * y), (u - 6 * x - 7 * y, v - 6 * y + 7 * x), (u - 6 * x + 7 * y, v - 6 * y - 7 * x)]
+
+
+def _pixel(point_W_m: F64, camera: Pinhole, T_CW: F64) -> tuple[int, int, float] | None:
+    """Column, row and depth of a point; None behind the camera."""
+    x, y, z = (T_CW[:, :3] @ point_W_m + T_CW[:, 3]).tolist()
+    if z < 0.3:
+        return None
+    u = 0.5 * camera.width_px + camera.focal_px * x / z
+    v = 0.5 * camera.height_px + camera.focal_px * y / z
+    return (round(u), round(v), z) if abs(u) < 1e4 and abs(v) < 1e4 else None
+
+
+def _seen(point_W_m: F64, camera: Pinhole, T_CW: F64, depth_m: F32) -> tuple[int, int, float] | None:
+    """The same, for a point that is in the picture with nothing before it."""
+    found = _pixel(point_W_m, camera, T_CW)
+    if found is None or not (0 <= found[0] < camera.width_px and 0 <= found[1] < camera.height_px):
+        return None
+    return found if depth_m[found[1], found[0]] > found[2] - _BEHIND_M * (1.0 + 0.05 * found[2]) else None
 
 
 class Arm:
@@ -95,16 +241,6 @@ class Arm:
         if 2 * met.size <= depth_m.size:
             return _LOOK.range_m
         return float(np.sort(met)[depth_m.size // 2]) - _MARGIN_M
-
-
-_FIELD_RAD: Final = rad(54.0)  # of the picture's shorter side, about
-_QUALITY: Final = 80
-_CAMERA_PX: Final = (320, 240)
-_MAP_PX, _MAP_SPAN_M = 320, 60.0
-_PART = struct.Struct("<cI")
-_HEAD = struct.Struct("<I")
-_NO_SEAT: Final = -1
-SMALLEST_PX, LARGEST_PX = 160, 1280
 
 
 class CameraKind(StrEnum):
@@ -173,7 +309,7 @@ class StreetPictures:
         if moment.route is None:
             return _colours(images)
         points = ground_points(moment.route, moment.done_m, self._grid)
-        return mark_way(_colours(images), images.depth_m, camera, T_CW, points)
+        return _mark_way(_colours(images), images.depth_m, camera, T_CW, points)
 
     def _own(self, moment: Moment, kind: CameraKind, front: CameraConfig) -> U8:
         """The front camera: colours as a person would see them, classes and depth as the policy gets them."""
@@ -196,7 +332,7 @@ class StreetPictures:
 
     def _chart(self, moment: Moment) -> U8:
         picture = self._map.draw(moment.chair.p_WB_m, moment.actors, moment.chairs, moment.route)
-        mark_chair(picture, moment.yaw_rad)
+        _mark_chair(picture, moment.yaw_rad)
         if moment.route is None:
             return picture
         return mark_goal(picture, moment.route.points_W_m[-1] - moment.chair.p_WB_m[:2], _MAP_SPAN_M)
@@ -289,3 +425,33 @@ def _colours(images: Images) -> U8:
     if images.rgb is None:
         raise ConfigError("these images have no colours; they are made with rgb=True")
     return images.rgb
+
+
+_LOOKS = PageLooks(width_px=960, height_px=540)
+_ON_WAY_RAD: Final = math.radians(30.0)  # a way that goes on within this to either side lies ahead
+
+
+class StillPictures:
+    """Draws the first seat's chair in a world, with its way; another world needs another object."""
+
+    def __init__(self, world: World) -> None:
+        self._world, self._pictures = world, StreetPictures(world.street, None)
+
+    @property
+    def on_way(self) -> bool:
+        """Whether the chair faces its way now: while it turns first, its picture shows a way that leads elsewhere."""
+        user, plant = self._world.seats[0], self._world.snapshot.clients[0].plant
+        return abs(bearing_rad(user.route, user.user.route_progress_m, plant)) < _ON_WAY_RAD
+
+    def draw(self) -> U8:
+        """The picture of now, (540, 960, 3) RGB."""
+        snapshot, seat = self._world.snapshot, self._world.seats[0]
+        moment = Moment(
+            actors=snapshot.actors,
+            signals=snapshot.signals,
+            chairs=(chair_pose(0, snapshot.clients[0].plant, seat.chair.outline),),
+            seat=0,
+            route=seat.route,
+            done_m=seat.user.route_progress_m,
+        )
+        return self._pictures.behind(moment, _LOOKS)

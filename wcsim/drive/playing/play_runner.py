@@ -19,9 +19,8 @@ from wcsim.drive.drawing.orbit import clamped
 from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
 from wcsim.drive.playing import play_messages as pm
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, said_of
-from wcsim.drive.playing.giving_way import give_way
-from wcsim.drive.playing.play_state import about_of, marks_of, state_of
-from wcsim.drive.playing.player import Player
+from wcsim.drive.playing.low_priority import run_at_low_priority
+from wcsim.drive.playing.play_state import Player, film_about, film_marks, film_state
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
 from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
 from wcsim.drive.runner import DONE, JSON, LINE, PICTURES
@@ -183,11 +182,11 @@ class PlayRunner:
 
     def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)
-        self._say(state_of(film, self._player, self._seat, self._names, words))
+        self._say(film_state(film, self._player, self._seat, self._names, words))
         self._said_s, self._changed = now_s, False
         if film.marked != self._marked and now_s - self._marked_s > _MARKS_S:
             self._marked, self._marked_s = film.marked, now_s
-            self._say(marks_of(film))
+            self._say(film_marks(film))
 
     def _show(self, film: TickFilm, now_s: float) -> None:
         if self._pictures is None:
@@ -286,15 +285,15 @@ class PlayRunner:
         self._pictures, self._film = StreetPictures(street, front), TickFilm(about, self._start.most_bytes)
         live = about.live
         self._player = Player(live=live)
-        self._say(about_of(about, self._start.failed, self._opened.policy, self._opened.block))
-        self._say(marks_of(self._film))  # none yet, and no more of the film before
+        self._say(film_about(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._say(film_marks(self._film))  # none yet, and no more of the film before
         self._stale = self._changed = True
 
 
 def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
     if start.gives_way:
-        give_way()
+        run_at_low_priority()
     signal.signal(signal.SIGTERM, _leave)
     with pipe:
         PlayRunner(pipe, start).run()

@@ -5,6 +5,7 @@ An hour of a chair in Helsinki takes some 15 MB (docs/watching.md).
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict, deque
 from dataclasses import dataclass
 from typing import Final
@@ -13,7 +14,7 @@ import msgspec
 import numpy as np
 import zstandard
 
-from wcsim.drive.drawing.moment import Moment
+from wcsim.drive.drawing.pictures import Moment
 from wcsim.drive.playing.film_states import (
     FilmAbout,
     FilmBody,
@@ -26,11 +27,12 @@ from wcsim.drive.playing.film_states import (
     route_of,
     signals_of,
 )
-from wcsim.drive.playing.sums import ChairSums
 from wcsim.errors import ProtocolError
 from wcsim.physics.renderer.instances import ChairPose
+from wcsim.supervisor.actions import MAX_DISTANCE
 from wcsim.types import Route
 
+_ON = Flag.WARNING | Flag.INTERVENING | Flag.OVERRULED
 MOST_BYTES: Final = 512 << 20
 MOST_MARKS: Final = 4000
 _BLOCK: Final = 128  # ticks that are packed together
@@ -48,7 +50,75 @@ _MARKED: Final = (
 _STRETCHES: Final = Flag.WARNING | Flag.INTERVENING  # marked where they begin
 
 
-class FilmTick(msgspec.Struct, frozen=True, array_like=True):
+class ChairSums(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
+    """Of one chair since its film began."""
+
+    ticks: int = 0
+    judged: int = 0  # ticks of which both sticks are known
+    distance_sum: float = 0.0
+    way_m: float = 0.0
+    crashes: int = 0
+    drops: int = 0
+    arrivals: int = 0
+    given_up: int = 0
+    warnings: int = 0  # stretches of ticks, as interventions and overrules
+    interventions: int = 0
+    overrules: int = 0
+    helps: int = 0
+    ended: int = 0  # episodes
+    ended_steps: int = 0  # of them
+    steps: int = 0  # of the episode that is on, from a handover on
+    alone: int = 0  # ticks of it before that
+    on: int = 0  # flags of the tick before
+
+    @property
+    def kpi1(self) -> float | None:
+        """Mean joystick distance, None where no tick is known."""
+        return self.distance_sum / self.judged if self.judged else None
+
+    @property
+    def kpi2(self) -> float:
+        """Mean steps that an episode lived; of the one that is on while none has ended."""
+        return self.ended_steps / self.ended if self.ended else float(self.steps)
+
+    def plus(self, chair: FilmChair, tick_s: float) -> ChairSums:
+        """With one tick more; as in a test, nothing before a handover is judged."""
+        flags = Flag(chair.flags)
+        is_alone = Flag.ALONE in flags
+        alone = (0 if chair.step == 1 else self.alone) + is_alone
+        begun = flags & ~Flag(self.on)
+        ends = bool(flags & (Flag.CRASHED | Flag.TRUNCATED))
+        steps = chair.step - alone if chair.step >= 0 else self.steps + (not is_alone)
+        gap = None if is_alone else distance(chair)
+        return ChairSums(
+            ticks=self.ticks + 1,
+            judged=self.judged + (gap is not None),
+            distance_sum=self.distance_sum + (gap or 0.0),
+            way_m=self.way_m + abs(chair.speed_mps) * tick_s,
+            crashes=self.crashes + bool(flags & Flag.CRASHED),
+            drops=self.drops + bool(flags & Flag.DROPPED),
+            arrivals=self.arrivals + bool(flags & Flag.ARRIVED),
+            given_up=self.given_up + bool(flags & Flag.GAVE_UP),
+            warnings=self.warnings + bool(begun & Flag.WARNING),
+            interventions=self.interventions + bool(begun & Flag.INTERVENING),
+            overrules=self.overrules + bool(begun & Flag.OVERRULED),
+            helps=self.helps + bool(flags & Flag.HELPED),
+            ended=self.ended + (ends and steps > 0),
+            ended_steps=self.ended_steps + (steps if ends else 0),
+            steps=0 if ends else steps,
+            alone=0 if ends else alone,
+            on=int(flags & _ON),
+        )
+
+
+def distance(chair: FilmChair) -> float | None:
+    """Between the user's stick and the chair's, KPI 1's; None where one of them is not known."""
+    if chair.stick is None or chair.commanded is None:
+        return None
+    return min(math.dist(chair.stick, chair.commanded), MAX_DISTANCE)
+
+
+class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
     """A frame with the sums of its chairs after it."""
 
     frame: FilmFrame
@@ -56,7 +126,7 @@ class FilmTick(msgspec.Struct, frozen=True, array_like=True):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FilmMark:
+class _FilmMark:
     """Something on the time line."""
 
     at: int  # number of the frame
@@ -77,18 +147,18 @@ class TickFilm:
         self.about, self._most_bytes = about, most_bytes
         self.first = self.count = 0
         self.packed_bytes = 0
-        self.marks = deque[FilmMark](maxlen=MOST_MARKS)
+        self.marks = deque[_FilmMark](maxlen=MOST_MARKS)
         self.marked = 0  # ever
         self._bodies: list[FilmBody] = []
         self._ways: dict[int, bytes] = {}  # those that a frame may tell of
         self._numbered = 0  # of ways, ever
         self._signals: list[list[tuple[str, str]]] = []
         self._blocks: dict[int, bytes] = {}
-        self._newest: list[FilmTick] = []
-        self._unpacked: OrderedDict[int, list[FilmTick]] = OrderedDict()
+        self._newest: list[_FilmTick] = []
+        self._unpacked: OrderedDict[int, list[_FilmTick]] = OrderedDict()
         self._routes: OrderedDict[int, Route] = OrderedDict()
         self._sums: dict[int, ChairSums] = {}
-        self._decoder = msgspec.msgpack.Decoder(list[FilmTick])
+        self._decoder = msgspec.msgpack.Decoder(list[_FilmTick])
 
     def add(self, step: FilmStep) -> None:
         """One tick more."""
@@ -100,16 +170,16 @@ class TickFilm:
             before = self._sums.get(chair.seat, ChairSums())
             self._mark(chair, before)
             self._sums[chair.seat] = before.plus(chair, self.about.tick_s)
-        self._newest.append(FilmTick(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
+        self._newest.append(_FilmTick(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
         self.count += 1
         if len(self._newest) == _BLOCK:
             self._pack()
 
     def mark(self, kind: str, told: str) -> None:
         """Mark the place where the next frame will be, for all chairs."""
-        self._note(FilmMark(at=self.count, seat=-1, kind=kind, told=told))
+        self._note(_FilmMark(at=self.count, seat=-1, kind=kind, told=told))
 
-    def shot(self, at: int) -> FilmTick:
+    def shot(self, at: int) -> _FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
         if not self.first <= at < self.count:
             raise ProtocolError(f"the film has no step {at}; expected {self.first} to {self.count - 1}")
@@ -179,9 +249,9 @@ class TickFilm:
         for flag, kind in _MARKED:
             if flag in now:
                 told = chair.reason if kind in ("crash", "drop") else ""
-                self._note(FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
+                self._note(_FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
 
-    def _note(self, mark: FilmMark) -> None:
+    def _note(self, mark: _FilmMark) -> None:
         self.marks.append(mark)
         self.marked += 1
 

@@ -20,7 +20,7 @@ from http import HTTPStatus
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -31,15 +31,54 @@ from websockets.http11 import Request, Response
 from wcsim.core.closing import Closing
 from wcsim.core.reading import shown
 from wcsim.drive import messages as m
-from wcsim.drive.playing.play_messages import StepBy
-from wcsim.drive.playing.play_runner import PlayStart
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
+from wcsim.drive.playing.play_messages import StepBy, of_play_page
+from wcsim.drive.playing.play_runner import PlayStart, run_play
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder, run_drive
+from wcsim.drive.serving.access_control import LOOPBACK, AccessControl, content_policy, new_token
 from wcsim.drive.serving.audience import Audience, PageLine
-from wcsim.drive.serving.door import LOOPBACK, Door, content_policy, new_token
-from wcsim.drive.serving.page_kind import DRIVE, PageKind
 from wcsim.drive.stick_watch import rests
 from wcsim.errors import ConfigError, ProtocolError, WorkersError
 from wcsim.server.launch.stop_signals import unheard_by_children
+
+log = logging.getLogger("wcsim.drive")
+PAGE: Final = Path(__file__).parents[1] / "page"
+_SOCKET: Final = "/socket"
+_KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+MOST_PAGES: Final = 8
+_PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
+_MOST_REFUSED: Final = 20  # messages of a page that are no messages
+_SOON_S, _END_S = 0.5, 10.0  # for a process that hears, and for one that does not
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageKind:
+    """A page, and who is behind it."""
+
+    word: str  # for it in messages
+    page: str  # its file
+    of_page: Callable[[str | bytes], m.PageMessage]  # raises ProtocolError for what is no message of it
+    run: Callable[[Connection, Any], None]  # what its process does, with what it begins with
+    begins: str  # what is done once the address is known, for whoever started it
+    ended: str  # what a page says when that process has ended
+
+
+DRIVE: Final = PageKind(
+    word="drive",
+    page="index.html",
+    of_page=m.of_page,
+    run=run_drive,
+    begins="starting the simulator, then the street; the page shows the progress",
+    ended="The drive has ended. Start wcsim drive again.",
+)
+PLAY: Final = PageKind(
+    word="film",
+    page="play.html",
+    of_page=of_play_page,
+    run=run_play,
+    begins="starting the player, then loading the recording",
+    ended="The player has ended. Start the command again.",
+)
+
 
 _MOST: Final = 256  # of steps, which add up
 _PLACES: Final = (m.NewPlace, m.Again, m.Open)  # each makes void what was wanted of those up to it
@@ -85,16 +124,6 @@ def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
     if isinstance(message, _PLACES) and isinstance(before, _PLACES):
         return _PLACES.index(type(before)) <= _PLACES.index(type(message))
     return type(message) is type(before) and not isinstance(message, StepBy)
-
-
-log = logging.getLogger("wcsim.drive")
-PAGE: Final = Path(__file__).parents[1] / "page"
-SOCKET: Final = "/socket"
-_KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-MOST_PAGES: Final = 8
-_PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
-_MOST_REFUSED: Final = 20  # messages of a page that are no messages
-_SOON_S, _END_S = 0.5, 10.0  # for a process that hears, and for one that does not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +215,7 @@ class DriveServer:
             raise ConfigError(f"--port {order.port}: expected 0 to 65535")
         self._order = order
         token = "" if order.host in LOOPBACK else new_token()
-        self._door = Door(host=order.host, token=token)
+        self._access = AccessControl(host=order.host, token=token)
         self._audience = Audience()
         self._process: _Process | None = None
         self._over = asyncio.Event()
@@ -239,7 +268,7 @@ class DriveServer:
     def _address(self, server: Server) -> str:
         port = server.sockets[0].getsockname()[1]
         host = f"[{self._order.host}]" if ":" in self._order.host else self._order.host
-        token = f"?token={self._door.token}" if self._door.token else ""
+        token = f"?token={self._access.token}" if self._access.token else ""
         return f"http://{host}:{port}/{token}"
 
     # --- what a browser reads ---
@@ -261,9 +290,9 @@ class DriveServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         path, headers = urlsplit(request.path).path, request.headers
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-        wants_socket = path == SOCKET
+        wants_socket = path == _SOCKET
         twice = len(hosts) != 1 or len(origins) > 1
-        why = self._door.refusal(
+        why = self._access.refusal(
             None if twice else hosts[0], origins[0] if origins else None, request.path, socket=wants_socket
         )
         if why:

@@ -16,7 +16,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +27,7 @@ import numpy as np
 
 from wcsim.core.reading import FileKind, read_bytes, shown
 from wcsim.core.seeding import generator
-from wcsim.errors import TownError
+from wcsim.errors import TownError, check_installed
 from wcsim.towns.ground.relief import steepest_run
 from wcsim.towns.osm.area import Box, grown, size_m
 from wcsim.towns.sumo.xml_io import read_root
@@ -145,8 +144,7 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
 
 def check_rasterio() -> None:
     """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
-    if find_spec("rasterio") is None:
-        raise TownError("--dem and --hill need rasterio, which is not installed: pip install 'wcsim[dem]'")
+    check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
 
 
 @contextmanager

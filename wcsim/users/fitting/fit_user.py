@@ -1,5 +1,7 @@
 """A whole user fitted to recorded drives: every number that they tell, how sure it is, and which they cannot tell.
 
+The speed somebody likes, and how often they look elsewhere or correct, have intervals by drawing stretches anew.
+
 Four switches in the place of a stick: whether a drive was driven with them, and how late and how long they are held.
 
 Switches add no chance of their own, so the right delay and the right hold make every sample again.
@@ -8,24 +10,31 @@ Switches add no chance of their own, so the right delay and the right hold make 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from wcsim.config import RunConfig, parse_json
+from wcsim.core import seeding
 from wcsim.core.reading import shown
 from wcsim.errors import ConfigError
-from wcsim.types import F64, Joystick
-from wcsim.users.fitting.habit_fit import FittedNumber, looks, usual_speed
+from wcsim.types import F64, Bool, Joystick
+from wcsim.users.fitting.habits import correction_s, stretches
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
-from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, hand_series
-from wcsim.users.fitting.stick_positions import at_switches, require_stick
+from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, at_switches, check_stick, hand_series
 from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
+from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
 from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
 from wcsim.users.recording.drive_types import DriveRecording
 
+_RESAMPLED = 400
+_USUAL_SPEED = 0.9  # quantile
+_SMOOTH_S = 1.0
+_LOOK_S = 0.5  # an intent that stands still for less may do so by chance
+_RARE_SHARE = 0.05  # of looks elsewhere that are none
+_ON_ITS_WAY = 2.0  # ticks: corrections as near to each other are no single ones
 _SAME = 1e-4  # of the stick's travel
 _FEW_TICKS, _MORE_TICKS = 300, 900  # of a drive are looked at: more of them say the same again
 _COARSE_S = 0.01, 0.004  # as near as that both must be to make anything again
@@ -33,10 +42,126 @@ _REACTIONS_S, _HOLDS_S = np.arange(0.2, 1.3, 0.05), np.arange(0.1, 0.6, _COARSE_
 _BEFORE_S = np.arange(-0.035, 0.001, _COARSE_S[0])  # a press is seen at the first sample after it
 _STARTS, _HALVINGS, _FINE_S = 3, 2, 0.004
 _AS_GOOD = 0.002  # share of the samples by which one value may be worse than the best and still be possible
+WIDEST = 0.15  # half an interval against its value: wider is not told well
+_FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "noise": 0.003, "away_share": 0.05}
+_SHORT_S = 180.0  # a drive that says little
+_SD = 1.96  # of an interval of 95 %
+_FEWEST_BLOCKS = 6
+_LEAST_COUNTED = 0.1  # of the samples of a moving stick; users of the profiles have 0.25 and more
+_PAIRS = ("gain", "bias")
+_LOGS = ("lag_s", "noise", "noise_rate", "tremor")
+_MORE = {
+    "gain_x": "drive more turns to both sides",
+    "bias_x": "drive more turns to both sides",
+    "gain_y": "start and stop more often",
+    "bias_y": "start and stop more often, below full speed",
+    "tremor": "drive longer",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SwitchLaw:
+class _FittedNumber:
+    """A number of a user, and its interval of 95 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+def _usual_speed(
+    drives: Sequence[DriveRecording], series: Sequence[HandSeries], found: Mapping[str, _FittedNumber], wanted: bool
+) -> _FittedNumber:
+    """The usual speed as a share of the chair's: what the stick, without this hand's gain and bias, asks for at most.
+
+    Args:
+        drives: Of one chair.
+        series: Their episodes.
+        found: The hand, as far as it was fitted.
+        wanted: Whether the intents are what was wanted; else the stick is asked, averaged over a second.
+    """
+    chair = parse_json(RunConfig, drives[0].header.config, "the configuration in the drive").chair
+    gain = found["gain_y"].value if "gain_y" in found else 1.0
+    bias = found["bias_y"].value if "bias_y" in found else 0.0
+    rows = [item.intents[:, 1] if wanted else (_smooth(item) - bias) / max(gain, 0.05) for item in series]
+
+    def share(parts: F64) -> float:
+        pushed = float(np.quantile(parts[:, 0], _USUAL_SPEED))
+        if "correct_every_s" in found:  # who misses the size of corrections asks for more and less than is liked
+            pushed = float(np.median(parts[parts[:, 0] > 0.5 * pushed, 0], axis=0)) if pushed > 0.0 else 0.0
+        out = max(0.0, pushed - chair.deadband) / (1.0 - chair.deadband)
+        return float(min(1.0, max(0.05, out**chair.shape_exponent)))
+
+    return _resampled([part[:, None] for part in rows], series, share)
+
+
+def _look_shares(series: Sequence[HandSeries]) -> dict[str, _FittedNumber]:
+    """Looks elsewhere, or single corrections, by how intents stand still."""
+    tick_s = series[0].tick_s
+    gaps = [correction_s(item.intents, tick_s) for item in series]
+    known = [gap for gap in gaps if gap is not None]
+    changes = np.concatenate([(np.diff(item.intents, axis=0) != 0.0).any(axis=1) for item in series])
+    if known and float(changes.mean()) < 1.0 / _ON_ITS_WAY:
+        # between two corrections an intent stands still as in a look elsewhere, which cannot be told then
+
+        def every(parts: F64) -> float:
+            return correction_s(parts, tick_s) or float(np.mean(known))
+
+        return {"correct_every_s": _resampled([item.intents for item in series], series, every)}
+    rows = [_looked(item) for item in series]
+    away = _resampled(rows, series, lambda t: float(t[:, 0].sum() / max(1.0, t[:, 1].sum())))
+    if away.value < _RARE_SHARE:
+        return {"away_share": replace(away, value=0.0, low=0.0)}
+    lasting = _resampled(rows, series, lambda t: _mean_look(tick_s * float(t[:, 0].sum() / max(1.0, t[:, 2].sum()))))
+    return {"away_share": away, "away_s": lasting}
+
+
+def _looked(item: HandSeries) -> F64:
+    """(N - 1, 3) of each tick: in a look elsewhere, driven forward, the last one of a look."""
+    intents = item.intents
+    driven: Bool = intents[1:, 1] > 0.0
+    still: Bool = (np.diff(intents[:, 1]) == 0.0) & (np.diff(np.abs(intents[:, 0])) <= 0.0) & driven
+    rows = np.zeros((len(still), 3))
+    rows[:, 1] = driven
+    for start, stop in stretches(still):
+        if (stop - start) * item.tick_s >= _LOOK_S - 1e-9:
+            rows[start:stop, 0] = 1.0
+            rows[stop - 1, 2] = 1.0
+    return rows
+
+
+def _mean_look(seen_s: float) -> float:
+    """The mean of all looks, when those of half a second or more last `seen_s` on average."""
+    low_s, high_s = 0.1, 30.0
+    for _ in range(40):
+        mean_s = 0.5 * (low_s + high_s)
+        rate_s, most_s = UNCUT_AWAY * mean_s, max(_LOOK_S, LONGEST_AWAY * mean_s)
+        lasts_s = _LOOK_S + rate_s * (1.0 - math.exp(-(most_s - _LOOK_S) / rate_s))
+        low_s, high_s = (mean_s, high_s) if lasts_s < seen_s else (low_s, mean_s)
+    return 0.5 * (low_s + high_s)
+
+
+def _smooth(item: HandSeries) -> F64:
+    width = min(len(item.stick), max(1, round(_SMOOTH_S / item.apart_s)))
+    return np.asarray(np.convolve(item.stick[:, 1], np.full(width, 1.0 / width), mode="valid"), np.float64)
+
+
+def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callable[[F64], float]) -> _FittedNumber:
+    """A number of the rows (n, k) of all episodes, and its interval by drawing stretches of 10 s anew."""
+    rng = seeding.generator(0, "stretches resampled")
+    parts: list[F64] = []
+    for table, item in zip(rows, series, strict=True):
+        seconds = len(item.intents) * item.tick_s
+        parts += np.array_split(table, max(1, round(seconds / BLOCK_S)))
+    drawn = [
+        value(np.concatenate([parts[k] for k in rng.integers(len(parts), size=len(parts)).tolist()]))
+        for _ in range(_RESAMPLED)
+    ]
+    found, half = value(np.concatenate(list(rows))), _SD * float(np.std(drawn))
+    return _FittedNumber(value=found, low=max(0.0, found - half), high=found + half)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SwitchLaw:
     """What of switches was found, each with the least and the most that fit as well."""
 
     reaction_s: tuple[float, float, float]
@@ -49,7 +174,7 @@ def by_switches(series: Sequence[HandSeries]) -> bool:
     return bool(at_switches(np.concatenate([item.stick for item in series])).all())
 
 
-def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> SwitchLaw:
+def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> _SwitchLaw:
     """Delay and hold that make the most samples again; the others of `base` play no part.
 
     The first switch of an episode says the delay to a sample. Around it both are looked for together, on a lattice that
@@ -66,7 +191,7 @@ def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> SwitchLaw:
     around_s = _FINE_S * np.arange(-8.0, 8.5)
     late = np.array([_wrong(series, replace(user, reaction_s=found[0] + by_s), _MORE_TICKS) for by_s in around_s])
     held = np.array([_wrong(series, replace(user, hold_s=found[1] + by_s), _MORE_TICKS) for by_s in around_s])
-    return SwitchLaw(
+    return _SwitchLaw(
         reaction_s=_interval(found[0] + around_s, late),
         hold_s=_interval(found[1] + around_s, held),
         wrong_share=float(min(late.min(), held.min())),
@@ -133,24 +258,7 @@ def _wrong(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float
     return wrong / max(1, total)
 
 
-WIDEST = 0.15  # half an interval against its value: wider is not told well
-_FLOORS = {"bias_x": 0.02, "bias_y": 0.05, "tremor": 0.01, "noise": 0.003, "away_share": 0.05}
-_SHORT_S = 180.0  # a drive that says little
-_SD = 1.96  # of an interval of 95 %
-_FEWEST_BLOCKS = 6
-_LEAST_COUNTED = 0.1  # of the samples of a moving stick; users of the profiles have 0.25 and more
-_PAIRS = ("gain", "bias")
-_LOGS = ("lag_s", "noise", "noise_rate", "tremor")
-_MORE = {
-    "gain_x": "drive more turns to both sides",
-    "bias_x": "drive more turns to both sides",
-    "gain_y": "start and stop more often",
-    "bias_y": "start and stop more often, below full speed",
-    "tremor": "drive longer",
-}
-
-
-def is_told(name: str, estimate: FittedNumber) -> bool:
+def is_told(name: str, estimate: _FittedNumber) -> bool:
     """Whether half the interval is less than 15 % of the value, or than what does not matter."""
     return 0.5 * (estimate.high - estimate.low) <= max(WIDEST * abs(estimate.value), _FLOORS.get(name, 0.0))
 
@@ -160,7 +268,7 @@ class UserFit:
     """What drives say of their user."""
 
     profile: UserProfile
-    estimates: dict[str, FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
+    estimates: dict[str, _FittedNumber]  # gain and bias as gain_x, gain_y, bias_x, bias_y
     seconds: float  # driven
     warnings: tuple[str, ...]
 
@@ -174,14 +282,14 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
         wanted: Whether the intents are what was wanted; else they were made by the user model, which never looks away.
 
     Raises:
-        ConfigError: There is no intent, no episode of some seconds, or no stick (see `require_stick`); or the drives
+        ConfigError: There is no intent, no episode of some seconds, or no stick (see `check_stick`); or the drives
             are of different ticks, or of chairs that take a stick otherwise.
     """
     if not all(drive.knows_intents for drive in drives):
         raise ConfigError("a drive has ticks without an intent; expected an intent in every tick")
     _require_alike(drives)
     for drive in drives:
-        require_stick(drive.name, drive.ticks)
+        check_stick(drive.name, drive.ticks)
     series = hand_series(drives)
     if not series:
         raise ConfigError(
@@ -190,8 +298,8 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
     seconds = sum(len(item.intents) * item.tick_s for item in series)
     switched = by_switches(series)
     found = _of_switches(series, base) if switched else _of_hand(fit_law(series))
-    found |= looks(series) if wanted and not switched else {}
-    found |= {"speed_share": usual_speed(drives, series, found, wanted)}
+    found |= _look_shares(series) if wanted and not switched else {}
+    found |= {"speed_share": _usual_speed(drives, series, found, wanted)}
     profile = replace(base, discrete=switched, spread=0.0, **_numbers(found, switched))
     return UserFit(
         profile=profile, estimates=found, seconds=seconds, warnings=_warnings(found, seconds, series, wanted)
@@ -217,29 +325,29 @@ def _measures(drive: DriveRecording) -> dict[str, float]:
     return {"world.tick_s": drive.header.tick_s, **law}
 
 
-def _of_hand(law: HandLaw) -> dict[str, FittedNumber]:
+def _of_hand(law: HandLaw) -> dict[str, _FittedNumber]:
     """Nothing where nearly all of the driving lay at the gate: a law of what is left is none of the hand."""
-    found: dict[str, FittedNumber] = {}
+    found: dict[str, _FittedNumber] = {}
     if law.counted_share < _LEAST_COUNTED:
         return found
     for name, sd in law.sd.items():
         value = law.values[name]
         if name in _LOGS:
-            found[name] = FittedNumber(value=value, low=value * math.exp(-_SD * sd), high=value * math.exp(_SD * sd))
+            found[name] = _FittedNumber(value=value, low=value * math.exp(-_SD * sd), high=value * math.exp(_SD * sd))
         else:
-            found[name] = FittedNumber(value=value, low=value - _SD * sd, high=value + _SD * sd)
+            found[name] = _FittedNumber(value=value, low=value - _SD * sd, high=value + _SD * sd)
     if "tremor" not in found:
-        found["tremor"] = FittedNumber(value=0.0, low=0.0, high=law.tremor_most)
+        found["tremor"] = _FittedNumber(value=0.0, low=0.0, high=law.tremor_most)
     return found
 
 
-def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, FittedNumber]:
+def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, _FittedNumber]:
     law = _fit_switches(series, base)
     both = {"reaction_s": law.reaction_s, "hold_s": law.hold_s}
-    return {name: FittedNumber(value=value, low=low, high=high) for name, (value, low, high) in both.items()}
+    return {name: _FittedNumber(value=value, low=low, high=high) for name, (value, low, high) in both.items()}
 
 
-def _numbers(found: dict[str, FittedNumber], switched: bool) -> dict[str, Any]:
+def _numbers(found: dict[str, _FittedNumber], switched: bool) -> dict[str, Any]:
     """The numbers of a profile, within its bounds and rounded to what they tell."""
     plain = {
         name: _bounded(name, estimate.value) for name, estimate in found.items() if name.partition("_")[0] not in _PAIRS
@@ -254,7 +362,7 @@ def _numbers(found: dict[str, FittedNumber], switched: bool) -> dict[str, Any]:
     return {"correct_every_s": 0.0, **plain, **pairs}
 
 
-def _tells_hand(found: dict[str, FittedNumber]) -> bool:
+def _tells_hand(found: dict[str, _FittedNumber]) -> bool:
     return "reaction_s" in found  # of a stick and of switches
 
 
@@ -264,7 +372,7 @@ def _bounded(name: str, value: float) -> float:
 
 
 def _warnings(
-    found: dict[str, FittedNumber], seconds: float, series: Sequence[HandSeries], wanted: bool
+    found: dict[str, _FittedNumber], seconds: float, series: Sequence[HandSeries], wanted: bool
 ) -> tuple[str, ...]:
     told = []
     if seconds < _SHORT_S:

@@ -18,8 +18,7 @@ import numpy as np
 
 from wcsim.core.jit import exact_kernel
 from wcsim.types import F64, Bool
-from wcsim.users.fitting.hand_series import HandSeries
-from wcsim.users.fitting.stick_positions import MOVES
+from wcsim.users.fitting.hand_series import MOVES, HandSeries
 from wcsim.users.hand import TREMOR_WANDER, TREMOR_WANDER_S
 
 # the noise of a hand (6,)

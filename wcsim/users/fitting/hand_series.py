@@ -1,4 +1,7 @@
-"""A recorded hand as the fit takes it: episodes of samples some 30 ms apart, and what was wanted meanwhile."""
+"""A recorded hand as the fit takes it: samples some 30 ms apart, what was wanted, and whether a stick was moved at all.
+
+Keys and switches know few positions, and say nothing of how a hand moves between them.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wcsim.core.reading import shown
+from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool
 from wcsim.users.fitting.habits import STICK_FILTER_S
+from wcsim.users.hand import SWITCH_POSITIONS
 from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 
+_SAME = 1e-4  # of the stick's travel
+MOVES = 0.05  # of the stick's travel: less is rest
+_MOST = 24  # positions: eight directions of keys, and those at half way
+_REPEATED = 4  # times that each of them comes on the mean; so seldom does a hand come back to the same place
 _FINE_STEPS = 24  # of a tick, at least, in which a wish is followed to the hand
 _APART_S = 0.034  # between two samples that are fitted
 _FINE_S = 0.01  # samples no farther apart show what the joystick's low-pass took off
 _AT_GATE = 1.0 - 1e-5  # of the stick's travel: there it may have been stopped
 SHORTEST_S = 5.0  # of an episode that is fitted
+
+
+def at_switches(sticks: F64) -> Bool:
+    """(N,) which sticks (N, 2) are positions that the user model's four switches stand for."""
+    away = np.abs(sticks[:, None, :] - np.array(SWITCH_POSITIONS)[None]).max(axis=2).min(axis=1)
+    found: Bool = away < _SAME
+    return found
+
+
+def check_stick(name: str, ticks: Sequence[RecordedTick]) -> None:
+    """Raise ConfigError for a drive by keys, or by the switches of the page of a drive, of which no hand can be fitted.
+
+    The four switches of the user model are none of these: who drove with them is fitted by what they do.
+    """
+    sticks = np.array([(tick.stick.x, tick.stick.y) for tick in ticks]).reshape(-1, 2)
+    moving = sticks[np.hypot(sticks[:, 0], sticks[:, 1]) > MOVES]
+    if not len(moving) or at_switches(moving).all():
+        return
+    count = len(np.unique(moving.round(4), axis=0))
+    if count <= _MOST and len(moving) >= _REPEATED * count:
+        raise ConfigError(
+            f"{shown(name)}: its stick took only {count} position{'s' * (count > 1)}, as with keys or switches, which "
+            "do not show delay, gain and tremor; expected a drive by gamepad, pointer or finger: leave this one out"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -126,7 +126,7 @@ def _lacking(pair: Paired) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Weighting:
+class _Weighting:
     """Another way to make one number of an episode."""
 
     name: str
@@ -144,28 +144,28 @@ def _lawful(record: EpisodeRecord) -> bool:
 
 
 WEIGHTINGS: Final = (
-    Weighting(name="the score", says="as in the tables", of=lambda record: record.score),
-    Weighting(
+    _Weighting(name="the score", says="as in the tables", of=lambda record: record.score),
+    _Weighting(
         name="safety alone",
         says="1 without an own crash or a red light, else 0: standing still is best",
         of=lambda record: float(_lawful(record)),
     ),
-    Weighting(
+    _Weighting(
         name="geometric mean",
         says="cube root of route x pace x obedience; 0 as in the score",
         of=lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
     ),
-    Weighting(
+    _Weighting(
         name="obedience counts double",
         says="route x pace x obedience squared; 0 as in the score",
         of=lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
     ),
-    Weighting(
+    _Weighting(
         name="red lights forgiven",
         says="as the score, but not 0 after a red light",
         of=lambda record: _product(record) if record.driven else 0.0,
     ),
-    Weighting(
+    _Weighting(
         name="way alone",
         says="share of the route completed, however the episode ended",
         of=lambda record: record.score_parts[0] if record.steps else 0.0,

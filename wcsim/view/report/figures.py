@@ -1,4 +1,4 @@
-"""The figures of a test, each with its numbers as CSV."""
+"""The figures of a test, each with its numbers as CSV, and the ground below its maps."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from wcsim.agents.evaluation.suite.list_file import TIGHT
 from wcsim.agents.evaluation.suite.records import (
@@ -19,20 +21,41 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
 )
 from wcsim.agents.evaluation.suite.result_files import TOWNS, KeptEpisode, KeptResult, Row
+from wcsim.errors import WcsimError
+from wcsim.towns.scenario.town import find_town
+from wcsim.towns.street import load_street
+from wcsim.types import U8, ClassId, Ground
 from wcsim.view.report.charts import (
     DrivenWay,
     Estimate,
+    TownPicture,
     bar_chart,
     obedience_chart,
     score_chart,
     share_chart,
     town_chart,
 )
-from wcsim.view.report.ground import ground_around
 from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
 
+_MARGIN_M: Final = 25.0
+_MOST_CELLS: Final = 700
+_ROWS_AT_ONCE: Final = 64
+_COLOURS: Final = {
+    ClassId.ROAD: (214, 216, 220),
+    ClassId.PARKING: (222, 222, 224),
+    ClassId.CROSSWALK: (190, 194, 206),
+    ClassId.SIDEWALK: (243, 239, 228),
+    ClassId.KERB: (180, 180, 180),
+    ClassId.LOWERED_KERB: (205, 190, 150),
+    ClassId.RAIL_TRACK: (224, 214, 208),
+    ClassId.TERRAIN: (232, 240, 226),
+    ClassId.VEGETATION: (220, 234, 212),
+    ClassId.GROUND: (238, 236, 232),
+}
+_SOLID_RGB: Final = (196, 190, 188)  # houses, walls, trunks
+_OTHER_RGB: Final = (248, 248, 248)
 _OBEYS: Final = 0.5  # who does as asked more rarely would squeeze all others into a corner of the figure
-ENDINGS: Final = {
+_ENDINGS: Final = {
     FINISHED: "arrived",
     CRASHED: "crashed",
     GAVE_UP: "user gave up",
@@ -42,6 +65,35 @@ ENDINGS: Final = {
 }
 _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
+
+
+def ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> TownPicture | None:
+    """The ground of a town around some points; None where there is no such town, or no point."""
+    if not points_m:
+        return None
+    try:
+        street = load_street(find_town(town))
+    except WcsimError:
+        return None
+    x, y = np.asarray(points_m, np.float64).T
+    west, east = float(x.min()) - _MARGIN_M, float(x.max()) + _MARGIN_M
+    south, north = float(y.min()) - _MARGIN_M, float(y.max()) + _MARGIN_M
+    cell = max(east - west, north - south) / _MOST_CELLS
+    columns, rows = max(1, round((east - west) / cell)), max(1, round((north - south) / cell))
+    at_x = west + (np.arange(columns) + 0.5) * (east - west) / columns
+    at_y = north - (np.arange(rows) + 0.5) * (north - south) / rows
+    strips = [_strip(street.grid, at_x, at_y[row : row + _ROWS_AT_ONCE]) for row in range(0, rows, _ROWS_AT_ONCE)]
+    return TownPicture(image=np.vstack(strips), west_m=west, east_m=east, south_m=south, north_m=north)
+
+
+def _strip(grid: Ground, at_x: np.ndarray, at_y: np.ndarray) -> U8:
+    points = np.stack(np.broadcast_arrays(at_x[None, :], at_y[:, None]), axis=-1)
+    table = np.full((256, 3), _OTHER_RGB, np.uint8)
+    for class_id, colour in _COLOURS.items():
+        table[class_id] = colour
+    image = table[grid.class_at(points)]
+    image[grid.clearance_at(points) <= 0.0] = _SOLID_RGB
+    return np.asarray(image, np.uint8)
 
 
 def figure(name: str, title: str, says: str, csv: str, svg: bytes) -> Exhibit:
@@ -228,7 +280,7 @@ def _statuses(result: KeptResult) -> Exhibit:
         name: {status: sum(e.record.status == status for e in episodes) for status in STATUSES}
         for name, episodes in result.episodes.items()
     }
-    named = {name: {ENDINGS[status]: count for status, count in row.items()} for name, row in counts.items()}
+    named = {name: {_ENDINGS[status]: count for status, count in row.items()} for name, row in counts.items()}
     plain: list[list[Cell]] = [[name, *(row[status] for status in STATUSES)] for name, row in counts.items()]
     return figure(
         "status",

@@ -1,4 +1,4 @@
-"""HTML put together so that no text of others becomes markup, and numbers as CSV."""
+"""A page of HTML: its elements, in which all text is escaped, tables with their numbers as CSV, and its files."""
 
 from __future__ import annotations
 
@@ -9,11 +9,19 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
+
+from wcsim.core.files import write_bytes
 
 _VOID: Final = frozenset({"meta", "img", "br", "link", "input"})
 _MOST_STEM: Final = 80
 Cell = str | int | float | None
+PAGE: Final = "report.html"
+_FIGURES: Final = "report"
+_ALLOWED: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+_ASSETS: Final = Path(__file__).parent / "assets"
+_SIMULATION_ONLY: Final = "SIMULATION ONLY: these figures say nothing about a real street."
 
 
 class Markup(str):
@@ -86,3 +94,63 @@ def table(headings: Sequence[object], rows: Iterable[Sequence[object]], name: st
 def _cell(cell: object, place: int) -> Markup:
     shown, key = cell if isinstance(cell, tuple) else (cell, None)
     return el("th" if place == 0 else "td", shown, data_key=key, scope="row" if place == 0 else None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """A part of the page."""
+
+    name: str  # its anchor
+    title: str
+    body: Markup
+
+
+def page(title: str, intro: Markup, sections: Sequence[Section]) -> str:
+    """The whole file."""
+    links = (el("a", section.title, href=f"#{section.name}") for section in sections)
+    head = el(
+        "head",
+        el("meta", charset="utf-8"),
+        el("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        el("meta", http_equiv="Content-Security-Policy", content=_ALLOWED),
+        el("title", title),
+        el("style", Markup((_ASSETS / "page.css").read_text(encoding="utf-8"))),
+    )
+    body = el(
+        "body",
+        el("header", el("h1", title), intro, el("nav", *links)),
+        el("main", *(el("section", el("h2", each.title), each.body, id=each.name) for each in sections)),
+        el("footer", _SIMULATION_ONLY),
+        el("script", Markup((_ASSETS / "page.js").read_text(encoding="utf-8"))),
+    )
+    return f"<!DOCTYPE html>\n{el('html', head, body, lang='en')}\n"
+
+
+def shown(exhibit: Exhibit, more: object = "") -> Markup:
+    """An exhibit with its title, how to read it, and its numbers."""
+    csv = el("a", "CSV", href=data_uri("text/csv", exhibit.csv.encode()), download=f"{exhibit.stem}.csv", class_="csv")
+    beside = el("span", f" {_FIGURES}/{exhibit.stem}.svg", class_="csv") if exhibit.svg else ""
+    return el(
+        "div",
+        el("h3", exhibit.title),
+        exhibit.body,
+        el("p", exhibit.says, " ", csv, beside, class_="says"),
+        more,
+        class_="exhibit drawn" if exhibit.svg else "exhibit",
+        id=f"x-{exhibit.name}",
+    )
+
+
+def facts(pairs: Iterable[tuple[str, object]]) -> Markup:
+    """What was done, in pairs of a word and what it is."""
+    return el("dl", *(joined((el("dt", word), el("dd", said))) for word, said in pairs), class_="facts")
+
+
+def write_page(folder: Path, text: str, exhibits: Iterable[Exhibit]) -> Path:
+    """Write the page, and its figures and numbers beside it. Raises DiskFullError."""
+    for exhibit in exhibits:
+        write_bytes(folder / _FIGURES / f"{exhibit.stem}.csv", exhibit.csv.encode())
+        if exhibit.svg:
+            write_bytes(folder / _FIGURES / f"{exhibit.stem}.svg", exhibit.svg)
+    write_bytes(folder / PAGE, text.encode())
+    return folder / PAGE

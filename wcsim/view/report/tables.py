@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite.result_files import KeptResult, Row
 from wcsim.view.report.comparisons import WEIGHTINGS, Paired, weighted
 from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, table
 
-Worst = Callable[[str], object]  # what leads to a policy's worst moment
+_Worst = Callable[[str], object]  # what leads to a policy's worst moment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ SERVICE: Final = (
     ),
     Column(heading="times frozen", key="freezes", says="stood for 3 s or more while the user's stick was out"),
 )
-JUDGED: Final = (
+_JUDGED: Final = (
     Column(
         heading="interventions",
         key="interventions",
@@ -130,16 +130,16 @@ JUDGED: Final = (
     ),
     Column(heading="help", key="helps", says="times that the user asked for help"),
 )
-COLUMNS: Final = (*SAFETY, *SERVICE, *JUDGED)
+COLUMNS: Final = (*SAFETY, *SERVICE, *_JUDGED)
 
 
-def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> Exhibit:
+def result_table(result: KeptResult, part: str, worst: _Worst | None = None) -> Exhibit:
     """The table of a part, "" for all parts; `worst` gives what stands below each policy's name."""
     rows = [row for row in (result.rows if part else result.pooled) if row["part"] == part]
     name = f"table-{part or 'all'}"
     safety = _table(rows, SAFETY, f"{name}-safety", worst)
     service = _table(rows, SERVICE, f"{name}-service", None)
-    judged = _table(rows, JUDGED, f"{name}-judged", None)
+    judged = _table(rows, _JUDGED, f"{name}-judged", None)
     keys = [key for column in COLUMNS for key in _keys(column)]
     plain = [[row["policy"], *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows]
     return Exhibit(
@@ -151,7 +151,7 @@ def result_table(result: KeptResult, part: str, worst: Worst | None = None) -> E
     )
 
 
-def _table(rows: Sequence[Row], columns: Sequence[Column], name: str, worst: Worst | None) -> Markup:
+def _table(rows: Sequence[Row], columns: Sequence[Column], name: str, worst: _Worst | None) -> Markup:
     headings: list[object] = ["policy", *(el("span", column.heading, title=column.says) for column in columns)]
     lines = []
     for row in rows:

@@ -21,15 +21,15 @@ from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.cli.recordings.film_page import FilmOrder, play_start
 from wcsim.config import load_run_config
+from wcsim.core.files import numbered_names
 from wcsim.drive.driven import DriverKind
-from wcsim.drive.keeping.drive_keeper import DriveKeeper
-from wcsim.drive.keeping.kept_files import file_names
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
 from wcsim.drive.playing.sources.drive_source import drive_film
 from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film, failed_episodes
 from wcsim.drive.playing.sources.journal_source import journal_film
 from wcsim.drive.playing.sources.trace_source import trace_film
 from wcsim.drive.playing.tick_film import TickFilm
+from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError, TownError
@@ -164,16 +164,16 @@ def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
 
 def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
     """Before a handover the user alone; the assistance off and on; what was off before a file began is off in it."""
-    files = file_names(tmp_path / "a.drive")
+    files = numbered_names(tmp_path / "a.drive")
     with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
         session.place = replace(session.place, handover_step=4, episode="dev 0.0")
-        session.look_on(DriveKeeper(session, files, lambda _: None))
+        session.add_observer(SessionRecorder(session, files, lambda _: None))
         ahead = Wish(stick=Joystick(0.0, 1.0))
         for on in (True, False, True, False):
             session.assist(on)
             for _ in range(6):
                 session.tick(ahead)
-        kpi1, kpi2 = session.tally.kpi1, session.tally.kpi2
+        kpi1, kpi2 = session.metrics.kpi1, session.metrics.kpi2
         session.again()
         session.drive_by(DriverKind.SIMULATED)
         for _ in range(6):
@@ -191,7 +191,7 @@ def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
 
 def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner: Path, tmp_path: Path) -> None:
     with DriveSession(DriveStart(town=str(corner), seed=4)) as session:
-        session.look_on(DriveKeeper(session, file_names(tmp_path / "a.drive"), lambda _: None))
+        session.add_observer(SessionRecorder(session, numbered_names(tmp_path / "a.drive"), lambda _: None))
         session.driver = DriverKind.SIMULATED  # without a word
         for _ in range(4):
             session.tick(Wish())
@@ -203,7 +203,7 @@ def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner
 
 def test_follow_decides_nothing_in_a_drive(corner: Path, tmp_path: Path) -> None:
     with DriveSession(DriveStart(town=str(corner), seed=4, policy="follow")) as session:
-        session.look_on(DriveKeeper(session, file_names(tmp_path / "a.drive"), lambda _: None))
+        session.add_observer(SessionRecorder(session, numbered_names(tmp_path / "a.drive"), lambda _: None))
         for on in (False, True):
             session.assist(on)
             session.tick(Wish())

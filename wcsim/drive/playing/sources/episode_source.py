@@ -23,8 +23,7 @@ from wcsim.config.suite import BlockFile
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FilmStep, Flag, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, intervening, stick_of
 from wcsim.errors import ConfigError
-from wcsim.view.report.failures import FailedEpisode, failures_of, fate
-from wcsim.view.report.illustrate import order_of
+from wcsim.view.report.failures import FailedEpisode, failures_of, fate, order_of
 
 NOT_IN_EPISODES: Final = ("Sensor errors of the camera: its picture is drawn without them.",)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from wcsim.drive.playing.film_states import FilmLine, Said, said_bytes
-from wcsim.drive.playing.giving_way import give_way
+from wcsim.drive.playing.low_priority import run_at_low_priority
 from wcsim.errors import WcsimError
 
 SourceKind = Literal["journal", "trace", "drive", "episode", "run"]
@@ -36,7 +36,7 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
     """What the process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who started it
     if source.gives_way:
-        give_way()
+        run_at_low_priority()
 
     def say(said: Said) -> None:
         pipe.send_bytes(said_bytes(said))

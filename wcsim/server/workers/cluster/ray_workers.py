@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
@@ -19,7 +18,7 @@ from queue import SimpleQueue
 from typing import Any, Final
 
 from wcsim.core.reading import shown
-from wcsim.errors import ConfigError, DiskFullError, WorkersError
+from wcsim.errors import ConfigError, DiskFullError, WorkersError, check_installed
 from wcsim.server.workers.cluster.joining import LOCAL, LinkSpec
 from wcsim.server.workers.cluster.link import run_link
 from wcsim.server.workers.worker_api import Work, WorkEnd
@@ -179,8 +178,7 @@ def require_address(address: str) -> None:
             f"--cluster {shown(address, 80)!r}: expected `local`, or HOST:PORT as `ray start --head` prints it, such "
             "as 10.0.0.1:6379"
         )
-    if find_spec("ray") is None:
-        raise ConfigError("--cluster needs Ray, which is not installed: python -m pip install 'wcsim[cluster]'")
+    check_installed("--cluster needs Ray", "cluster", "ray")
     if found is not None:
         try:
             socket.create_connection((found[1].strip("[]"), int(found[2])), REACH_S).close()

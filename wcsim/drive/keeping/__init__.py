@@ -1,1 +1,0 @@
-"""What is kept of driving: recordings of single drives, and studies that lead a person through several; no sockets."""

@@ -1,0 +1,189 @@
+"""Records a drive: each tick goes into a file from which the same drive is made again (docs/recordings.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from wcsim.bridge.drives.drive_header import drive_header
+from wcsim.core.reading import shown
+from wcsim.drive.driven import DriveEvent, DrivenTick, DriverKind, EventKind
+from wcsim.drive.session import DriveSession
+from wcsim.errors import WcsimError
+from wcsim.users.profiles import profile_json
+from wcsim.users.recording.drive_recorder import DriveRecorder
+from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
+
+_NO_NAME = "all names for a further file are taken; start wcsim drive again"
+_RECORDED = "the simulated user is a recording, which a drive cannot be replayed with; choose a profile"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderStatus:
+    """What has changed about the recording."""
+
+    on: bool  # ticks go into a file
+    file: str = ""  # it, or the one that they went into
+    told: str = ""  # for the person
+    log: str = ""  # for the console; "" for nothing to log
+
+
+class SessionRecorder:
+    """Records a session from its first tick on. A file that cannot be written never ends the drive.
+
+    Args:
+        session: What is recorded; it has not been driven yet.
+        names: Of new files, one for each world.
+        tell: Called when a recording begins and ends.
+    """
+
+    def __init__(self, session: DriveSession, names: Iterator[Path], tell: Callable[[RecorderStatus], object]) -> None:
+        self._session, self._names, self._tell = session, names, tell
+        self._recorder: DriveRecorder | None = None
+        self._header: DriveHeader | None = None  # of the world that is driven; None where nothing is kept of it
+        self._file = ""
+        self._waiting: list[RecordedEvent] = []  # from before the first tick, when there is no file yet
+        self._before, self._kept = session.ticks, 0
+        self._begin()
+
+    def tick(self, driven: DrivenTick) -> None:
+        """Write it."""
+        if self._header is None:
+            return
+        try:
+            recorder = self._recorder or self._open(self._header)
+            recorder.record(_recorded_tick(driven, self._before, self._session.tick_s))
+            self._kept += 1
+        except WcsimError as error:
+            self._stop(str(error))
+
+    def event(self, event: DriveEvent) -> None:
+        """Write it; a world's end is a file's end."""
+        if event.kind is EventKind.REBUILT:
+            self._end()
+            self._before = event.tick
+            self._begin()
+        elif self._header is not None:
+            self._note(event)
+
+    def close(self) -> None:
+        """The file is whole; a second call does nothing."""
+        self._end()
+
+    # --- files ---
+
+    def _begin(self) -> None:
+        """Another world: what its file begins with, or why there is none."""
+        session = self._session
+        beside = session.world.seats[0].profile
+        self._file, self._waiting, self._kept = "", [], 0
+        if beside is None and not self._sits_in_scene():
+            self._stop(_RECORDED)
+            return
+        header = drive_header(
+            session.place.town,
+            session.place.config,
+            session.place.seed,
+            session.place.spec,
+            None,
+            policy=session.assistance.name,
+            level="" if session.assistance.level is None else f"{session.assistance.level:g}",
+            episode=session.place.episode,
+        )
+        company = "" if beside is None else profile_json(beside)
+        self._header = replace(header, beside=company, scene=session.place.scene)
+        if not session.assistance.on:  # of what was switched before this world, its file would not know
+            self._note_first(EventKind.ASSISTANCE, "off")
+        if session.driver is DriverKind.SIMULATED:
+            self._note_first(EventKind.DRIVER, session.driver.value)
+        self._tell(RecorderStatus(on=True, told="Recording starts when you drive."))
+
+    def _sits_in_scene(self) -> bool:
+        """Whether the recorded user beside the person is the one of a generated scene, which is made again with it."""
+        place = self._session.place
+        return bool(place.scene) and not place.start.profile and self._session.profile == place.spec.profile
+
+    def _open(self, header: DriveHeader) -> DriveRecorder:
+        path = next(self._names, None)
+        if path is None:
+            raise WcsimError(_NO_NAME)
+        self._recorder, self._file = DriveRecorder(path, header), str(path)
+        for event in self._waiting:
+            self._recorder.note(event)
+        self._waiting = []
+        self._tell(
+            RecorderStatus(on=True, file=self._file, log=f"recording to {shown(path)}: {self._session.place.told}")
+        )
+        return self._recorder
+
+    def _note(self, event: DriveEvent) -> None:
+        told = event.told
+        if event.kind is EventKind.USER:
+            user = self._session.world.seats[0].profile
+            if user is None:
+                self._stop(_RECORDED)
+                return
+            told = profile_json(user)
+        tick = event.tick - self._before
+        noted = RecordedEvent(tick=tick, time_s=tick * self._session.tick_s, kind=event.kind.value, detail=told)
+        if self._recorder is None:
+            self._waiting.append(noted)
+            return
+        try:
+            self._recorder.note(noted)
+        except WcsimError as error:
+            self._stop(str(error))
+
+    def _note_first(self, kind: EventKind, told: str) -> None:
+        self._waiting.append(RecordedEvent(tick=0, time_s=0.0, kind=kind.value, detail=told))
+
+    def _stop(self, why: str) -> None:
+        """Nothing more is kept of this world; what was, is."""
+        self._end()
+        told = "Recording has stopped" if self._file else "This drive is not recorded"
+        self._tell(RecorderStatus(on=False, file=self._file, told=f"{told}: {why}", log=f"not recording: {why}"))
+
+    def _end(self) -> None:
+        self._header = None
+        if self._recorder is not None:
+            recorder, self._recorder = self._recorder, None
+            recorder.close()
+            minutes = self._kept * self._session.tick_s / 60.0
+            log = f"wrote {shown(self._file)}: {self._kept} ticks, {minutes:.1f} min"
+            self._tell(RecorderStatus(on=False, file=self._file, log=log))
+
+
+def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> RecordedTick:
+    """A tick as a file holds it.
+
+    Args:
+        driven: The tick.
+        before: Ticks of the drive before the file's world began.
+        tick_s: How long a tick is.
+    """
+    tick = driven.tick - before
+    return RecordedTick(
+        tick=tick,
+        episode=driven.episode,
+        time_s=tick * tick_s,
+        stick=driven.stick,
+        intent=driven.intent,
+        sticks=driven.sticks,
+        commanded=driven.commanded,
+        chosen=driven.chosen,
+        action=driven.action,
+        p_WB_m=driven.p_WB_m,
+        yaw_rad=driven.yaw_rad,
+        roll_rad=driven.roll_rad,
+        pitch_rad=driven.pitch_rad,
+        speed_mps=driven.speed_mps,
+        warning=driven.warning,
+        intervening=driven.intervening,
+        overruled=driven.overruled,
+        helped=driven.help_asked,
+        arrived=driven.arrived,
+        gave_up=driven.gave_up,
+        crashed=driven.crashed,
+        truncated=driven.truncated,
+    )

@@ -1,0 +1,315 @@
+"""Leads a participant through a study: what comes next, when a drive is over, what is written.
+
+A block's figures as a row of the study's table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from wcsim.core.files import numbered_names
+from wcsim.core.reading import shown
+from wcsim.drive.recording.open_study import OpenStudy, participant_rows, study_start
+from wcsim.drive.recording.study_plan import (
+    END,
+    Row,
+    StepKind,
+    StudyPart,
+    StudyStep,
+    StudyView,
+    answer_choices,
+    answer_column,
+    append_row,
+    read_rows,
+    remaining_steps,
+    step_questions,
+    step_view,
+    table_columns,
+)
+from wcsim.drive.session import DriveSession
+from wcsim.drive.starting import DriveStart
+from wcsim.errors import WcsimError
+from wcsim.users.recording.drive_types import wcsim_version
+
+
+def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: str, ended: str) -> Row:
+    """What was driven in a block.
+
+    Args:
+        study: The study, and who takes part.
+        part: The block, and where it stands.
+        session: The drive, at its end.
+        file: Of its recording.
+        ended: Why: "minutes", "arrivals", or "stopped" by the participant.
+    """
+    metrics, place = session.metrics, session.place
+    moving_s = metrics.moving_ticks * session.tick_s
+    return {
+        **_head(study, part.block.name),
+        "part": str(part.number),
+        "assistance": "on" if part.block.assistance else "off",
+        "level": "" if session.assistance.level is None else f"{session.assistance.level:g}",
+        "policy": session.assistance.name,
+        "town": place.town.name,
+        "seed": str(place.seed),
+        "episode": place.episode,
+        "recording": file,
+        "ended": ended,
+        "minutes": f"{session.counted_s / 60.0:.4f}",
+        "kpi1": "" if metrics.kpi1 is None else f"{metrics.kpi1:.5f}",
+        "kpi2": f"{metrics.kpi2:.2f}",
+        "distance_m": f"{metrics.way_m:.2f}",
+        "speed_mps": f"{metrics.way_m / moving_s:.4f}" if moving_s else "",
+        "arrivals": str(metrics.arrivals),
+        "given_up": str(metrics.given_up),
+        "crashes": str(metrics.crashes),
+        "warnings": str(metrics.warnings),
+        "interventions": str(metrics.interventions),
+        "helps": str(metrics.helps),
+        "overrulings": str(metrics.overrules),
+    }
+
+
+def _end_row(study: OpenStudy) -> Row:
+    """The row of the answers after all blocks."""
+    return _head(study, END)
+
+
+def _head(study: OpenStudy, block: str) -> dict[str, str]:
+    return {
+        "study": study.file.name,
+        "study_sha256": study.sha256[:12],
+        "wcsim": wcsim_version(),
+        "participant": str(study.participant),
+        "order": study.order,
+        "block": block,
+    }
+
+
+_NO_ANSWER = -1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyHands:
+    """What a study needs of whoever runs the drives."""
+
+    open: Callable[[DriveStart, Path], DriveSession]  # in the stead of the one before, kept in that file; WcsimError
+    close: Callable[[], None]  # the drive that is open, if any
+    show: Callable[[StudyView], object]
+    say: Callable[[str], object]  # a line for whoever started the study
+    clock: Callable[[], float]  # monotonic seconds
+
+
+class StudyLead:
+    """One participant's way through a study, from what is in its table on.
+
+    Args:
+        study: The study.
+        hands: Who opens drives and shows pages.
+    """
+
+    def __init__(self, study: OpenStudy, hands: StudyHands) -> None:
+        """Raises ConfigError for a table that cannot be read."""
+        self._study, self._hands = study, hands
+        done = {row["block"] for row in participant_rows(study)}
+        steps = remaining_steps(study.file, study.participant, done)
+        parts = dict.fromkeys(step.part for step in steps if step.part is not None)
+        self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
+        self._steps = remaining_steps(study.file, study.participant, done, self._rows)
+        self._at, self._view = 0, StudyView(step=0, kind=StepKind.END, participant=study.participant, title="")
+        self._session: DriveSession | None = None
+        self._file, self._failed, self._rested_s = "", False, 0.0
+        self._shown_s = -1  # whole seconds that are left of a drive, or of a rest, as they were shown last
+        left = [part.block.name for part in dict.fromkeys(step.part for step in self._steps) if part is not None]
+        hands.say(
+            f"study {study.file.name}, participant {study.participant}: order {study.order}; "
+            f"to do: {', '.join(left) or 'nothing'}; table {shown(study.table)}"
+        )
+
+    @property
+    def step(self) -> StudyStep:
+        """The step of now."""
+        return self._steps[self._at]
+
+    @property
+    def drives(self) -> bool:
+        """Whether time goes."""
+        return self.step.kind is StepKind.DRIVE and self._session is not None
+
+    def begin(self) -> None:
+        """Show the first step."""
+        self._enter()
+
+    def go_on(self, step: int) -> None:
+        """The participant presses the button of this step, or ends a drive early; an older step's does nothing.
+
+        Raises:
+            WcsimError: It may not be pressed yet, or a question's answers are due.
+        """
+        if step != self._at or self.step.kind is StepKind.END:
+            return
+        if self.step.kind is StepKind.ASK:
+            raise WcsimError("the questions are not answered yet; answer them first")
+        if self.step.kind is StepKind.REST and self._hands.clock() < self._rested_s:
+            raise WcsimError("the rest is not over yet; wait until it is")
+        if self.step.kind is StepKind.READ and self._session is None:
+            self._prepare()
+            return
+        if self.step.kind is StepKind.DRIVE:
+            self._finish("stopped")
+            return
+        self._next()
+
+    def answer(self, step: int, answers: Sequence[int]) -> None:
+        """Write the answers to this step's questions, numbers from 0 on, `_NO_ANSWER` for one that is left out.
+
+        Raises:
+            WcsimError: They are not this step's, or could not be written.
+        """
+        if step != self._at or self.step.kind is not StepKind.ASK:
+            return
+        asked = step_questions(self._study.file, self.step)
+        told: dict[str, str] = {}
+        if len(answers) != len(asked):
+            raise WcsimError(f"got {len(answers)} answers; expected {len(asked)}: reload the page")
+        for question, number in zip(asked, answers, strict=True):
+            words = answer_choices(question)
+            if not _NO_ANSWER <= number < len(words):
+                raise WcsimError(
+                    f"got answer {number} to question {question.name}; expected 0 to {len(words) - 1}: reload the page"
+                )
+            told[answer_column(question)] = "" if number == _NO_ANSWER else words[number]
+        part = self.step.part
+        self._write(_end_row(self._study) if part is None else self._rows[part.block.name], told)
+        if part is not None:
+            self._forget(part)
+        self._next()
+
+    def wait(self) -> None:
+        """Time goes by without a tick: a page that comes in the middle of a rest is told what is left of it."""
+        left_s = max(0.0, self._rested_s - self._hands.clock())
+        if self.step.kind is StepKind.REST and math.ceil(left_s) != self._shown_s:
+            self._tell_rest(left_s)
+
+    def driven(self) -> None:
+        """A tick has been driven: the part is over after its time, or its arrivals."""
+        session, part = self._session, self.step.part
+        if session is None or part is None or self.step.kind is not StepKind.DRIVE:
+            return
+        block, self._failed = part.block, self._failed or bool(session.assistance.failed)
+        left_s = 60.0 * block.minutes - session.counted_s
+        over = block.arrivals is not None and session.metrics.arrivals >= block.arrivals
+        if over or left_s <= 1e-6:
+            self._finish("arrivals" if over else "minutes")
+        elif int(left_s) != self._shown_s:
+            self._tell_left()
+
+    # --- steps ---
+
+    def _next(self) -> None:
+        self._at += 1
+        self._enter()
+
+    def _enter(self) -> None:
+        step = self.step
+        self._view = step_view(self._study.file, step, self._at, self._study.participant)
+        if step.kind is StepKind.READ:
+            self._prepare()
+        elif step.kind is StepKind.DRIVE:
+            self._tell_left()
+        elif step.kind is StepKind.REST:
+            self._rested_s = self._hands.clock() + self._study.file.pause_s
+            self._tell_rest(self._study.file.pause_s)
+        else:
+            self._show()
+
+    def _prepare(self) -> None:
+        """Open the part's street, while the participant reads what it is."""
+        part = self.step.part
+        if part is None:
+            return
+        self._show(ready=False, trouble="")
+        self._file, self._failed = "", False
+        name = f"{part.number}-{part.block.name}.drive"
+        path = next(numbered_names(self._study.folder / name), None)
+        try:
+            if path is None:
+                raise WcsimError(
+                    f"{shown(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
+                )
+            session = self._hands.open(study_start(self._study.file, part.place, self._study.network), path)
+            if part.block.level is not None:
+                session.set_level(part.block.level)
+            session.assist(part.block.assistance)
+        except WcsimError as error:
+            self._show(ready=True, button="Try again", trouble=str(error))
+            return
+        self._session, self._file = session, str(path)
+        self._view = step_view(self._study.file, self.step, self._at, self._study.participant)
+        self._show()
+
+    def _finish(self, ended: str) -> None:
+        """A part has been driven: keep its figures, until the answers to it are there."""
+        session, part = self._session, self.step.part
+        if session is None or part is None:
+            return
+        failed = "yes" if self._failed else "no"
+        row = {**_block_row(self._study, part, session, self._file, ended), "policy_failed": failed}
+        self._session, self._rows[part.block.name] = None, row
+        self._hands.close()
+        try:
+            after = self._steps[self._at + 1]
+            if after.kind is StepKind.ASK and after.part is part and part.number:  # and not the questions of the end
+                append_row(self._result(part), table_columns(self._study.file), row)
+            else:
+                self._write(row, {})
+        except WcsimError as error:
+            self._hands.say(f"{error}; the results of this part: {', '.join(map(str, row.values()))}")
+        self._next()
+
+    def _left_over(self, part: StudyPart) -> tuple[Row, ...]:
+        """The figures of a part that was driven in a sitting before, whose questions were not answered."""
+        path = self._result(part)
+        rows = read_rows(path, table_columns(self._study.file))
+        found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
+        if found:
+            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {shown(path)}")
+        return found
+
+    def _forget(self, part: StudyPart) -> None:
+        """The figures are in the table: who drives this part anew, as after a pilot, is not taken for having driven."""
+        path = self._result(part)
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            self._hands.say(
+                f"{shown(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
+            )
+
+    def _result(self, part: StudyPart) -> Path:
+        return self._study.folder / f"{part.number}-{part.block.name}.csv"
+
+    def _write(self, row: Row, answers: Row) -> None:
+        append_row(self._study.table, table_columns(self._study.file), {**row, **answers})
+        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {shown(self._study.table)}")
+
+    # --- what is shown ---
+
+    def _tell_left(self) -> None:
+        session, part = self._session, self.step.part
+        if session is None or part is None:
+            return
+        left_s, arrivals = max(0.0, 60.0 * part.block.minutes - session.counted_s), part.block.arrivals
+        self._shown_s = int(left_s)
+        self._show(left_s=left_s, arrivals_left=None if arrivals is None else arrivals - session.metrics.arrivals)
+
+    def _tell_rest(self, left_s: float) -> None:
+        self._shown_s = math.ceil(left_s)
+        self._show(wait_s=left_s)
+
+    def _show(self, **changes: object) -> None:
+        self._view = replace(self._view, **changes)  # type: ignore[arg-type]
+        self._hands.show(self._view)

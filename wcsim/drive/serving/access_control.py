@@ -1,0 +1,74 @@
+"""Access control: checks of a request's host, origin and token, without any socket."""
+
+from __future__ import annotations
+
+import hmac
+import re
+import secrets
+from dataclasses import dataclass
+from typing import Final
+from urllib.parse import parse_qs, urlsplit
+
+LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+_ANYWHERE: Final = ("0.0.0.0", "::")  # noqa: S104 - named by the person who starts it, and only with a token
+_HOST: Final = re.compile(r"(?P<name>\[[0-9a-fA-F:]{2,45}\]|[A-Za-z0-9.-]{1,253})(?::[0-9]{1,5})?")
+_TOKEN_BYTES: Final = 24
+
+
+def new_token() -> str:
+    """A secret for the address of a page."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AccessControl:
+    """Accepts requests that know the printed address.
+
+    A page of another site can make a browser connect to this machine, and can give its own name this machine's address:
+    so the name by which a request came has to be one of ours, and the page that it came from has to be that name's.
+    """
+
+    host: str  # that the server listens at
+    token: str = ""  # required of every page where there is one
+
+    def refusal(self, host: str | None, origin: str | None, path: str, *, socket: bool) -> str:
+        """Why a request is refused, "" for one that is let in.
+
+        Args:
+            host: Its header Host.
+            origin: Its header Origin, None where there is none.
+            path: With its query.
+            socket: It wants to speak, not only to read a file of the page.
+        """
+        found = _HOST.fullmatch(host or "")
+        if found is None or not self._is_ours(found["name"].strip("[]").lower()):
+            return "this host name is not served here; open the printed address"
+        if socket and origin is None:
+            return "the Origin header is missing; open the printed address"
+        if origin is not None and origin.lower() != f"http://{host}".lower():
+            return "a page of another site may not connect"
+        asks = socket or urlsplit(path).path == "/"
+        if self.token and asks and not self._knows(path):
+            return "the token is missing or wrong; open the printed address"
+        return ""
+
+    def _is_ours(self, name: str) -> bool:
+        if self.host in _ANYWHERE:
+            return bool(self.token)
+        return name == self.host.lower() or (self.host in LOOPBACK and name in LOOPBACK)
+
+    def _knows(self, path: str) -> bool:
+        said = parse_qs(urlsplit(path).query).get("token", [""])[0]
+        return hmac.compare_digest(said.encode(), self.token.encode())
+
+
+def content_policy(host: str) -> str:
+    """What the page may load, as a header: its own files and its own socket, nothing of anybody else's.
+
+    >>> "connect-src 'self' ws://127.0.0.1:8080" in content_policy("127.0.0.1:8080")
+    True
+    """
+    return (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+        f"connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )

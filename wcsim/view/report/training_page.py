@@ -1,0 +1,290 @@
+"""The page of a training: how each client learned to follow its user without crashes (Fig. 7a, 7b), or its rounds."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.learning.metrics import KPI1_STEPS
+from wcsim.agents.rounds.round_log import TrainedRound
+from wcsim.core.reading import counted
+from wcsim.errors import PolicyError
+from wcsim.view.report.charts import Curve, curve_chart
+from wcsim.view.report.figures import figure
+from wcsim.view.report.learning_curve import (
+    KPI1_LIMIT,
+    OVER,
+    LogRow,
+    TrainedEpisode,
+    Training,
+    crossing,
+    running_means,
+    switch_step,
+)
+from wcsim.view.report.markup import (
+    Cell,
+    Exhibit,
+    Markup,
+    Section,
+    csv_of,
+    el,
+    facts,
+    joined,
+    page,
+    shown,
+    table,
+    write_page,
+)
+
+Runs = Mapping[str, tuple[TrainedRound, ...]]
+_THOUSAND: Final = 1000.0
+_LOSS_SAYS: Final = (
+    "Loss at the end of a round, smoothed over about 50 updates, over all 81 positions. Each round adds new driving "
+    "data, so the loss may rise although the network gets better"
+)
+_CRASH_SAYS: Final = (
+    "Crashes per 1,000 new steps of data: users and the oracle drive, and from the third round on, in a share of the "
+    "episodes, the network of the round before the last. Their driving is disturbed on purpose, so this is no "
+    "measure of the network"
+)
+_KPI1_SAYS: Final = (
+    f"Distance between the agent's own best action and the user's stick, and its limit {KPI1_LIMIT}. In the first "
+    f"phase the user's action is executed. A dot is 100 steps, a line the mean of the last {KPI1_STEPS}. Triangle: "
+    "that mean falls below the limit. Dashed: the end of a client's first phase"
+)
+_EPISODES_SAY: Final = (
+    f"One dot per episode, at its last step; lines are means of the last {OVER} episodes. Dashed, in the client's "
+    "colour: the end of its first phase, in which the user's action is executed. Exploration is included. Episodes "
+    "that the end of a world cut are left out."
+)
+_OVER_SAYS: Final = (
+    "Value of the best action at the start of an episode minus the discounted return that followed, both scaled. "
+    "Above 0 the network overestimates, more so without double Q-learning (learn.double_q). In the first phase the "
+    "user's actions were executed"
+)
+_Value = Callable[[TrainedEpisode], float | None]
+_FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
+    ("length", "Fig. 7b: ", "KPI 2, steps of an episode", "Steps until a crash, or until the limit of an episode",
+     lambda e: float(e.length)),
+    ("overestimate", "", "value minus return", _OVER_SAYS, lambda e: e.overestimate),
+)  # fmt: skip
+_NAMES: Final = {"kpi1": "fig-7a-kpi1", "length": "fig-7b-length", "overestimate": "overestimate"}
+
+
+def _round_sections(runs: Runs) -> list[tuple[Section, Sequence[Exhibit]]]:
+    """The section of the page with what belongs to it; none where no run has rounds."""
+    if not any(runs.values()):
+        return []
+    drawn = [
+        _round_figure(runs, "round-loss", "loss", _LOSS_SAYS, lambda rounds: [each.loss for each in rounds]),
+        _round_figure(runs, "round-crashes", "crashes per 1,000 steps", _CRASH_SAYS, _crash_rates),
+    ]
+    rows = _round_table(runs)
+    body = el("div", el("div", *map(shown, drawn), class_="charts"), shown(rows))
+    return [(Section(name="rounds", title="Rounds of driving and learning", body=body), (*drawn, rows))]
+
+
+def _crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
+    """Crashes per 1,000 steps that each round added; NaN where it added none."""
+    return [_THOUSAND * each.crashes / each.new_steps if each.new_steps else math.nan for each in rounds]
+
+
+def rounds_summary(rounds: Sequence[TrainedRound]) -> str:
+    """A run's rounds in a line.
+
+    >>> at = {"round": 0, "steps": 2000, "new_steps": 2000, "updates": 50, "loss": 0.25, "wait_s": 1, "learn_s": 2}
+    >>> rounds_summary((TrainedRound(tight_share=0.2, crashes=4, **at),))
+    '1 round, 2000 steps, 50 updates, loss 0.250, 2.0 crashes per 1000 steps in the last'
+    """
+    last, rate = rounds[-1], _crash_rates(rounds)[-1]
+    told = "" if math.isnan(rate) else f", {rate:.1f} crashes per 1000 steps in the last"
+    return f"{counted(len(rounds), 'round')}, {last.steps} steps, {last.updates} updates, loss {last.loss:.3f}{told}"
+
+
+def _round_figure(
+    runs: Runs, name: str, label: str, says: str, of: Callable[[Sequence[TrainedRound]], Iterable[float]]
+) -> Exhibit:
+    curves, plain = [], list[list[Cell]]()
+    for run, rounds in runs.items():
+        known = [(each, value) for each, value in zip(rounds, of(rounds), strict=True) if math.isfinite(value)]
+        values = [value for _, value in known]
+        curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
+        plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
+    svg = curve_chart(name, label, curves)
+    return figure(name, label[0].upper() + label[1:], f"{says}.", csv_of(("run", "round", "steps", label), plain), svg)
+
+
+def _round_table(runs: Runs) -> Exhibit:
+    headings = (
+        *("run", "round", "steps", "new", "of these with dangers", "crashes", "per 1,000 steps", "updates", "loss"),
+        *("waited for worlds, s", "learned, s"),
+    )
+    rows: list[list[Cell]] = [
+        [
+            run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
+            _rounded_cell(rate, 1), each.updates, _rounded_cell(each.loss, 3), round(each.wait_s), round(each.learn_s),
+        ]
+        for run, rounds in runs.items()
+        for each, rate in zip(rounds, _crash_rates(rounds), strict=True)
+    ]  # fmt: skip
+    return Exhibit(
+        name="rounds",
+        title="Rounds",
+        says="Steps: all samples so far. New: added in this round. With dangers: share of all steps in which some "
+        "stick position ends in a crash. Crashes of this round. Updates so far. Times are wall-clock time.",
+        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
+        csv=csv_of(headings, rows),
+    )
+
+
+def _rounded_cell(value: float, digits: int) -> Cell:
+    return round(value, digits) if math.isfinite(value) else None
+
+
+def write_training_page(training: Training, folder: Path, more: Sequence[tuple[Section, Exhibit]] = ()) -> Path:
+    """Write the page of a training; where it is.
+
+    Args:
+        training: What the logs hold.
+        folder: Where the page goes.
+        more: Sections between curves and clients.
+
+    Raises:
+        PolicyError: No client has logged a step, and no round is done.
+        DiskFullError: It cannot be written.
+    """
+    episodes = any(training.clients.values()) or any(training.steps.values())
+    rounds = _round_sections(training.rounds)
+    if not episodes and not rounds:
+        raise PolicyError(f"{folder}: no client has logged a step yet; continue the training with --resume")
+    parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]
+    if episodes:
+        clients = _table(training)
+        parts.append((Section(name="clients", title="Clients", body=shown(clients)), (clients,)))
+    intro = facts([("clients", ", ".join((*training.clients, *training.rounds))), *_runs(training)])
+    intro = joined((intro, _worth(training)))
+    title = f"Training {folder.resolve().name}"
+    exhibits = [exhibit for _, held in parts for exhibit in held]
+    return write_page(folder, page(title, intro, [section for section, _ in parts]), exhibits)
+
+
+def _worth(training: Training) -> Markup:
+    """What the curves do not say, and the command that does."""
+    runs = [name for name, manifest in training.manifests.items() if "clients" not in manifest]
+    policies = " ".join(map(shlex.quote, runs)) or "RUN/CLIENT"
+    told = "Curves of a training do not say how good a policy is, for it explores while it learns. A test does: "
+    return el("p", told, el("code", f"wcsim test {policies} --suite dev --jobs 2"))
+
+
+def _curves(training: Training) -> list[tuple[Section, Sequence[Exhibit]]]:
+    figures = [_kpi1_figure(training), *(_figure(training, *each) for each in _FIGURES)]
+    drawn = [found for found in figures if found is not None]
+    body = el("div", *map(shown, drawn), class_="charts")
+    return [(Section(name="curves", title="Curves", body=body), drawn)]
+
+
+def _runs(training: Training) -> list[tuple[str, object]]:
+    """Of one run all that is to be said of it, of several a line each."""
+    said: list[tuple[str, object]] = []
+    for name, manifest in training.manifests.items():
+        by_rounds = {name, Path(name).resolve().name} & set(training.rounds)
+        counted = "updates" if by_rounds else "steps"
+        state = f"{manifest.get('status', '')}, {manifest.get('steps', 0)} {counted}"
+        town = ", ".join((manifest.get("town", ""), *manifest.get("more_towns", {})))
+        seed = manifest.get("seed", "")
+        if len(training.manifests) == 1:
+            return [("town", town), ("seed", seed), ("status", state)]
+        said.append(("run", f"{name}: town {town}, seed {seed}, {state}"))
+    return said
+
+
+def _counted(training: Training) -> dict[str, list[TrainedEpisode]]:
+    """The episodes of each client that ended by a crash or at their limit."""
+    return {name: [each for each in episodes if not each.cut] for name, episodes in training.clients.items()}
+
+
+def _kpi1_figure(training: Training) -> Exhibit | None:
+    """Fig. 7a, over steps; None where there is nothing to draw."""
+    told = {name: [(row, row.kpi1) for row in rows] for name, rows in training.steps.items()}
+    crossed = {name: crossing(rows).step for name, rows in training.steps.items()}
+    return _drawn("kpi1", "Fig. 7a: KPI 1, mean joystick distance", f"{_KPI1_SAYS}.", told, KPI1_LIMIT, crossed)
+
+
+def _figure(training: Training, key: str, number: str, label: str, says: str, of: _Value) -> Exhibit | None:
+    """A figure over the episodes of all clients; None where there is nothing to draw."""
+    told = {
+        name: [(episode, value) for episode in episodes if (value := of(episode)) is not None]
+        for name, episodes in _counted(training).items()
+    }
+    limit = {"overestimate": 0.0}.get(key)
+    return _drawn(key, f"{number}{label}", f"{says}. {_EPISODES_SAY}", told, limit, {})
+
+
+def _drawn(
+    key: str,
+    title: str,
+    says: str,
+    told: Mapping[str, Sequence[tuple[LogRow, float]]],
+    limit: float | None,
+    crossed: Mapping[str, int | None],
+) -> Exhibit | None:
+    """A curve for each client through its rows and their values."""
+    curves: list[Curve] = []
+    plain: list[list[Cell]] = []
+    for name, points in told.items():
+        means = running_means([value for _, value in points])
+        curves.append(
+            Curve(
+                name=name,
+                steps=[row.step for row, _ in points],
+                values=[value for _, value in points],
+                means=means,
+                switch=switch_step([row for row, _ in points]),
+                crossing=crossed.get(name),
+            )
+        )
+        for (row, value), mean in zip(points, means, strict=True):
+            ends: list[Cell] = [int(row.crashed)] if isinstance(row, TrainedEpisode) else []
+            plain.append([name, row.step, row.phase, value, round(mean, 6), *ends])
+    if not plain:
+        return None
+    columns = ("client", "step", "phase", key, f"mean_of_{OVER}", *(("crashed",) if key != "kpi1" else ()))
+    drawn = curve_chart(_NAMES[key], title.rpartition(": ")[2], curves, limit)
+    return figure(_NAMES[key], title, says, csv_of(columns, plain), drawn)
+
+
+def _table(training: Training) -> Exhibit:
+    rows: list[list[Cell]] = []
+    for name, episodes in _counted(training).items():
+        steps = training.steps.get(name, ())
+        crossed, last = crossing(steps), [*training.clients[name], *steps]
+        rows.append([
+            name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
+            sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
+            *(_last_mean(episodes, of) for *_, of in _FIGURES),
+        ])  # fmt: skip
+    headings = (
+        *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
+        *("above again since step", f"KPI 1, last {KPI1_STEPS} steps"),
+        *(f"{what}, last {OVER}" for what in ("KPI 2", "value minus return")),
+    )
+    return Exhibit(
+        name="clients",
+        title="Clients",
+        says=f"KPI 1 is of the agent's own best actions; it counts as below its limit where the mean of {KPI1_STEPS} "
+        "steps is. KPI 2 is the steps of an episode. Cut: episodes that the end of a world ended; no figure has them.",
+        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
+        csv=csv_of(headings, rows),
+    )
+
+
+def _last_mean(episodes: Sequence[TrainedEpisode], of: _Value) -> float | None:
+    values = [value for episode in episodes if (value := of(episode)) is not None][-OVER:]
+    return round(math.fsum(values) / len(values), 4) if values else None
+
+
+def _rounded(mean: float | None) -> float | None:
+    return None if mean is None else round(mean, 4)
