@@ -12,6 +12,7 @@ import zstandard
 
 from wcsim.core.reading import (
     FileKind,
+    escaped,
     opened,
     parse_json,
     parse_toml,
@@ -19,7 +20,6 @@ from wcsim.core.reading import (
     read_json,
     read_text,
     read_toml,
-    shown,
     unzstd,
 )
 from wcsim.errors import ConfigError, FileError, JournalError, PolicyError, TownError
@@ -109,9 +109,9 @@ def test_a_long_text_costs_time_in_proportion_to_its_length() -> None:
 
 
 def test_what_is_shown_is_printable_and_short() -> None:
-    assert shown("a\x1b[2Jb\n\u202ec") == "a\\x1b[2Jb\\n\\u202ec"
-    assert len(shown("\x1b" * 10_000)) == 160
-    assert shown("é ü") == "é ü"
+    assert escaped("a\x1b[2Jb\n\u202ec") == "a\\x1b[2Jb\\n\\u202ec"
+    assert len(escaped("\x1b" * 10_000)) == 160
+    assert escaped("é ü") == "é ü"
 
 
 def test_a_frame_that_holds_as_much_as_allowed_is_unpacked_and_more_is_refused() -> None:

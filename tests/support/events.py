@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from wcsim.core.reading import FileKind, parse_json, read_bytes, shown
+from wcsim.core.reading import FileKind, escaped, parse_json, read_bytes
 from wcsim.errors import JournalError
 from wcsim.server.launch.event_log import EVENTS
 
@@ -32,4 +32,4 @@ def _event(line: str) -> dict[str, Any]:
         event = parse_json(line, EVENTS, _KIND)
     except JournalError:
         event = {}
-    return event if isinstance(event.get("event"), str) else {"event": "damaged", "line": shown(line)}
+    return event if isinstance(event.get("event"), str) else {"event": "damaged", "line": escaped(line)}

@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy.typing as npt
 
 from wcsim.core.plugins import running_own
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.types import Bool, Drawn, Truth
 
@@ -221,7 +221,7 @@ def level_of(name: str) -> float:
         level = -1.0
     if not 0.0 <= level <= HIGHEST_LEVEL:
         raise PolicyError(
-            f"policy {shown(name)!r} has no such level of assistance; expected {LEVELLED}@L with L from 0 to "
+            f"policy {escaped(name)!r} has no such level of assistance; expected {LEVELLED}@L with L from 0 to "
             f"{HIGHEST_LEVEL:g}: {LEVELLED}@{USUAL_LEVEL:g} is {LEVELLED}"
         )
     return level

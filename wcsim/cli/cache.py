@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.shared.common import OutFile, parse, write_json
-from wcsim.core.reading import counted, shown
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.cache.folder import cache_facts, clear_cache
 
@@ -31,7 +31,7 @@ def run(words: list[str]) -> int:
     checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
     kept = f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}"
     kept += f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
-    print(f"{shown(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
+    print(f"{escaped(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
     if options.clear:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
@@ -42,5 +42,7 @@ def run(words: list[str]) -> int:
         result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
         write_json(options.json, result)
     if options.clear and left.size_bytes:
-        raise ConfigError(f"{shown(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove")
+        raise ConfigError(
+            f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"
+        )
     return 0

@@ -26,7 +26,7 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, with_overrides
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 
 _WORKERS = 2
@@ -83,7 +83,7 @@ def _check(options: ChairCheckOptions) -> int:
 def _settings(overrides: tuple[str, ...]) -> RunConfig:
     for text in overrides:
         if not text.strip().startswith(_SECTIONS) or text.partition("=")[0].strip() == "chair.plant":
-            raise ConfigError(f"--set {shown(text)}: expected a key of [chair] or [imu]; --plants names the plants")
+            raise ConfigError(f"--set {escaped(text)}: expected a key of [chair] or [imu]; --plants names the plants")
     return with_overrides(RunConfig(), overrides)
 
 

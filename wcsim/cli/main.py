@@ -14,7 +14,7 @@ from types import FrameType
 
 from wcsim.cli.shared.exit_codes import Exit, exit_of
 from wcsim.cli.shared.told_cause import require_letters, require_streams, told_cause
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import WcsimError, meant
 
 
@@ -144,7 +144,7 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
 
 def printable(text: str) -> str:
     """What may hold words of others, without what a terminal obeys; lines stay lines."""
-    return "\n".join(shown(line, len(line) * 10) for line in text.split("\n"))
+    return "\n".join(escaped(line, len(line) * 10) for line in text.split("\n"))
 
 
 def _end_undisturbed() -> None:

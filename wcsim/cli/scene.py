@@ -17,7 +17,7 @@ from wcsim.cli.shared.common import OutFile, check_output, parse, subcommand, wr
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
-from wcsim.core.reading import counted, shown
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.scenes.facts import SceneFacts, faults
 from wcsim.scenes.template import write_scene
@@ -119,7 +119,7 @@ def _list() -> int:
         except ConfigError as error:
             broken.append(str(error))
             continue
-        table.add_row(folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(shown(scene.shows, 2000)))
+        table.add_row(folder.name, f"{scene.duration_s:g}", str(len(scene.seats)), Text(escaped(scene.shows, 2000)))
     stdout_console().print(table)
     if broken:
         raise ConfigError("; ".join(broken))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import meant
 
 _LARGEST = 1e9  # of numbers that nothing else bounds: nothing that is computed of them overflows
@@ -40,11 +40,11 @@ class Model(BaseModel):
 
 def fault(model: type[BaseModel], item: Any) -> str:
     """One error of pydantic in words: the key, what is wrong, what was got with its unit, and its bounds."""
-    key = shown(".".join(str(part) for part in item["loc"]), 200) or "(file)"
+    key = escaped(".".join(str(part) for part in item["loc"]), 200) or "(file)"
     if item["type"] == "extra_forbidden":
         return f"unknown key {key!r}: remove it or correct its name" + _known(model, item["loc"])
     if item["type"] == "missing":
-        beside = shown(", ".join(map(str, item["input"])), 200) if isinstance(item["input"], dict) else ""
+        beside = escaped(", ".join(map(str, item["input"])), 200) if isinstance(item["input"], dict) else ""
         return f"{key}: is missing" + f"; expected it beside {beside}" * bool(beside)
     got = json.dumps(item["input"], default=str)[:80]
     if item["type"] in ("tuple_type", "list_type"):

@@ -13,7 +13,7 @@ from wcsim.config.chair import PROFILE_SPEED_MPS
 from wcsim.config.run import RunConfig
 from wcsim.config.sensors import by_word
 from wcsim.core import reading
-from wcsim.core.reading import FileKind, shown
+from wcsim.core.reading import FileKind, escaped
 from wcsim.errors import ConfigError, meant
 
 CONFIG_FILE = FileKind(what="a TOML file of at most a megabyte", limit_bytes=1 << 20)
@@ -31,7 +31,7 @@ M = TypeVar("M", bound=Model)
 
 def read_toml(path: Path, model: type[M]) -> M:
     """Read a TOML file as `model`. Raises ConfigError that lists its errors and their keys."""
-    return parse(model, reading.read_toml(path, CONFIG_FILE), shown(path))
+    return parse(model, reading.read_toml(path, CONFIG_FILE), escaped(path))
 
 
 def parse(model: type[M], data: dict[str, Any], where: str) -> M:
@@ -62,12 +62,12 @@ def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | N
     path = folder / f"{preset}.toml"
     if not path.is_file():
         known = sorted(item.stem for item in folder.glob("*.toml"))
-        told = f"unknown preset {shown(preset)!r}; expected one of: {', '.join(known)}"
+        told = f"unknown preset {escaped(preset)!r}; expected one of: {', '.join(known)}"
         raise ConfigError(told + meant(preset, known))
     data = reading.read_toml(path, CONFIG_FILE)
     where = f"preset {preset}"
     if file is not None:
-        data, where = _merged(data, _asked(reading.read_toml(file, CONFIG_FILE))), shown(file)
+        data, where = _merged(data, _asked(reading.read_toml(file, CONFIG_FILE))), escaped(file)
     return _overridden(data, overrides, where)
 
 
@@ -80,7 +80,7 @@ def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
 def with_file(config: RunConfig, file: Path) -> RunConfig:
     """A resolved configuration with a TOML file over it. Raises ConfigError as `load_run_config` does."""
     own = _asked(reading.read_toml(file, CONFIG_FILE))
-    return parse(RunConfig, _merged(_laid_under(config, [own]), own), shown(file))
+    return parse(RunConfig, _merged(_laid_under(config, [own]), own), escaped(file))
 
 
 def _laid_under(config: RunConfig, asked: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def texts_of(override: str) -> tuple[str, ...]:
 
 def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
     for text in overrides:
-        data, where = _merged(data, _asked(_override(text))), f"--set {shown(text)}"
+        data, where = _merged(data, _asked(_override(text))), f"--set {escaped(text)}"
     return parse(RunConfig, data, where)
 
 
@@ -154,9 +154,9 @@ def _asked(own: dict[str, Any]) -> dict[str, Any]:
 def _override(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     parts = key.strip().split(".")
-    where = f"--set {shown(text)}"
+    where = f"--set {escaped(text)}"
     if not equals or not all(parts) or len(parts) > _PARTS:
-        raise ConfigError(f"--set {shown(text)!r} is not section.key=value, for example learn.total_steps=2000")
+        raise ConfigError(f"--set {escaped(text)!r} is not section.key=value, for example learn.total_steps=2000")
     try:
         table = reading.parse_toml(f"value = {value}", where, _VALUE)
     except ConfigError:
@@ -180,7 +180,7 @@ def _laid(old: Any, value: Any, key: str) -> Any:
     if isinstance(old, dict) and isinstance(value, dict):
         return _merged(old, value)
     if isinstance(old, list) and isinstance(value, dict):
-        strange = [shown(item, 40) for item in value if item not in map(str, range(len(old)))]
+        strange = [escaped(item, 40) for item in value if item not in map(str, range(len(old)))]
         if strange:
             raise ConfigError(_no_such_item(key, strange[0], len(old)))
         return [_laid(item, value[str(i)], str(i)) if str(i) in value else item for i, item in enumerate(old)]

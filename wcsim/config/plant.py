@@ -171,7 +171,7 @@ def read_plant(plant: str) -> PlantFile:
     if plant.endswith(".toml"):
         return read_toml(Path(plant), PlantFile)
     if plant not in known_plants():
-        names, got = ", ".join(known_plants()), reading.shown(plant)
+        names, got = ", ".join(known_plants()), reading.escaped(plant)
         raise ConfigError(f"chair.plant is {got!r}; expected one of: {names}, or the path of a .toml file")
     return read_toml(_folder() / f"{plant}.toml", PlantFile)
 
@@ -181,7 +181,7 @@ def plant_text(plant: str) -> bytes:
     if not plant.endswith(".toml"):
         return b""
     text = reading.read_text(Path(plant), CONFIG_FILE)
-    parse(PlantFile, reading.parse_toml(text, reading.shown(plant), CONFIG_FILE), reading.shown(plant))
+    parse(PlantFile, reading.parse_toml(text, reading.escaped(plant), CONFIG_FILE), reading.escaped(plant))
     return text.encode()
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from wcsim.core.reading import require_no_links, shown
+from wcsim.core.reading import escaped, require_no_links
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
@@ -196,11 +196,11 @@ def folder_bytes(folder: Path) -> int:
 def check_new_file(path: Path, option: str) -> Path:
     """The same path. Raises ConfigError when something is there already, or nothing can be written there."""
     if os.path.lexists(path):
-        raise ConfigError(f"{option} {shown(path)} exists; expected the name of a new file")
+        raise ConfigError(f"{option} {escaped(path)} exists; expected the name of a new file")
     folder = next(each for each in path.absolute().parents if each.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise ConfigError(
-            f"{option} {shown(path)}: {shown(folder)} cannot be written to; choose another place with {option}"
+            f"{option} {escaped(path)}: {escaped(folder)} cannot be written to; choose another place with {option}"
         )
     return path
 

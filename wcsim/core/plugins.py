@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from wcsim.core.reading import is_file, shown
+from wcsim.core.reading import escaped, is_file
 from wcsim.errors import PolicyError, WcsimError
 
 _SUFFIX, _PACKAGE = ".py", "__init__.py"
@@ -40,11 +40,11 @@ def find_class(name: str, what: str, error: type[WcsimError] = PolicyError) -> t
         WcsimError: There is no such module or class, or importing it failed; of the kind `error`.
     """
     if not _NAME.fullmatch(name):  # a path, absolute or with "..", would reach any file
-        raise error(f"{what} {shown(name)!r} is not module:Class, as in own_file:OwnClass")
+        raise error(f"{what} {escaped(name)!r} is not module:Class, as in own_file:OwnClass")
     module_name, _, class_name = name.partition(":")
     if module_name.endswith(_SUFFIX):
         right = f"{module_name.removesuffix(_SUFFIX)}:{class_name}"
-        raise error(f"{what} {shown(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}")
+        raise error(f"{what} {escaped(name)!r} names a file; expected module:Class, without {_SUFFIX}: {right}")
     found = getattr(_module(module_name, what, error), class_name, None)
     if not isinstance(found, type):
         raise error(f"{what} {name!r}: {module_name} has no class {class_name!r}; check the name")

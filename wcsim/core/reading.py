@@ -54,13 +54,13 @@ def opened(path: Path, kind: FileKind) -> Iterator[BinaryIO]:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         with os.fdopen(number, "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise kind.error(f"{shown(path)}: is not a regular file; expected {kind.what}")
+                raise kind.error(f"{escaped(path)}: is not a regular file; expected {kind.what}")
             yield file
     except OSError as error:
         reason = error.strerror or error
-        raise kind.error(f"{shown(path)}: cannot be read ({reason}); expected {kind.what}") from None
+        raise kind.error(f"{escaped(path)}: cannot be read ({reason}); expected {kind.what}") from None
     except ValueError as error:  # NUL in the path
-        raise kind.error(f"{shown(path)}: cannot be read ({error}); expected {kind.what}") from None
+        raise kind.error(f"{escaped(path)}: cannot be read ({error}); expected {kind.what}") from None
 
 
 def read_bytes(path: Path, kind: FileKind) -> bytes:
@@ -69,7 +69,7 @@ def read_bytes(path: Path, kind: FileKind) -> bytes:
         size = os.fstat(file.fileno()).st_size
         data = file.read(kind.limit_bytes + 1) if size <= kind.limit_bytes else b""
     if max(size, len(data)) > kind.limit_bytes:
-        raise kind.error(f"{shown(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
+        raise kind.error(f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
     return data
 
 
@@ -80,18 +80,18 @@ def read_text(path: Path, kind: FileKind) -> str:
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise kind.error(
-            f"{shown(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
+            f"{escaped(path)}: is not in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8"
         ) from None
 
 
 def read_json(path: Path, kind: FileKind) -> dict[str, Any]:
     """A JSON object from a file. Raises FileError, of the kind's class."""
-    return parse_json(read_text(path, kind), shown(path), kind, kind.limit_bytes)
+    return parse_json(read_text(path, kind), escaped(path), kind, kind.limit_bytes)
 
 
 def read_toml(path: Path, kind: FileKind) -> dict[str, Any]:
     """The table of a TOML file. Raises FileError, of the kind's class."""
-    return parse_toml(read_text(path, kind), shown(path), kind)
+    return parse_toml(read_text(path, kind), escaped(path), kind)
 
 
 def parse_json(text: str, where: str, kind: FileKind, most_bytes: int = MOST_JSON_BYTES) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def _require_bounded(data: Any, where: str, kind: FileKind) -> None:
             elif isinstance(value, list):
                 below.extend((name, item) for item in value)
             else:
-                _require_plain(value, f"{where}: {shown(name, 40)}", kind)
+                _require_plain(value, f"{where}: {escaped(name, 40)}", kind)
         if not below:
             return
         level = below
@@ -166,7 +166,7 @@ def regular_size(path: Path, kind: FileKind) -> int:
     with opened(path, kind) as file:
         size = os.fstat(file.fileno()).st_size
     if size > kind.limit_bytes:
-        raise kind.error(f"{shown(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
+        raise kind.error(f"{escaped(path)}: is larger than {kind.limit_bytes} bytes; expected {kind.what}")
     return size
 
 
@@ -212,13 +212,13 @@ def require_no_links(folder: Path, error: type[FileError]) -> None:
 
 
 def _link_refused(path: str, error: type[FileError]) -> FileError:
-    return error(f"{shown(path)}: is a link; expected a file, as writing would follow the link")
+    return error(f"{escaped(path)}: is a link; expected a file, as writing would follow the link")
 
 
-def shown(text: object, most: int = 160) -> str:
+def escaped(text: object, most: int = 160) -> str:
     r"""A path or a text that somebody wrote, for a message: printable, at most `most` letters, its end where longer.
 
-    >>> shown("a\x1b[31mb")
+    >>> escaped("a\x1b[31mb")
     'a\\x1b[31mb'
     """
     words = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in str(text)[-2 * most :])
@@ -236,10 +236,10 @@ def counted(count: int, one: str, several: str = "") -> str:
     return f"{count} {several or one + ('es' if one.endswith(('s', 'sh', 'ch')) else 's')}"
 
 
-def shown_value(value: object, most: int = 60) -> str:
+def escaped_value(value: object, most: int = 60) -> str:
     """A value that somebody gave to a function, for a message, as Python writes it."""
     try:
-        return shown(repr(value), most)
+        return escaped(repr(value), most)
     except ValueError:  # an integer of thousands of digits
         return f"a very large {type(value).__name__}"
 
@@ -251,7 +251,7 @@ def holds_half_letters(text: str) -> bool:
 
 def _require_plain(value: Any, where: str, kind: FileKind) -> None:
     if isinstance(value, str) and holds_half_letters(value):
-        raise kind.error(f"{where} contains half a character, {shown(value, 40)!r}; expected text in valid UTF-8")
+        raise kind.error(f"{where} contains half a character, {escaped(value, 40)!r}; expected text in valid UTF-8")
     if isinstance(value, int) and abs(value) > MAX_INTEGER:
         raise kind.error(f"{where} is a number of {value.bit_length()} bits; expected at most 64")
     if isinstance(value, float) and not math.isfinite(value):
@@ -263,7 +263,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(data) < len(pairs):
         seen: set[str] = set()
         twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {shown(twice, 40)!r} occurs twice")
+        raise ValueError(f"the key {escaped(twice, 40)!r} occurs twice")
     return data
 
 
@@ -272,4 +272,4 @@ def _no_constant(word: str) -> NoReturn:
 
 
 def _short(error: BaseException) -> str:
-    return shown(str(error)[:_MESSAGE_CHARACTERS], _MESSAGE_CHARACTERS) or type(error).__name__
+    return escaped(str(error)[:_MESSAGE_CHARACTERS], _MESSAGE_CHARACTERS) or type(error).__name__

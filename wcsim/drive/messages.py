@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Final
 import msgspec
 
 from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.drive.drawing.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.recording.study_plan import StudyView
@@ -187,7 +187,7 @@ def decoded(decoder: msgspec.json.Decoder, data: str | bytes, most_bytes: int = 
         message: PageMessage = decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(
-            f"got a message that this server does not know: {shown(str(error), 200)}; reload the page"
+            f"got a message that this server does not know: {escaped(str(error), 200)}; reload the page"
         ) from None
     return message
 

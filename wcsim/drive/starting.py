@@ -19,7 +19,7 @@ from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.asked_town import made_town
@@ -96,7 +96,7 @@ def check_offered(start: DriveStart, begun: DriveStart) -> DriveStart:
     )
     for what, wanted, own, names in offered:
         if wanted and wanted != own and wanted not in names():
-            raise ConfigError(f"{what} {shown(wanted, 80)!r} is not one that the page offers; choose one of its list")
+            raise ConfigError(f"{what} {escaped(wanted, 80)!r} is not one that the page offers; choose one of its list")
     return start
 
 
@@ -104,7 +104,7 @@ def check_recordable(start: DriveStart) -> DriveStart:
     """The same start. Raises ConfigError for one whose drive could not be made again from a file."""
     if start.profile.startswith(RECORDED):
         raise ConfigError(
-            f"the recorded user {shown(start.profile, 80)} cannot be part of a recorded drive; expected a profile: "
+            f"the recorded user {escaped(start.profile, 80)} cannot be part of a recorded drive; expected a profile: "
             "choose another user"
         )
     return start

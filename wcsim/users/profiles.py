@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, parse_json, read_toml, shown, shown_value
+from wcsim.core.reading import FileKind, escaped, escaped_value, parse_json, read_toml
 from wcsim.errors import ConfigError, meant
 
 PROFILE_SUFFIX = ".toml"
@@ -219,8 +219,10 @@ def read_profile(path: Path) -> UserProfile:
     data = read_toml(path, _KIND)
     base = data.pop("base", "competent")
     if not isinstance(base, str):
-        raise ConfigError(f"{shown(path)}: base: got {shown_value(base)}; expected the name of one of wcsim's profiles")
-    return _changed(replace(profile(base), name=_word(path.stem), spread=0.0), data, shown(path))
+        raise ConfigError(
+            f"{escaped(path)}: base: got {escaped_value(base)}; expected the name of one of wcsim's profiles"
+        )
+    return _changed(replace(profile(base), name=_word(path.stem), spread=0.0), data, escaped(path))
 
 
 def profile_of_json(text: str, where: str) -> UserProfile:
@@ -249,7 +251,7 @@ def _changed(base: UserProfile, data: dict[str, Any], where: str) -> UserProfile
     strange = sorted(key for key in data if key not in known)
     if strange:
         raise ConfigError(
-            f"{where}: unknown key {shown(strange[0], 40)!r}; expected one of: base, {', '.join(sorted(known))}"
+            f"{where}: unknown key {escaped(strange[0], 40)!r}; expected one of: base, {', '.join(sorted(known))}"
         )
     return replace(base, **{key: _value(key, value, where) for key, value in data.items()})
 
@@ -258,17 +260,17 @@ def _value(key: str, value: Any, where: str) -> Any:
     if key == "name":
         if isinstance(value, str) and _NAME.fullmatch(value):
             return value
-        raise ConfigError(f"{where}: name: got {shown_value(value)}; expected 1 to 64 letters, digits, - _ or .")
+        raise ConfigError(f"{where}: name: got {escaped_value(value)}; expected 1 to 64 letters, digits, - _ or .")
     if key == "discrete":
         if isinstance(value, bool):
             return value
-        raise ConfigError(f"{where}: discrete: got {shown_value(value)}; expected true or false")
+        raise ConfigError(f"{where}: discrete: got {escaped_value(value)}; expected true or false")
     low, high = PROFILE_LIMITS[key]
     numbers = value if key in PAIRS and isinstance(value, list) else [value]
     fits = len(numbers) == (2 if key in PAIRS else 1)
     if not fits or not all(_is_number(number) and low <= number <= high for number in numbers):
         what = "two numbers, each" if key in PAIRS else "a number,"
-        raise ConfigError(f"{where}: {key}: got {shown_value(value)}; expected {what} {low:g} to {high:g}")
+        raise ConfigError(f"{where}: {key}: got {escaped_value(value)}; expected {what} {low:g} to {high:g}")
     return tuple(map(float, numbers)) if key in PAIRS else float(value)
 
 

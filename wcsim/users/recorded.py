@@ -19,7 +19,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, read_text, shown
+from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, JournalError
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
@@ -150,8 +150,8 @@ def require_driven_here(recording: JoystickRecording, town: str, town_sha256: Ca
     """Refuse a drive of another town, or of this one when it was another. Raises ConfigError that names both."""
     if recording.town_sha256 and recording.town_sha256 != (here := town_sha256()):
         raise ConfigError(
-            f"{shown(recording.name)}: was driven in {shown(recording.town, 80)} ({recording.town_sha256[:12]}), this "
-            f"is {town} ({here[:12]}); expected the same town: name it, or restore its files"
+            f"{escaped(recording.name)}: was driven in {escaped(recording.town, 80)} ({recording.town_sha256[:12]}), "
+            f"this is {town} ({here[:12]}); expected the same town: name it, or restore its files"
         )
 
 
@@ -167,7 +167,7 @@ def read_recording(path: FilePath) -> JoystickRecording:
         return _joystick_of_drive(path)
     numbers = array("d")
     for line, row in _rows(path):
-        where = f"{shown(path)}:{line}"
+        where = f"{escaped(path)}:{line}"
         if len(numbers) >= 3 * MOST_SAMPLES:
             raise ConfigError(f"{where}: more than {MOST_SAMPLES} samples; expected at most so many: cut the file")
         values = _values(where, row)
@@ -175,7 +175,9 @@ def read_recording(path: FilePath) -> JoystickRecording:
         numbers.extend(values)
     table = np.array(numbers).reshape(-1, 3)
     if len(table) < 2:
-        raise ConfigError(f"{shown(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}")
+        raise ConfigError(
+            f"{escaped(path)}: {len(table)} samples; expected at least two lines below {','.join(COLUMNS)}"
+        )
     sticks = np.array([on_disc(x, y) for x, y in table[:, 1:].tolist()])
     return JoystickRecording(name=str(path), time_s=table[:, 0], sticks=sticks)
 
@@ -194,11 +196,11 @@ def _joystick_of_drive(path: FilePath) -> JoystickRecording:
     header = drive.header
     if not moves_as_here(header.wcsim):
         raise ConfigError(
-            f"{shown(path)}: was driven with wcsim {shown(header.wcsim, 40)}, this is {wcsim_version()}; expected the "
-            "same, as chairs and streets may differ: record it again"
+            f"{escaped(path)}: was driven with wcsim {escaped(header.wcsim, 40)}, this is {wcsim_version()}; expected "
+            "the same, as chairs and streets may differ: record it again"
         )
     if not drive.ticks:
-        raise ConfigError(f"{shown(path)}: is empty; expected a drive with at least one tick")
+        raise ConfigError(f"{escaped(path)}: is empty; expected a drive with at least one tick")
     episodes = tuple(replace(_joystick_of(part, header.tick_s), name=str(path)) for part in drive.episodes)
     return replace(episodes[0], town=header.town, town_sha256=header.town_sha256, episodes=episodes)
 
@@ -252,13 +254,13 @@ def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(io.StringIO(read_text(path, _KIND), newline=""))
     try:
         if tuple(word.strip() for word in next(reader, [])) != COLUMNS:
-            raise ConfigError(f"{shown(path)}:1: other column names; expected the line {','.join(COLUMNS)}")
+            raise ConfigError(f"{escaped(path)}:1: other column names; expected the line {','.join(COLUMNS)}")
         for row in reader:
             if row:
                 yield reader.line_num, row
     except csv.Error:
         message = (
-            f"{shown(path)}:{reader.line_num}: is not a line of comma-separated values; expected {','.join(COLUMNS)}"
+            f"{escaped(path)}:{reader.line_num}: is not a line of comma-separated values; expected {','.join(COLUMNS)}"
         )
         raise ConfigError(message) from None
 

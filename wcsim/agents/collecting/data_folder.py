@@ -23,7 +23,7 @@ from wcsim.config import ChairConfig, RunConfig, parse
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import DataFile
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_bytes, read_json, shown, unzstd
+from wcsim.core.reading import FileKind, escaped, read_bytes, read_json, unzstd
 from wcsim.errors import ConfigError, PolicyError
 
 MANIFEST: Final = "data.json"
@@ -73,7 +73,7 @@ def key_of(name: str) -> SegmentKey:
     """
     found = _NAME.fullmatch(name)
     if found is None:
-        raise PolicyError(f"{shown(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst")
+        raise PolicyError(f"{escaped(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst")
     run, number, index = map(int, found.groups())
     return SegmentKey(run=run, round=number, index=index)
 
@@ -96,13 +96,14 @@ def read_segment(path: Path, sha256: str = "") -> Segment:
     got = hashlib.sha256(data).hexdigest()
     if sha256 and got != sha256:
         raise PolicyError(
-            f"{shown(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: damaged or replaced; collect it again"
+            f"{escaped(path)} has SHA-256 {got[:12]}..., expected {sha256[:12]}...: damaged or replaced; "
+            "collect it again"
         )
     try:
         columns = _columns(data)
     except Exception as error:  # of zstd, zipfile or NumPy, by what is wrong with the bytes
         raise PolicyError(
-            f"{shown(path)} cannot be read ({shown(error)}); expected a segment as `wcsim collect` writes it"
+            f"{escaped(path)} cannot be read ({escaped(error)}); expected a segment as `wcsim collect` writes it"
         ) from None
     _require_whole(path, columns)
     return Segment(**columns)
@@ -134,7 +135,7 @@ def write_manifest(folder: Path, config: RunConfig, towns: dict[str, str], segme
 def read_manifest(folder: Path) -> DataFile:
     """Read `data.json`. Raises PolicyError."""
     try:
-        return parse(DataFile, read_json(folder / MANIFEST, _MANIFEST_KIND), shown(folder / MANIFEST))
+        return parse(DataFile, read_json(folder / MANIFEST, _MANIFEST_KIND), escaped(folder / MANIFEST))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
@@ -150,7 +151,7 @@ def require_same_settings(folder: Path, file: DataFile, config: RunConfig) -> No
     other = [name for name in _TOLD if _part(had, name) != _part(wanted, name)]
     if other or file.settings_sha256 != _settings_digest(config):
         raise PolicyError(
-            f"{shown(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
+            f"{escaped(folder)} was driven with other settings ({', '.join(other) or 'of another version'}); expected "
             "those of this run: train with the configuration in its data.json"
         )
 
@@ -211,17 +212,18 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
 def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
     wrong = [name for name, (kind, wide) in _FORMS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
-        raise PolicyError(f"{shown(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
+        raise PolicyError(f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
     lengths = {len(column) for column in columns.values()}
     finite = all((np.abs(column) <= _LARGEST).all() for column in columns.values() if column.dtype.kind == "f")
     if len(lengths) != 1 or not finite:
         raise PolicyError(
-            f"{shown(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; collect it again"
+            f"{escaped(path)} has columns of {sorted(lengths)} rows, or numbers not finite or too large; "
+            "collect it again"
         )
     pictures, said = columns["depth"].shape == columns["seg"].shape, columns["visible"].shape[1]
     acted = columns["action"].max(initial=0) < said == columns["truth"].shape[1]
     if 0 in lengths or not (pictures and acted) or columns["driver"].max() >= len(DRIVERS):
-        raise PolicyError(f"{shown(path)} has columns that do not fit each other; collect it again")
+        raise PolicyError(f"{escaped(path)} has columns that do not fit each other; collect it again")
 
 
 def _fits(column: np.ndarray, kind: str, wide: tuple[int, ...]) -> bool:

@@ -13,7 +13,7 @@ from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.policy_api import MOTION_SENSES
 from wcsim.config import RunConfig, with_overrides
 from wcsim.core import seeding
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
@@ -74,7 +74,7 @@ def require_recordable(config: RunConfig) -> None:
             with_overrides(config, tuple(variant.split()))
         except ConfigError as error:
             raise ConfigError(
-                f"collect.variants: {shown(variant)!r} cannot be used ({error}); expected section.key=value, several "
+                f"collect.variants: {escaped(variant)!r} cannot be used ({error}); expected section.key=value, several "
                 "separated by blanks, and no blanks within a value"
             ) from None
 

@@ -11,7 +11,7 @@ from safetensors.torch import load, save_file
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.networks.weights import checked_weights
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_bytes, regular_size, shown
+from wcsim.core.reading import FileKind, escaped, read_bytes, regular_size
 from wcsim.errors import PolicyError
 
 STATE: Final = "state.json"  # beside them; each kind of run writes its own
@@ -41,4 +41,4 @@ def read_learner(folder: Path, learner: DangerLearner, updates: int, loss: float
     try:
         learner.restore(load(moments), updates, loss)
     except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
-        raise PolicyError(f"{shown(folder)} does not fit this run ({shown(error)}); expected its own one") from None
+        raise PolicyError(f"{escaped(folder)} does not fit this run ({escaped(error)}); expected its own one") from None

@@ -17,7 +17,7 @@ from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.runs.policy_file import POLICY_JSON, SIGHT_KEYS, WEIGHTS, read_danger_file
 from wcsim.config import RunConfig
 from wcsim.core import files
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -60,7 +60,7 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     """
     file = read_danger_file(folder)
     if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
-        require_named(shown(folder), file.net.network, network)
+        require_named(escaped(folder), file.net.network, network)
     camera = file.camera
     told = {**file.net.model_dump(), "height_px": camera.height_px, "width_px": camera.width_px}
     spec = DangerSpec(**told, classes=file.classes)

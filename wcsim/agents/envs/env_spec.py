@@ -19,7 +19,7 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Chair, Info
 from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config, with_overrides
-from wcsim.core.reading import MAX_INTEGER, shown_value
+from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.group import SeatGroup, open_group
@@ -143,7 +143,7 @@ def _given_overrides(options: EnvOptions) -> tuple[str, ...]:
     """Those that were given. Raises ConfigError for one by itself, whose letters would be taken for overrides."""
     given = options.get("overrides", ())
     if isinstance(given, str):
-        raise ConfigError(f"overrides={shown_value(given)} is one string; expected several: overrides=[{given!r}]")
+        raise ConfigError(f"overrides={escaped_value(given)} is one string; expected several: overrides=[{given!r}]")
     return tuple(given)
 
 
@@ -160,7 +160,7 @@ def _check_terms(terms: object) -> None:
     for term in terms if isinstance(terms, Sequence) else (terms,):
         if not isinstance(terms, Sequence) or isinstance(term, type) or not is_reward_term(term):
             raise ConfigError(
-                f"reward_terms={shown_value(terms)}; expected a list of objects with the methods reset() and "
+                f"reward_terms={escaped_value(terms)}; expected a list of objects with the methods reset() and "
                 "reward(before, after), see examples/own_reward.py"
             )
 
@@ -181,7 +181,7 @@ def checked_seed(seed: object) -> int | None:
     except TypeError:
         number = -1
     if not 0 <= number <= MAX_INTEGER:
-        raise ConfigError(f"seed {shown_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}")
+        raise ConfigError(f"seed {escaped_value(seed)} cannot be used; expected an integer from 0 to {MAX_INTEGER}")
     return number
 
 

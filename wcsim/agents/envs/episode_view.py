@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from wcsim.agents.envs.frame_window import FrameWindow
 from wcsim.config import RunConfig
-from wcsim.core.reading import shown_value
+from wcsim.core.reading import escaped_value
 from wcsim.errors import BadActionError, ConfigMismatchError, ProtocolError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import judge, observation_of
@@ -136,7 +136,7 @@ class Chair:
             raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
         index, most = _integer(action), len(self._actions) - 1
         if index is None or not 0 <= index <= most:
-            got = shown_value(action)
+            got = escaped_value(action)
             raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
         return index
 

@@ -8,7 +8,7 @@ from typing import Final
 import wcsim
 from wcsim.agents.export.guard_file import MEANING
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE
-from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, PolicyError
 
 REFERENCE, LOOP = "reference.npz", "exported_policy.py"
@@ -21,9 +21,11 @@ def require_export_place(option: str, folder: Path) -> None:
     expected = (*WRITTEN, "__pycache__")  # Python's, once the loop was imported
     others = sorted(path.name for path in folder.iterdir() if path.name not in expected) if is_folder(folder) else []
     if others:
-        named = ", ".join(shown(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (len(others) > _MOST_NAMED)
+        named = ", ".join(escaped(name, 80) for name in others[:_MOST_NAMED]) + " and more" * (
+            len(others) > _MOST_NAMED
+        )
         raise ConfigError(
-            f"{option} {shown(folder)} holds {named}, which is not from an export; expected a new folder, or an "
+            f"{option} {escaped(folder)} holds {named}, which is not from an export; expected a new folder, or an "
             "earlier export, which is replaced: choose another one"
         )
 
@@ -37,4 +39,6 @@ def loop_place() -> Path:
     for place in (package, package.parent):
         if is_file(place / "examples" / LOOP):
             return place / "examples" / LOOP
-    raise PolicyError(f"wcsim has no examples/{LOOP}; expected one in {shown(package)} or beside it: install it again")
+    raise PolicyError(
+        f"wcsim has no examples/{LOOP}; expected one in {escaped(package)} or beside it: install it again"
+    )

@@ -8,7 +8,7 @@ from typing import Final
 from wcsim.agents.export.guard import GuardRule
 from wcsim.config import parse
 from wcsim.config.run_file import GuardFile
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 MEANING: Final = "meaning.json"
@@ -23,6 +23,6 @@ def guard_of(folder: Path) -> GuardRule | None:
     if not isinstance(said, dict):
         return None
     try:
-        return GuardRule(**parse(GuardFile, said, shown(folder / MEANING)).model_dump())
+        return GuardRule(**parse(GuardFile, said, escaped(folder / MEANING)).model_dump())
     except ConfigError as error:
         raise PolicyError(str(error)) from None

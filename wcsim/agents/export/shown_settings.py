@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import RunConfig
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 
 _CAMERA: Final = ("width_px", "height_px", *SIGHT_KEYS)
@@ -60,7 +60,7 @@ def require_shown(recorded: RunConfig, own: RunConfig, file: Path, policy: str) 
     if words:
         typed = " ".join(f"--set {shlex.quote(word)}" for word in words)
         raise PolicyError(
-            f"{shown(file)} lacks inputs of {shown(policy)}; expected a recording with "
+            f"{escaped(file)} lacks inputs of {escaped(policy)}; expected a recording with "
             f"{', '.join(words)}: record it again with the same command and {typed}, or with "
             f"wcsim drive --policy {shlex.quote(policy)} --record FILE, which needs no settings"
         )

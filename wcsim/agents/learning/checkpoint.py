@@ -39,7 +39,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.core import files
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 
 LATEST = "LATEST"
@@ -164,7 +164,7 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
 def passed_over(path: Path, error: Exception) -> PassedOver:
     """The message on a checkpoint that could not be used."""
     reason = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
-    return PassedOver(path=path, reason=shown(reason, 300))
+    return PassedOver(path=path, reason=escaped(reason, 300))
 
 
 def _none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
@@ -262,7 +262,7 @@ def _check_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
     expected = {key: value for key, value in _model_arrays(model).items() if not key.startswith("optimizer/")}
     got = {key: value for key, value in arrays.items() if not key.startswith("optimizer/")}
     if set(got) != set(expected):
-        other = shown(sorted(set(got) ^ set(expected)))
+        other = escaped(sorted(set(got) ^ set(expected)))
         raise PolicyError(f"{MODEL} has other arrays ({other}) than this configuration")
     for key, value in expected.items():
         here, there = (value.dtype, value.shape), (got[key].dtype, got[key].shape)

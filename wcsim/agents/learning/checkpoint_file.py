@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_json, regular_size, shown
+from wcsim.core.reading import FileKind, escaped, read_json, regular_size
 from wcsim.errors import PolicyError
 
 STATE, MODEL, REPLAY = "state.json", "model.safetensors", "replay.safetensors"
@@ -88,9 +88,9 @@ def _read_sealed(path: Path, kind: FileKind, keys: frozenset[str]) -> tuple[dict
     sealed = files.take_seal(data, STATE)
     schema = data.pop("schema_version", 1)
     if type(schema) is not int or schema not in (1, SCHEMA):
-        raise PolicyError(f"{STATE} is of version {shown(schema)}; expected 1 or {SCHEMA}")
+        raise PolicyError(f"{STATE} is of version {escaped(schema)}; expected 1 or {SCHEMA}")
     if set(data) != keys or sealed != (schema == SCHEMA):
-        raise PolicyError(f"{STATE} has the keys {shown(sorted(data))}; it is damaged")
+        raise PolicyError(f"{STATE} has the keys {escaped(sorted(data))}; it is damaged")
     return data, sealed
 
 
@@ -135,7 +135,7 @@ def _step_in(folder: Path, data: Mapping[str, Any], key: str) -> int:
 
 def _check_hashes(folder: Path, hashes: Any) -> None:
     if not isinstance(hashes, dict) or set(hashes) != {MODEL, REPLAY}:
-        raise PolicyError(f"{STATE} has hashes of {shown(hashes)}; expected those of {MODEL} and {REPLAY}")
+        raise PolicyError(f"{STATE} has hashes of {escaped(hashes)}; expected those of {MODEL} and {REPLAY}")
     for name in (MODEL, REPLAY):
         regular_size(folder / name, _ARRAYS_KIND)
         if files.sha256(folder / name) != hashes[name]:
@@ -146,24 +146,24 @@ def _whole_number(data: Mapping[str, Any], key: str) -> int:
     """A count of a checkpoint. Raises PolicyError when it is none."""
     value = data[key]
     if type(value) is not int or not 0 <= value <= MOST_STEPS:
-        raise PolicyError(f"{STATE}: {key} is {shown(value)}; expected a number from 0 to {MOST_STEPS}")
+        raise PolicyError(f"{STATE}: {key} is {escaped(value)}; expected a number from 0 to {MOST_STEPS}")
     return value
 
 
 def _extra(data: Any) -> dict[str, int | float | str | bool]:
     if not isinstance(data, dict) or not all(type(value) in (int, float, str, bool) for value in data.values()):
-        raise PolicyError(f"{STATE}: extra is {shown(data)}; expected names with plain values")
+        raise PolicyError(f"{STATE}: extra is {escaped(data)}; expected names with plain values")
     flags = [data.get(name, False) for name in ("phase1_done", "q_alarm", "owes_updates")]
     crashes = data.get("crashes", 0)
     if type(crashes) is not int or crashes < 0 or not all(type(flag) is bool for flag in flags):
-        raise PolicyError(f"{STATE}: extra is {shown(data)}; expected a count of crashes, and flags")
+        raise PolicyError(f"{STATE}: extra is {escaped(data)}; expected a count of crashes, and flags")
     return data
 
 
 def _checked_generator(values: Mapping[str, Any], key: str) -> dict[str, Any]:
     """The state of a Philox generator, every number in its bounds. Raises PolicyError when it is none."""
     data = values[key]
-    wrong = PolicyError(f"{STATE}: {key} is {shown(data)}; expected the state of a generator")
+    wrong = PolicyError(f"{STATE}: {key} is {escaped(data)}; expected the state of a generator")
     if not isinstance(data, dict) or set(data) != {*_GENERATOR, "buffer_pos", "has_uint32", "uinteger"}:
         raise wrong
     for name, (length, bits) in _GENERATOR.items():

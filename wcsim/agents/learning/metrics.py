@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_text, shown
+from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 COLUMNS = (
@@ -61,10 +61,10 @@ def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str
     try:
         rows = list(csv.reader(io.StringIO(whole, newline="")))
     except csv.Error as error:
-        raise PolicyError(f"{shown(path)}: is damaged ({error}); expected the log of a run") from None
+        raise PolicyError(f"{escaped(path)}: is damaged ({error}); expected the log of a run") from None
     if not rows or tuple(rows[0]) != wanted:
         got = ", ".join(rows[0]) if rows else "none"
-        raise PolicyError(f"{path} has columns {shown(got)}; expected those of this version: {', '.join(wanted)}")
+        raise PolicyError(f"{path} has columns {escaped(got)}; expected those of this version: {', '.join(wanted)}")
     last = 0
     for number, row in enumerate(rows[1:], start=2):
         step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1

@@ -26,7 +26,7 @@ from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_policy_file
 from wcsim.config import CameraConfig
 from wcsim.config.run_file import PolicyFile
 from wcsim.core import files
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
@@ -93,7 +93,7 @@ class NetPolicy:
                 found, after = self.net(batch), self._state
             values = np.asarray(found[0].numpy(), dtype=np.float32)
         if not np.isfinite(values).all():
-            raise PolicyError(f"policy {shown(self.name)!r} returns values that are not finite; train it again")
+            raise PolicyError(f"policy {escaped(self.name)!r} returns values that are not finite; train it again")
         return values, after
 
 
@@ -160,7 +160,7 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
 def _spec(path: Path, file: PolicyFile, network: str | None) -> NetSpec:
     name = file.net.network
     if not registry.is_registered(name):
-        require_named(shown(path), name, network)
+        require_named(escaped(path), name, network)
     plain = file.net.model_dump()
     prior = FollowPrior(**plain.pop("prior"))
     return NetSpec(**plain, prior=prior)

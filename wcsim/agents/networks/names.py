@@ -6,7 +6,7 @@ import re
 import sys
 
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError, meant
 
 MOST_LETTERS = 56  # so that a number fits behind it
@@ -44,7 +44,7 @@ def check_network(name: str) -> None:
 def unknown_network(name: str, known: tuple[str, ...]) -> PolicyError:
     """The refusal of a name that no network has."""
     names = ", ".join(sorted(known))
-    message = f"unknown network {shown(name, 80)!r}; expected one of {names}, or module:Class"
+    message = f"unknown network {escaped(name, 80)!r}; expected one of {names}, or module:Class"
     return PolicyError(message + meant(name, known))
 
 
@@ -61,6 +61,6 @@ def require_named(where: str, name: str, named: str | None) -> None:
     """
     if name != named:
         raise PolicyError(
-            f"{where} uses the network {shown(name, 80)!r}, which is not part of wcsim, and loading it runs its code; "
-            f"if you trust it, name it: --network {shown(name, 80)}"
+            f"{where} uses the network {escaped(name, 80)!r}, which is not part of wcsim, and loading it runs its "
+            f"code; if you trust it, name it: --network {escaped(name, 80)}"
         )

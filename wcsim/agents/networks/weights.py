@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from safetensors.torch import load
 
-from wcsim.core.reading import FileKind, parse_json, read_bytes, regular_size, shown
+from wcsim.core.reading import FileKind, escaped, parse_json, read_bytes, regular_size
 from wcsim.errors import PolicyError
 
 _MAX_WEIGHTS_BYTES = 1 << 30
@@ -39,14 +39,14 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
     size, least = regular_size(path, _KIND), sum(tensor.numel() * tensor.element_size() for tensor in wanted.values())
     if not least <= size <= least + _MAX_HEADER_BYTES + _LENGTH_BYTES:
         raise PolicyError(
-            f"{shown(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
+            f"{escaped(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
             "copy the whole policy folder again"
         )
     data = read_bytes(path, _KIND)
     found = hashlib.sha256(data).hexdigest()
     if found != sha256:
         raise PolicyError(
-            f"{shown(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
+            f"{escaped(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
             "the file was damaged or replaced; copy the whole policy folder again"
         )
     _check_same(path, _read_header(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
@@ -62,14 +62,14 @@ def checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch
     try:
         tensors = load(data)
     except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
-        raise PolicyError(f"{shown(path)} is not a safetensors file: {shown(error)}") from None
+        raise PolicyError(f"{escaped(path)} is not a safetensors file: {escaped(error)}") from None
     _check_same(
         path,
         {name: _facts(tensor) for name, tensor in tensors.items()},
         {name: _facts(tensor) for name, tensor in wanted.items()},
     )
     if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
-        raise PolicyError(f"{shown(path)} holds numbers that are not finite; train this policy again")
+        raise PolicyError(f"{escaped(path)} holds numbers that are not finite; train this policy again")
     return tensors
 
 
@@ -82,12 +82,15 @@ def _read_header(path: Path, data: bytes) -> dict[str, str]:
     size = int.from_bytes(data[:_LENGTH_BYTES], "little")
     head = data[_LENGTH_BYTES : _LENGTH_BYTES + min(size, _MAX_HEADER_BYTES)]
     if len(head) < max(size, 1):
-        raise PolicyError(f"{shown(path)} is not a safetensors file: its header has {size} bytes; expected 1 to 1 MiB")
+        raise PolicyError(
+            f"{escaped(path)} is not a safetensors file: its header has {size} bytes; expected 1 to 1 MiB"
+        )
     try:
         text = head.decode()
     except UnicodeDecodeError as error:
-        raise PolicyError(f"{shown(path)} is not a safetensors file: its header is no UTF-8 ({error.reason})") from None
-    facts = {name: _fact(entry) for name, entry in parse_json(text, shown(path), _HEADER).items()}
+        cause = f"its header is no UTF-8 ({error.reason})"
+        raise PolicyError(f"{escaped(path)} is not a safetensors file: {cause}") from None
+    facts = {name: _fact(entry) for name, entry in parse_json(text, escaped(path), _HEADER).items()}
     return {name: fact for name, fact in facts.items() if name != "__metadata__"}
 
 
@@ -100,7 +103,7 @@ def _check_same(path: Path, got: Mapping[str, str], wanted: Mapping[str, str]) -
     if odd:
         first = odd[0]
         raise PolicyError(
-            f"{shown(path)} does not fit the network that policy.json describes: {shown(first, 80)} is "
-            f"{shown(got.get(first, 'missing'), 80)}, expected {wanted.get(first, 'nothing')} "
+            f"{escaped(path)} does not fit the network that policy.json describes: {escaped(first, 80)} is "
+            f"{escaped(got.get(first, 'missing'), 80)}, expected {wanted.get(first, 'nothing')} "
             f"({len(odd)} tensors differ); use the weights it was trained with"
         )

@@ -21,7 +21,7 @@ import numpy as np
 from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
-from wcsim.core.reading import FileKind, is_file, read_toml, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_toml
 from wcsim.errors import ConfigError, PolicyError, check_installed
 
 MODEL_FILE: Final = "policy.onnx"
@@ -44,7 +44,7 @@ def read_about(path: Path) -> OnnxPolicyFile:
     if not is_file(file):
         return OnnxPolicyFile()
     try:
-        return parse(OnnxPolicyFile, read_toml(file, _ABOUT), shown(file))
+        return parse(OnnxPolicyFile, read_toml(file, _ABOUT), escaped(file))
     except ConfigError as error:
         raise PolicyError(f"{error}; expected the keys preset and settings") from None
 
@@ -71,11 +71,11 @@ class OnnxPolicy:
         }
         for key in self._shapes:
             if f"{_NEXT}{key}" not in self._outputs:
-                told = f"input {shown(key, 40)!r} has no output {_NEXT + shown(key, 40)!r}; expected one"
-                raise PolicyError(f"{shown(path)}: {told}")
+                told = f"input {escaped(key, 40)!r} has no output {_NEXT + escaped(key, 40)!r}; expected one"
+                raise PolicyError(f"{escaped(path)}: {told}")
         size = 4 * sum(math.prod(shape) for shape in self._shapes.values())
         if size > _LIMIT_BYTES:
-            raise PolicyError(f"{shown(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}")
+            raise PolicyError(f"{escaped(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}")
         self._state: dict[str, Any] = {}
 
     @property
@@ -108,7 +108,7 @@ class OnnxPolicy:
         except PolicyError:
             raise
         except Exception as error:  # the runtime has a class of its own for each kind of mistake
-            raise PolicyError(f"{self.name}: its model refuses the observation: {shown(error)}") from None
+            raise PolicyError(f"{self.name}: its model refuses the observation: {escaped(error)}") from None
         if values.shape != (self._actions,) or not np.isfinite(values).all():
             kind = PolicyError if values.shape != (self._actions,) else NotFinite
             raise kind(
@@ -126,7 +126,7 @@ class OnnxPolicy:
         values = _bounded(
             lambda: self._session.run(None, given, options),
             lambda: setattr(options, "terminate", True),
-            f"{shown(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a tick: make it faster",
+            f"{escaped(self.name)}: its model gave no answer for {ANSWER_S:g} s; expected one a tick: make it faster",
         )
         return dict(zip(self._outputs, values, strict=True))
 
@@ -166,7 +166,7 @@ def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
     """An input of that shape; of a window that others in a test need, a model that says how many gets the newest."""
     if key not in observation:
         raise PolicyError(
-            f"the model wants an input {shown(key, 40)!r}; this test observes {', '.join(sorted(observation))}"
+            f"the model wants an input {escaped(key, 40)!r}; this test observes {', '.join(sorted(observation))}"
         )
     images = shape[1] if key in (CLASS_KEY, DEPTH_KEY) and len(shape) > 1 and isinstance(shape[1], int) else 0
     return np.ascontiguousarray(observation[key][-images:])[None]
@@ -174,11 +174,11 @@ def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:
 
 def open_session(path: Path) -> Any:
     """A model in ONNX Runtime, on one core. Raises PolicyError when it cannot be loaded, or not within `ANSWER_S`."""
-    check_installed(f"{shown(path)} needs ONNX Runtime", "onnx", "onnxruntime", error=PolicyError)
+    check_installed(f"{escaped(path)} needs ONNX Runtime", "onnx", "onnxruntime", error=PolicyError)
     import onnxruntime
 
     if path.stat().st_size > _LIMIT_BYTES:
-        raise PolicyError(f"{shown(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}")
+        raise PolicyError(f"{escaped(path)} has {path.stat().st_size} bytes; expected at most {_LIMIT_BYTES}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what fails is raised; the log would show a model's own words as they are
@@ -191,9 +191,9 @@ def open_session(path: Path) -> Any:
         return _bounded(
             lambda: onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"]),
             lambda: options.set_load_cancellation_flag(True),
-            f"{shown(path)} could not be loaded within {ANSWER_S:g} s; expected a smaller model",
+            f"{escaped(path)} could not be loaded within {ANSWER_S:g} s; expected a smaller model",
         )
     except PolicyError:
         raise
     except Exception as error:  # the runtime has a class of its own for each kind of mistake
-        raise PolicyError(f"{shown(path)} cannot be loaded: {shown(error)}; expected an ONNX model") from None
+        raise PolicyError(f"{escaped(path)} cannot be loaded: {escaped(error)}; expected an ONNX model") from None

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.policy_api import ANSWER_S, Observation, without_veto
-from wcsim.core.reading import FileKind, parse_json, shown
+from wcsim.core.reading import FileKind, escaped, parse_json
 from wcsim.errors import PolicyError
 
 SCHEME: Final = "tcp:"
@@ -54,13 +54,13 @@ class ServedPolicy:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            raise PolicyError(f"{shown(address)}: no policy is served there ({error}); start it first") from None
+            raise PolicyError(f"{escaped(address)}: no policy is served there ({error}); start it first") from None
         about = self._asked("hello", {}, actions=points.tolist())
         self.version = f"{about.get('name', '')} {about.get('version', '')}"
-        if self.version != shown(self.version):  # results are told apart by it, so it must not be cut
+        if self.version != escaped(self.version):  # results are told apart by it, so it must not be cut
             self.close()
             told = "expected a printable name and version of at most 160 letters"
-            raise PolicyError(f"{self.name}: is called {shown(self.version, 60)!r}; {told}")
+            raise PolicyError(f"{self.name}: is called {escaped(self.version, 60)!r}; {told}")
 
     @property
     def warning(self) -> bool:
@@ -85,7 +85,7 @@ class ServedPolicy:
         action = answer.get("action")
         if not isinstance(action, int) or isinstance(action, bool) or not 0 <= action < self._actions:
             told = f"expected an action, a whole number from 0 to {self._actions - 1}"
-            raise PolicyError(f"{self.name}: answered {shown(str(answer), 80)}; {told}")
+            raise PolicyError(f"{self.name}: answered {escaped(str(answer), 80)}; {told}")
         self._warning = answer.get("warning") is True
         return action
 
@@ -130,5 +130,5 @@ def _little(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _parts(address: str) -> tuple[str, int]:
     host, _, port = address.removeprefix(SCHEME).rpartition(":")
     if not port.isdecimal() or not 0 < int(port) < 1 << 16:
-        raise PolicyError(f"{shown(address)!r} is not an address of a policy; expected tcp:PORT or tcp:HOST:PORT")
+        raise PolicyError(f"{escaped(address)!r} is not an address of a policy; expected tcp:PORT or tcp:HOST:PORT")
     return host or "127.0.0.1", int(port)

@@ -23,7 +23,7 @@ from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.parcels import folder_parcel
 from wcsim.config import RunConfig
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_json
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import PolicyError
 from wcsim.server.workers.machines import HERE, LOGS, Machines
 from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_hash
@@ -65,7 +65,7 @@ def collect_data(order: DataOrder, told: Callable[[int, int], object] = lambda d
     """
     require_recordable(order.config)
     if order.policy:
-        require_same_senses(Path(order.policy), shown(order.policy), order.config)
+        require_same_senses(Path(order.policy), escaped(order.policy), order.config)
     found = [find_town(name) for name in order.towns]
     order.folder.mkdir(parents=True, exist_ok=True)
     with locked(order.folder):  # what it says of itself is read, added to and written back
@@ -111,7 +111,7 @@ def _require_same_order(order: DataOrder, towns: Sequence[Town]) -> None:
     digest = sha256_text(json.dumps(said, sort_keys=True))
     if begun.get(seed, digest) != digest:
         raise PolicyError(
-            f"{shown(order.folder)} holds segments of seed {seed} that were driven with other settings, in other towns "
-            "or by another policy; expected the same: choose another --seed, or another --out"
+            f"{escaped(order.folder)} holds segments of seed {seed} that were driven with other settings, in other "
+            "towns or by another policy; expected the same: choose another --seed, or another --out"
         )
     write_json(path, {**begun, seed: digest})

@@ -12,7 +12,7 @@ from wcsim.agents.runs.run_folder import RunFolder, with_whole_data
 from wcsim.config import parse
 from wcsim.config.run_file import LearnedFile
 from wcsim.core import files
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 LEARNED: Final = "learned_data.json"
@@ -28,7 +28,7 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
     path = run.path / LEARNED
     if is_file(path):
         try:
-            return parse(LearnedFile, read_json(path, _KIND), shown(path)).folders
+            return parse(LearnedFile, read_json(path, _KIND), escaped(path)).folders
         except ConfigError as error:
             raise PolicyError(str(error)) from None
     found = {}
@@ -49,7 +49,7 @@ def learned_segments(run: RunFolder) -> Iterator[Segment]:
     found, path = data_of(run), run.path / LEARNED
     if not any(found.values()) and run.config.collect.segments == 0:
         raise PolicyError(
-            f"{', '.join(map(shown, found)) or 'collect.data'}: holds no data to learn from; expected segments of "
+            f"{', '.join(map(escaped, found)) or 'collect.data'}: holds no data to learn from; expected segments of "
             "`wcsim collect`, or collect.segments of 1 or more"
         )
     if found and not is_file(path):
@@ -60,4 +60,4 @@ def learned_segments(run: RunFolder) -> Iterator[Segment]:
                 yield read_segment(Path(folder) / SEGMENTS / name, segments[name])
             except PolicyError as error:
                 told = "the run needs the data that it started with: restore it, or start a new run"
-                raise PolicyError(f"{error}; {shown(path)} names it, as {told}") from None
+                raise PolicyError(f"{error}; {escaped(path)} names it, as {told}") from None

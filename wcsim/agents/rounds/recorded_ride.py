@@ -13,7 +13,7 @@ from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
 from wcsim.bridge.drives.remake import config_of_drive, remade
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.server.journal.journal import JOURNAL, read_header
 from wcsim.server.journal.records import JournalRecord, Respawned, Ticked
@@ -60,7 +60,7 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
     path = _file_of(path)
     ride = _of_drive(path, steps) if is_drive(path) else _of_journal(path, steps, seat)
     if not ride.seen:
-        raise ConfigError(f"{shown(path)}: seat {seat} has no tick; expected another --seat")
+        raise ConfigError(f"{escaped(path)}: seat {seat} has no tick; expected another --seat")
     return ride
 
 

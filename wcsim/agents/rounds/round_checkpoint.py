@@ -13,7 +13,7 @@ from wcsim.agents.collecting.data_folder import key_of
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE, read_learner, require_whole, write_learner
 from wcsim.core import files
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import PolicyError
 
 KEPT_ROUNDS: Final = 3  # checkpoints that are kept
@@ -71,12 +71,12 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     updates, loss, segments = (state[name] for name in ("updates", "loss", "segments"))
     named = isinstance(segments, dict) and all(isinstance(sha256, str) for sha256 in segments.values())
     if type(updates) is not int or type(loss) is not float or not isinstance(segments, dict) or not named:
-        raise PolicyError(f"{shown(path / STATE)} is damaged; expected updates, a loss and segments")
+        raise PolicyError(f"{escaped(path / STATE)} is damaged; expected updates, a loss and segments")
     read_learner(path, learner, updates, loss)
     try:
         in_order(segments)
     except PolicyError as error:
-        raise PolicyError(f"{shown(path)} names a segment that no run has: {error}") from None
+        raise PolicyError(f"{escaped(path)} names a segment that no run has: {error}") from None
     return segments
 
 
@@ -102,9 +102,9 @@ def _is_whole(path: Path) -> bool:
 def _state(path: Path) -> dict[str, Any]:
     """What a checkpoint says of itself. Raises PolicyError when it is not what was written."""
     state = read_json(path / STATE, _KIND)
-    files.take_seal(state, shown(path / STATE))
+    files.take_seal(state, escaped(path / STATE))
     if set(state) != _KEYS:  # a seal whose name is damaged is no missing one
-        raise PolicyError(f"{shown(path / STATE)} has the keys {shown(sorted(state))}; it is damaged")
+        raise PolicyError(f"{escaped(path / STATE)} has the keys {escaped(sorted(state))}; it is damaged")
     return state
 
 

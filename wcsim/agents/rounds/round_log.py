@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.core import files
-from wcsim.core.reading import FileKind, read_text, shown
+from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import PolicyError
 
 _COLUMNS: Final = (
@@ -73,8 +73,8 @@ def _rows(path: Path) -> list[list[str]]:
     except csv.Error:  # a cell of more than 128 kB
         rows = []
     if not rows or tuple(rows[0]) not in (_COLUMNS, _OLDER):
-        got = shown(", ".join(rows[0])) if rows else "none"
-        raise PolicyError(f"{shown(path)} has columns {got}; expected those of this version: {', '.join(_COLUMNS)}")
+        got = escaped(", ".join(rows[0])) if rows else "none"
+        raise PolicyError(f"{escaped(path)} has columns {got}; expected those of this version: {', '.join(_COLUMNS)}")
     head, found = tuple(rows[0]), rows[1:]
     for number, row in enumerate(found):
         if len(row) != len(head) or row[0] != str(number):
@@ -92,7 +92,7 @@ def _rows(path: Path) -> list[list[str]]:
 
 
 def _damaged(path: Path, number: int) -> PolicyError:
-    return PolicyError(f"{shown(path)}: row {number + 1} is damaged; expected {len(_COLUMNS)} numbers of a round")
+    return PolicyError(f"{escaped(path)}: row {number + 1} is damaged; expected {len(_COLUMNS)} numbers of a round")
 
 
 def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:

@@ -14,7 +14,7 @@ import secrets
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from wcsim.core.reading import FileKind, read_bytes, shown
+from wcsim.core.reading import FileKind, escaped, read_bytes
 from wcsim.errors import FileError, PolicyError
 from wcsim.towns.cache.folder import cache_folder
 
@@ -43,7 +43,7 @@ def require_own(path: Path, classes: Sequence[str], mark: str, named: Collection
     unnamed = [name for name in classes if name not in named]
     if not unnamed or (mark and hmac.compare_digest(mark, _mark(_key(make=False), classes))):
         return
-    names = ", ".join(shown(name, 80) for name in unnamed)
+    names = ", ".join(escaped(name, 80) for name in unnamed)
     raise PolicyError(
         f"{path} was made elsewhere with custom classes ({names}); resuming runs their code: name each again if "
         "you trust it (--network, --reward, --hook, or --clients)"

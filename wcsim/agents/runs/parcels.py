@@ -9,7 +9,7 @@ from pathlib import Path
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path, split_level
 from wcsim.config import RunConfig
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import is_file, shown
+from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.workers.worker_api import At, Parcel
 from wcsim.towns.scenario.stage import files_of
@@ -25,8 +25,8 @@ def town_parcel(address: str) -> Parcel:
     outside = [path for path in files if not path.is_relative_to(folder)]
     if outside:
         raise TownError(
-            f"town {town.name} has a file outside of its folder, {shown(outside[0])}; expected all in {shown(folder)}, "
-            "as the folder is sent to other machines"
+            f"town {town.name} has a file outside of its folder, {escaped(outside[0])}; expected all in "
+            f"{escaped(folder)}, as the folder is sent to other machines"
         )
     names = tuple(sorted(path.relative_to(folder).as_posix() for path in files))
     inner = "" if Path(town.address).is_dir() else town.sumocfg.name
@@ -89,9 +89,9 @@ def require_travels(
     """
     users = (config.env.profile, *config.collect.profiles, *users)
     words = " ".join((*settings, *config.collect.variants)).split()
-    found = [f"class {shown(name, 80)}" for name in own_code if ":" in name]
-    found += [f"user {shown(user, 80)}" for user in users if is_of_file(user)]
-    found += [shown(word, 80) for word in words if ".toml" in word or RECORDED in word]
+    found = [f"class {escaped(name, 80)}" for name in own_code if ":" in name]
+    found += [f"user {escaped(user, 80)}" for user in users if is_of_file(user)]
+    found += [escaped(word, 80) for word in words if ".toml" in word or RECORDED in word]
     if found:
         raise ConfigError(
             f"--cluster: {', '.join(found)} exists on this machine only and cannot be sent; expected parts of wcsim "

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from wcsim.config import parse
 from wcsim.config.run_file import DangerFile, PolicyFile
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 POLICY_JSON, WEIGHTS = "policy.json", "weights.safetensors"
@@ -34,7 +34,7 @@ def is_danger(path: Path) -> bool:
 
 def _parsed(model: type[File], path: Path) -> File:
     try:
-        return parse(model, _read(path), shown(path / POLICY_JSON))
+        return parse(model, _read(path), escaped(path / POLICY_JSON))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
 
@@ -42,7 +42,7 @@ def _parsed(model: type[File], path: Path) -> File:
 def _read(path: Path) -> dict[str, Any]:
     if not is_file(path / POLICY_JSON):
         raise PolicyError(
-            f"{shown(path)} is not a policy folder: it has no {POLICY_JSON}; "
+            f"{escaped(path)} is not a policy folder: it has no {POLICY_JSON}; "
             "expected a folder as `wcsim train` writes it, for example runs/a/policies/final, or RUN:phase1"
         )
     return read_json(path / POLICY_JSON, _KIND)

@@ -32,7 +32,7 @@ from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
-from wcsim.core.reading import FileKind, is_file, is_folder, shown
+from wcsim.core.reading import FileKind, escaped, is_file, is_folder
 from wcsim.core.reading import read_json as read_bounded_json
 from wcsim.errors import ConfigError, PolicyError, meant
 from wcsim.server.specs import RunInfo
@@ -172,7 +172,7 @@ def manifest_of(data: dict[str, Any], path: Path) -> Manifest:
 
 def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
     try:
-        return parse(ManifestFile, data, shown(file))
+        return parse(ManifestFile, data, escaped(file))
     except ConfigError as error:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
@@ -208,13 +208,13 @@ def policy_path(name: str) -> Path:
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
         raise PolicyError(
-            f"policy {shown(name)!r}: unknown stage {shown(stage)!r}; expected RUN, RUN:{known}, or module:Class "
+            f"policy {escaped(name)!r}: unknown stage {escaped(stage)!r}; expected RUN, RUN:{known}, or module:Class "
             "of your own"
         )
     if not is_folder(Path(head)):
         names = (*BASELINES, *UPPER_BOUNDS)
         raise PolicyError(
-            f"{shown(head)} is not a run: no such folder; expected one that `wcsim train` made, {SHIPPED}, "
+            f"{escaped(head)} is not a run: no such folder; expected one that `wcsim train` made, {SHIPPED}, "
             f"module:Class of your own, or a baseline: {', '.join(names)}{meant(head, (SHIPPED, *names))}"
         )
     run = open_run(Path(head))
@@ -222,7 +222,7 @@ def policy_path(name: str) -> Path:
     if not is_file(found / POLICY_JSON):
         have = ", ".join(s for s in STAGES if is_file(run.policy(s) / POLICY_JSON)) or "none"
         raise PolicyError(
-            f"run {shown(head)} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
+            f"run {escaped(head)} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
             "continue it with --resume"
         )
     return found
@@ -244,7 +244,7 @@ def split_level(name: str) -> tuple[str, float | None]:
     level = float(text)
     if not 0.0 < level <= 1.0:
         raise PolicyError(
-            f"policy {shown(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
+            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
             "above 0 and at most 1"
         )
     return head, level
@@ -313,7 +313,7 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     """
     file = path / name
     if not is_file(file):
-        raise PolicyError(f"{shown(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made")
+        raise PolicyError(f"{escaped(path)} is not a run: it has no {name}; expected a folder that `wcsim train` made")
     data = read_bounded_json(file, _KIND)
     if name == MANIFEST:
         return _checked_manifest(data, file).model_dump(mode="json", exclude_unset=True)

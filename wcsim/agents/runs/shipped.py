@@ -9,7 +9,7 @@ import wcsim
 from wcsim.config import parse
 from wcsim.config.run_file import ShippedFile
 from wcsim.core import files
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 
 SHIPPED: Final = "shipped"
@@ -35,18 +35,18 @@ def shipped_folder(place: Path | None = None) -> Path:
     folder = shipped_place() if place is None else place
     if not is_file(folder / FILES):
         raise PolicyError(
-            f"this wcsim comes without a policy: {shown(folder)} has no {FILES}; expected one made by "
+            f"this wcsim comes without a policy: {escaped(folder)} has no {FILES}; expected one made by "
             "tools/ship_policy.py RUN: name a run of your own"
         )
     try:
-        told = parse(ShippedFile, read_json(folder / FILES, _KIND), shown(folder / FILES)).sha256
+        told = parse(ShippedFile, read_json(folder / FILES, _KIND), escaped(folder / FILES)).sha256
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     missing = [name for name in HELD if name not in told or not is_file(folder / name)]
     other = [name for name in HELD if name not in missing and files.sha256(folder / name) != told[name]]
     if missing or other:
         raise PolicyError(
-            f"{shown(folder)} differs from what was shipped: {', '.join(missing + other)} "
+            f"{escaped(folder)} differs from what was shipped: {', '.join(missing + other)} "
             f"{'missing' if missing else 'damaged or replaced'}; install wcsim again"
         )
     return folder

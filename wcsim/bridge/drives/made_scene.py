@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import TownError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.scenario.town import Town, find_town
@@ -42,7 +42,7 @@ def made_scene_of(text: str) -> MadeScene:
     found = _NAME.fullmatch(text)
     if found is None or found[1] not in FAMILIES:
         raise TownError(
-            f"the drive was in the scene {shown(text, 80)}, which this wcsim does not know; expected one of "
+            f"the drive was in the scene {escaped(text, 80)}, which this wcsim does not know; expected one of "
             f"{', '.join(FAMILIES)}, with seed and hash: use the wcsim that recorded it"
         )
     return MadeScene(family=found[1], seed=int(found[2]), sha256=found[3])
@@ -71,7 +71,7 @@ def _folder_of(scene: MadeScene) -> Path:
             _make(scene, made)
             _put(made, folder)
     except OSError as error:
-        told = f"{shown(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
+        told = f"{escaped(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
         raise TownError(told) from None
     return folder
 

@@ -18,7 +18,7 @@ from wcsim.bridge.drives.record_user import write_user
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import ClientSnapshot, Command, SeatSpec
@@ -65,7 +65,7 @@ def town_of_drive(header: DriveHeader) -> Town:
         if here == header.town_sha256:
             return town
         refused = TownError(
-            f"the drive was in {shown(header.town, 80)} ({header.town_sha256[:12]}), this is {town.name} "
+            f"the drive was in {escaped(header.town, 80)} ({header.town_sha256[:12]}), this is {town.name} "
             f"({here[:12]}); expected the same town: restore its files"
         )
     raise refused or TownError("the drive names no town; record it again")

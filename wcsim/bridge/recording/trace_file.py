@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from wcsim.bridge.recording.trace import MAGIC, ActorBody, TickRecord, TraceHeader
-from wcsim.core.reading import FileKind, opened, parse_json, shown
+from wcsim.core.reading import FileKind, escaped, opened, parse_json
 from wcsim.errors import JournalError
 from wcsim.types import ActorKind
 from wcsim.users.recording.framing import torn_bytes, whole_records
@@ -40,13 +40,13 @@ def read_trace(path: Path) -> tuple[TraceHeader, tuple[TickRecord, ...]]:
         first = next(payloads, b"")
         if not first:
             raise JournalError(
-                f"{shown(path)}: is not a trace, or was truncated in its first record; expected a complete file "
+                f"{escaped(path)}: is not a trace, or was truncated in its first record; expected a complete file "
                 "written by wcsim: copy it again, or record it again"
             )
-        header = _header(first, shown(path))
-        return header, tuple(_tick(payload, told, shown(path)) for payload in payloads)
+        header = _header(first, escaped(path))
+        return header, tuple(_tick(payload, told, escaped(path)) for payload in payloads)
     except (KeyError, TypeError, ValueError, OverflowError):
-        message = f"{shown(path)}: is not a trace of this version; expected a file written by wcsim"
+        message = f"{escaped(path)}: is not a trace of this version; expected a file written by wcsim"
         raise JournalError(message) from None
 
 
@@ -55,12 +55,12 @@ def _payloads(path: Path) -> Iterator[bytes]:
     with opened(path, _KIND) as file:
         size = os.fstat(file.fileno()).st_size
         if size > _KIND.limit_bytes:
-            raise JournalError(f"{shown(path)}: larger than {_KIND.limit_bytes} bytes; expected {_KIND.what}")
+            raise JournalError(f"{escaped(path)}: larger than {_KIND.limit_bytes} bytes; expected {_KIND.what}")
         for record in whole_records(file):
             end = record.end
             yield record.payload
         if end and torn_bytes(file, end) is None:
-            raise JournalError(f"{shown(path)}: is damaged after {end} bytes, and more follows; record it again")
+            raise JournalError(f"{escaped(path)}: is damaged after {end} bytes, and more follows; record it again")
 
 
 def _header(payload: bytes, where: str) -> TraceHeader:

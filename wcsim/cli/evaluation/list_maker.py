@@ -15,7 +15,7 @@ from wcsim.cli.shared.common import MOST_JOBS, check_output, in_bounds, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.stage_bar import told_left
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 
 
@@ -100,7 +100,7 @@ def _require_name(option: str, name: str, most: int) -> None:
         return
     proposed = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:most]
     raise ConfigError(
-        f"{option}: got the name {shown(name, 80)!r}; expected at most {most} lower-case letters, digits and -"
+        f"{option}: got the name {escaped(name, 80)!r}; expected at most {most} lower-case letters, digits and -"
         + f", such as {proposed}" * bool(proposed)
     )
 

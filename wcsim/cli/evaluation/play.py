@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.core.reading import is_file, shown
+from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -34,7 +34,7 @@ def place_of_play(text: str, blocks: int) -> tuple[int, int]:
     found = _PLACE.fullmatch(text)
     if found is None or int(found[1]) >= blocks:
         most = blocks - 1
-        raise ConfigError(f"--play {shown(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to {most}")
+        raise ConfigError(f"--play {escaped(text)!r}: expected BLOCK.SEAT, such as 0.1, with a block from 0 to {most}")
     return int(found[1]), int(found[2])
 
 

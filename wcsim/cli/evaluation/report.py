@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.core.reading import counted, is_file, is_folder, shown
+from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -62,7 +62,7 @@ def _is_test(folder: Path) -> bool:
     is_test, is_run = (is_file(folder / name) for name in ("result.json", "manifest.json"))
     if not is_folder(folder) or not (is_test or is_run):
         raise ConfigError(
-            f"{shown(folder)}: nothing to report; expected a folder of `wcsim test --suite` or `wcsim train`"
+            f"{escaped(folder)}: nothing to report; expected a folder of `wcsim test --suite` or `wcsim train`"
         )
     return is_test
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from wcsim.agents.evaluation.suite.named_policy import is_own_class
 from wcsim.cli.shared.named_policies import require_policy
-from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -104,7 +104,7 @@ def serve_film(start: PlayStart, host: str, port: int) -> int:
 
 def _check(order: FilmOrder) -> None:
     """Refuse what cannot be played here, before a page is served for it."""
-    where = shown(order.path)
+    where = escaped(order.path)
     if order.kind != "episode" and (order.block is not None or order.policy or order.network):
         raise ConfigError(f"--policy, --network and --block are for a test; {where} is a {order.kind}: leave them out")
     if order.kind == "episode" and order.epoch is not None:

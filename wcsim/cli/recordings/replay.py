@@ -12,7 +12,7 @@ import tyro
 
 from wcsim.cli.recordings.film_page import FilmOrder, play_start, result_folder, serve_film
 from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
-from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, WcsimError, check_installed
 
 TRACE: Final = "trace"
@@ -93,7 +93,7 @@ def _check(options: Options) -> None:
     for path in options.runs:
         if not is_folder(path) and not is_file(path):
             raise ConfigError(
-                f"{shown(path)}: is not there; expected a run folder, a trace, a journal or a recorded drive"
+                f"{escaped(path)}: is not there; expected a run folder, a trace, a journal or a recorded drive"
             )
     task = _task(options)
     runs = 2 if options.first_difference else 1
@@ -146,9 +146,9 @@ def _find(run: Path, preferred: Kind, expected: str) -> Recording:
         found = [Recording(path=run / kind, kind=kind) for kind in order if is_file(run / kind)]
         if found:
             return found[0]
-        raise ConfigError(f"{shown(run)}: has no trace and no journal; expected {expected}")
+        raise ConfigError(f"{escaped(run)}: has no trace and no journal; expected {expected}")
     if not is_file(run):
-        raise ConfigError(f"{shown(run)}: is not there; expected {expected}")
+        raise ConfigError(f"{escaped(run)}: is not there; expected {expected}")
     return Recording(path=run, kind=_kind(run))
 
 
@@ -175,7 +175,7 @@ def _require_heard(found: Recording, options: Options) -> None:
     if found.kind == DRIVE and (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
         raise ConfigError("--epoch, --from, --to and --hook are for journals; leave them out with a drive")
     if found.kind == TRACE and options.hook:
-        raise ConfigError(f"--hook is for journals; {shown(found.path)} is a trace: leave it out")
+        raise ConfigError(f"--hook is for journals; {escaped(found.path)} is a trace: leave it out")
 
 
 def _page(options: Options) -> int:
@@ -272,7 +272,7 @@ def _verify(options: Options) -> int:
         return _verify_drive(found.path, options)
     if found.kind != JOURNAL:
         raise ConfigError(
-            f"{shown(found.path)}: is neither a journal nor a recorded drive; expected a "
+            f"{escaped(found.path)}: is neither a journal nor a recorded drive; expected a "
             "run folder of a server, its journal, or a file of `wcsim drive --record` or `wcsim users record`"
         )
     from wcsim.server.journal.journal import read_header
@@ -318,7 +318,7 @@ def _note_versions(what: str, made_by: str) -> None:
 
     here = fingerprint()
     if made_by != here:
-        told = f"the {what} was made with other versions, so results may differ: {shown(made_by)}; here: {here}"
+        told = f"the {what} was made with other versions, so results may differ: {escaped(made_by)}; here: {here}"
         print(told, file=sys.stderr)
 
 

@@ -14,7 +14,7 @@ from wcsim.cli.shared.common import OutFile, Repeated, check_output, in_bounds, 
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.config import load_run_config
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import counted, shown
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, read_profile
@@ -50,7 +50,7 @@ def run(options: UserRecordOptions) -> int:
     in_bounds("--minutes", options.minutes, 0.01, _MOST_MINUTES)
     check_output("--out", options.out)
     if os.path.lexists(options.out):
-        raise ConfigError(f"--out {shown(options.out)} exists; expected the name of a new file")
+        raise ConfigError(f"--out {escaped(options.out)} exists; expected the name of a new file")
     base = _profile(options.profile)
     config = load_run_config("quick", (*SMALL_CAMERA, *options.set))
     town = find_town(options.town)
@@ -74,6 +74,6 @@ def run(options: UserRecordOptions) -> int:
 
 def _profile(name: str) -> UserProfile:
     if name.startswith(RECORDED):
-        raise ConfigError(f"--profile {shown(name, 80)} is a recording; expected a profile, or FILE.toml")
+        raise ConfigError(f"--profile {escaped(name, 80)} is a recording; expected a profile, or FILE.toml")
     require_user(name)
     return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)

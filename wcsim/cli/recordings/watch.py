@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.recordings.film_page import serve_film
 from wcsim.cli.shared.common import in_bounds, parse
-from wcsim.core.reading import is_file, is_folder, shown
+from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError
 
 _MANIFEST: Final = "manifest.json"
@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
 def _check(options: Options) -> None:
     """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
-        raise ConfigError(f"{shown(options.run)}: is not there; expected the folder of a wcsim train --clients run")
+        raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train --clients run")
     from wcsim.server.journal.journal import JOURNAL, read_header
     from wcsim.server.journal.parts import part_files
     from wcsim.server.journal.replay import journal_worlds
@@ -61,7 +61,7 @@ def _check(options: Options) -> None:
         journal_worlds(read_header(options.run / JOURNAL), options.hook)
     elif is_file(options.run / _MANIFEST) and not _has_clients(options.run):
         raise ConfigError(
-            f"{shown(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim train "
+            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim train "
             "--clients NETWORK (one client is enough), or of wcsim serve --run"
         )
 

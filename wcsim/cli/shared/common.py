@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 
-from wcsim.core.reading import is_folder, shown
+from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 
 T = TypeVar("T")
@@ -86,14 +86,14 @@ def _whole(word: str) -> int:
     try:
         return int(word)
     except ValueError:
-        raise ValueError(f"got {shown(word, 40)!r}, expected a whole number, such as 1000") from None
+        raise ValueError(f"got {escaped(word, 40)!r}, expected a whole number, such as 1000") from None
 
 
 def _number(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise ValueError(f"got {shown(word, 40)!r}, expected a number, such as 2.5") from None
+        raise ValueError(f"got {escaped(word, 40)!r}, expected a number, such as 2.5") from None
 
 
 def subcommand(words: list[str], command: str, known: Collection[str], options: Callable[[str], type]) -> str:
@@ -188,7 +188,7 @@ def check_folder(option: str, folder: Path) -> None:
         place = place.parent
     if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
         raise ConfigError(
-            f"{option}: {shown(place)} is not a folder that can be written to; choose another with {option}"
+            f"{option}: {escaped(place)} is not a folder that can be written to; choose another with {option}"
         )
 
 
@@ -231,4 +231,4 @@ def missing_folder(path: Path) -> Path | None:
 def tell_made(folder: Path | None) -> None:
     """Say that a folder was made for a result: a mistyped one is noticed so."""
     if folder is not None:
-        print(f"note: made the folder {shown(folder)}", file=sys.stderr)
+        print(f"note: made the folder {escaped(folder)}", file=sys.stderr)

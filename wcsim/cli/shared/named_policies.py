@@ -8,7 +8,7 @@ from wcsim.agents.policy_api import VETO, without_veto
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.core.plugins import find_class
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 
 
@@ -27,7 +27,7 @@ def require_policy(name: str, network: str) -> None:
     elif not is_plain(name):
         used = network_of(name)
         if is_own(used):
-            require_named(shown(name), used, network)
+            require_named(escaped(name), used, network)
 
 
 def require_driver(name: str, network: str) -> None:
@@ -41,14 +41,14 @@ def require_driver(name: str, network: str) -> None:
         return
     check_network(network)
     if is_plain(name) or network_of(name) != network:
-        raise PolicyError(f"--network {shown(network, 80)}: {shown(name)} does not use it; leave it out")
+        raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
 
 
 def require_without_veto(name: str, does: str) -> None:
     """Refuse a policy behind a veto, where only its network is used. Raises PolicyError."""
     if name.startswith(VETO):
         raise PolicyError(
-            f"{shown(name)}: {does} uses the network alone; expected {shown(without_veto(name))}, without {VETO}"
+            f"{escaped(name)}: {does} uses the network alone; expected {escaped(without_veto(name))}, without {VETO}"
         )
 
 

@@ -12,7 +12,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.towns.scenario.overrides import Override
 
 Verbose = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -50,12 +50,12 @@ def print_overrides(
     if verbose:
         console.print(_table(town, overrides))
     elif overrides:
-        names = ", ".join(shown(row.option, 80) for row in overrides)
+        names = ", ".join(escaped(row.option, 80) for row in overrides)
         where = "--verbose says why, as does the run's manifest" if kept else "--verbose says why"
         told = [f"{len(overrides)} of SUMO's options are not as in {town}'s scenario ({names}); {where}"]
         told += [f"{row.option} is {row.wcsim}: {row.why}" for row in overrides if row.author and _matters(row)]
         for line in told:
-            console.print(shown(line, _MOST), markup=False, highlight=False)
+            console.print(escaped(line, _MOST), markup=False, highlight=False)
     for note in notes:
         console.print(f"note: {note}", markup=False, highlight=False)
 
@@ -77,5 +77,5 @@ def _table(town: str, overrides: Sequence[Override]) -> Table:
     )
     for row in overrides:
         cells = (row.option, row.author or "-", row.wcsim, row.why)
-        table.add_row(*(Text(shown(cell, _MOST)) for cell in cells))  # a scenario's own words are no markup
+        table.add_row(*(Text(escaped(cell, _MOST)) for cell in cells))  # a scenario's own words are no markup
     return table

@@ -16,7 +16,7 @@ from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
-from wcsim.core.reading import counted, shown
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override, settings_of
@@ -143,8 +143,8 @@ def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path |
     if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
-            f"env.profile={shown(name)}: a network that learns in rounds draws its users from collect.profiles; "
-            f"""expected --set 'collect.profiles=["{shown(name)}"]', or --preset dqn, which learns with that user"""
+            f"env.profile={escaped(name)}: a network that learns in rounds draws its users from collect.profiles; "
+            f"""expected --set 'collect.profiles=["{escaped(name)}"]', or --preset dqn, which learns with that user"""
         )
     for name in config.collect.profiles:
         require_user(name)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.core.reading import holds_half_letters, shown
+from wcsim.core.reading import escaped, holds_half_letters
 from wcsim.errors import ConfigError
 
 _PATHS: Final = frozenset(
@@ -56,7 +56,7 @@ def require_letters(words: Iterable[str]) -> None:
     """Raise ConfigError for an argument that holds bytes which are no letters: no record of ours could name it."""
     for word in words:
         if holds_half_letters(word):
-            raise ConfigError(f"argument '{shown(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
+            raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
 
 
 def told_cause(error: Exception) -> tuple[str, Exit]:
@@ -70,7 +70,7 @@ def told_cause(error: Exception) -> tuple[str, Exit]:
     variables = [name for name in os.environ if name.startswith("NUMBA_")]
     if isinstance(error, ValueError) and variables and any("numba" in Path(frame.filename).parts for frame in last):
         return (
-            f"numba refuses its settings ({shown(error)}); try again after: unset {' '.join(variables)}",
+            f"numba refuses its settings ({escaped(error)}); try again after: unset {' '.join(variables)}",
             Exit.REFUSED,
         )
     told = _told_path(error) if isinstance(error, OSError) and error.errno in _PATHS else ""
@@ -87,5 +87,5 @@ def _told_path(error: OSError) -> str:
     path = error.filename2 or error.filename
     if not isinstance(path, str | bytes) or _PACKAGE in Path(os.fsdecode(path)).parents:
         return ""
-    told = f"{shown(os.fsdecode(path))}: {error.strerror}"
+    told = f"{escaped(os.fsdecode(path))}: {error.strerror}"
     return f"{told}; choose another path, or make this one usable"

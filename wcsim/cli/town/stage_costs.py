@@ -10,7 +10,7 @@ from typing import Any
 from rich import box
 from rich.table import Column, Table
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 
 NET_STAGE = "building the net"  # of an import: netconvert is the one child of it
 _FIRST = "starting"
@@ -77,7 +77,7 @@ def costs_table(costs: Sequence[StageCost]) -> Table:
         show_footer=False,
     )
     for cost in costs:
-        table.add_row(shown(cost.stage, _SHOWN), f"{cost.own_s:.2f}", f"{cost.tools_s:.2f}")
+        table.add_row(escaped(cost.stage, _SHOWN), f"{cost.own_s:.2f}", f"{cost.tools_s:.2f}")
     table.add_section()
     table.add_row("all", f"{_sum(costs).own_s:.2f}", f"{_sum(costs).tools_s:.2f}")
     return table

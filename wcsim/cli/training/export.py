@@ -20,7 +20,7 @@ from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_driver, require_without_veto
 from wcsim.config import RunConfig
-from wcsim.core.reading import counted, is_folder, shown
+from wcsim.core.reading import counted, escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError, meant
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def run(words: list[str]) -> int:
     require_export_place("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
         raise ConfigError(
-            f"--ride {shown(options.ride)}: not found; expected a recorded drive, a journal, or the folder of a run"
+            f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or the folder of a run"
         )
     path = _network(options.policy)
     require_driver(options.policy, options.network)
@@ -102,14 +102,14 @@ def _network(name: str) -> Path:
     require_without_veto(name, "an export")
     if is_plain(name):
         raise PolicyError(
-            f"{shown(name)} has no network that can be exported; expected a run that `wcsim train` made, "
+            f"{escaped(name)} has no network that can be exported; expected a run that `wcsim train` made, "
             f"RUN:phase1, a policy folder, or {SHIPPED}"
         )
     head = split_level(name)[0]
     run = Path(head.rpartition(":")[0] or head)
     if head != SHIPPED and not is_folder(run) and not is_folder(Path(head)):
         raise PolicyError(
-            f"{shown(head)} is not a run: there is no such folder; expected one that `wcsim train` made, a policy "
+            f"{escaped(head)} is not a run: there is no such folder; expected one that `wcsim train` made, a policy "
             f"folder, or {SHIPPED}{meant(head, (SHIPPED,))}"
         )
     path = policy_path(name)
@@ -135,11 +135,11 @@ def _compared(facts: ExportFacts) -> str:
 
 def _beside_recording(same: float, by: str, policy: str) -> str:
     """How the network's own actions compare with those of a recording."""
-    told = f"{same:.1%} of the actions match the recording{f', which {shown(by, 80)} drove' if by else ''}"
+    told = f"{same:.1%} of the actions match the recording{f', which {escaped(by, 80)} drove' if by else ''}"
     if same >= _SAME_POLICY and by.partition("@")[0] not in (*BASELINES, *UPPER_BOUNDS):
         return told
     return (
-        f"{told}: another policy or threshold. The reference ride holds the actions of {shown(policy)} for these "
+        f"{told}: another policy or threshold. The reference ride holds the actions of {escaped(policy)} for these "
         f"observations. Record it while it drives: wcsim drive --policy {shlex.quote(policy)} --record FILE"
     )
 

@@ -19,7 +19,7 @@ from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_know
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.config import RunConfig, parse_json
 from wcsim.config.plant import known_plants
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, ServerGoneError
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.messages import ANY_SEAT
@@ -131,7 +131,7 @@ def _require_known_plant(offered: RunConfig, endpoint: str) -> None:
     """Open no file of this machine because a server names it. Raises ConfigError."""
     if not endpoint.startswith("ipc://") and offered.chair.plant not in known_plants():
         raise ConfigError(
-            f"the world of {endpoint} drives a wheelchair of a file ({shown(offered.chair.plant, 80)!r}); expected "
+            f"the world of {endpoint} drives a wheelchair of a file ({escaped(offered.chair.plant, 80)!r}); expected "
             f"{' or '.join(known_plants())} over the network: join on the world's own machine"
         )
 

@@ -25,7 +25,7 @@ from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import train_clients
 from wcsim.cli.training.train import Options
 from wcsim.core.files import locked
-from wcsim.core.reading import counted, shown
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.towns.scenario.town import Town
@@ -58,7 +58,7 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     """
     asked = {client.config.learn.select_by for client in run.clients}
     if len(asked) > 1:
-        told = ", ".join(sorted(map(shown, asked)))
+        told = ", ".join(sorted(map(escaped, asked)))
         raise ConfigError(f"clients have different learn.select_by ({told}); expected the same for all")
     (by,) = asked
     if not by or len(run.clients) == 1:

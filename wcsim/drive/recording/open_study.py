@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.named_policy import is_own_class, open_named,
 from wcsim.agents.policy_api import Levelled
 from wcsim.config import CONFIG_FILE, parse
 from wcsim.config.study import StudyFile, StudyPlace
-from wcsim.core.reading import is_file, parse_toml, read_text, shown
+from wcsim.core.reading import escaped, is_file, parse_toml, read_text
 from wcsim.drive.recording.study_plan import order_words, read_rows, table_columns
 from wcsim.drive.starting import PRESET, DriveStart, check_recordable, checked
 from wcsim.errors import ConfigError
@@ -75,16 +75,16 @@ def open_study(
     path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in shipped_studies() else expanded(name_or_path)
     if not is_file(path):
         known = ", ".join(shipped_studies())
-        raise ConfigError(f"--study {shown(name_or_path)}: there is no such study; expected {known}, or a TOML file")
+        raise ConfigError(f"--study {escaped(name_or_path)}: there is no such study; expected {known}, or a TOML file")
     text = read_text(path, CONFIG_FILE)
-    file = parse(StudyFile, parse_toml(text, shown(path), CONFIG_FILE), shown(path))
+    file = parse(StudyFile, parse_toml(text, escaped(path), CONFIG_FILE), escaped(path))
     digest = hashlib.sha256(text.encode()).hexdigest()
-    _require_named(file.policy, named, shown(path))
+    _require_named(file.policy, named, escaped(path))
     place_of_results = out or Path("studies") / file.name
     study = OpenStudy(file=file, sha256=digest, participant=participant, out=place_of_results, network=network)
     for place in (*file.places, *([file.practice_place] if file.practice_place else [])):
         check_recordable(checked(study_start(file, place, network)))
-    _require_levels(study, shown(path))
+    _require_levels(study, escaped(path))
     participant_rows(study)
     return study
 
@@ -95,7 +95,7 @@ def participant_rows(study: OpenStudy) -> tuple[dict[str, str], ...]:
     other = next((row for row in rows if row["study_sha256"] != study.sha256[:12]), None)
     if other is not None:
         raise ConfigError(
-            f"{shown(study.table)}: belongs to another study file ({shown(other['study_sha256'], 12)}, this is "
+            f"{escaped(study.table)}: belongs to another study file ({escaped(other['study_sha256'], 12)}, this is "
             f"{study.sha256[:12]}); expected the same file: restore it, or name another folder with --out"
         )
     return tuple(row for row in rows if row["participant"] == str(study.participant))
@@ -112,12 +112,12 @@ def study_start(file: StudyFile, place: StudyPlace, network: str) -> DriveStart:
 def _require_named(policy: str, named: str, where: str) -> None:
     """Raise ConfigError for another policy than the file's, or a class that is loaded without being named again."""
     if named and named != policy:
-        told = f"{where} says policy = {shown(policy)!r}"
-        raise ConfigError(f"--policy {shown(named)} with --study: {told}; leave --policy out")
+        told = f"{where} says policy = {escaped(policy)!r}"
+        raise ConfigError(f"--policy {escaped(named)} with --study: {told}; leave --policy out")
     if is_own_class(policy) and not named:
         raise ConfigError(
-            f"{where}: its policy is the class {shown(policy)}, and loading it runs its code; if you "
-            f"trust it, name it: --policy {shlex.quote(shown(policy))}"
+            f"{where}: its policy is the class {escaped(policy)}, and loading it runs its code; if you "
+            f"trust it, name it: --policy {shlex.quote(escaped(policy))}"
         )
 
 

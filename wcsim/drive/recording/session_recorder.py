@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wcsim.bridge.drives.drive_header import drive_header
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
@@ -113,7 +113,7 @@ class SessionRecorder:
             self._recorder.note(event)
         self._waiting = []
         self._tell(
-            RecorderStatus(on=True, file=self._file, log=f"recording to {shown(path)}: {self._session.place.told}")
+            RecorderStatus(on=True, file=self._file, log=f"recording to {escaped(path)}: {self._session.place.told}")
         )
         return self._recorder
 
@@ -150,7 +150,7 @@ class SessionRecorder:
             recorder, self._recorder = self._recorder, None
             recorder.close()
             minutes = self._kept * self._session.tick_s / 60.0
-            log = f"wrote {shown(self._file)}: {self._kept} ticks, {minutes:.1f} min"
+            log = f"wrote {escaped(self._file)}: {self._kept} ticks, {minutes:.1f} min"
             self._tell(RecorderStatus(on=False, file=self._file, log=log))
 
 

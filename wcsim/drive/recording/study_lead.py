@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wcsim.core.files import numbered_names
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.drive.recording.open_study import OpenStudy, participant_rows, study_start
 from wcsim.drive.recording.study_plan import (
     END,
@@ -126,7 +126,7 @@ class StudyLead:
         left = [part.block.name for part in dict.fromkeys(step.part for step in self._steps) if part is not None]
         hands.say(
             f"study {study.file.name}, participant {study.participant}: order {study.order}; "
-            f"to do: {', '.join(left) or 'nothing'}; table {shown(study.table)}"
+            f"to do: {', '.join(left) or 'nothing'}; table {escaped(study.table)}"
         )
 
     @property
@@ -238,7 +238,7 @@ class StudyLead:
         try:
             if path is None:
                 raise WcsimError(
-                    f"{shown(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
+                    f"{escaped(self._study.folder / name)}: all file names for this part are taken; remove old attempts"
                 )
             session = self._hands.open(study_start(self._study.file, part.place, self._study.network), path)
             if part.block.level is not None:
@@ -276,7 +276,7 @@ class StudyLead:
         rows = read_rows(path, table_columns(self._study.file))
         found = tuple(row for row in rows if row["study_sha256"] == self._study.sha256[:12])[-1:]
         if found:
-            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {shown(path)}")
+            self._hands.say(f"{part.block.name} was driven before; only its questions are left: {escaped(path)}")
         return found
 
     def _forget(self, part: StudyPart) -> None:
@@ -286,7 +286,7 @@ class StudyLead:
             path.unlink(missing_ok=True)
         except OSError as error:
             self._hands.say(
-                f"{shown(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
+                f"{escaped(path)}: cannot be removed ({error.strerror}); its row is in the table: remove the file"
             )
 
     def _result(self, part: StudyPart) -> Path:
@@ -294,7 +294,7 @@ class StudyLead:
 
     def _write(self, row: Row, answers: Row) -> None:
         append_row(self._study.table, table_columns(self._study.file), {**row, **answers})
-        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {shown(self._study.table)}")
+        self._hands.say(f"participant {self._study.participant}: {row['block']} saved in {escaped(self._study.table)}")
 
     # --- what is shown ---
 

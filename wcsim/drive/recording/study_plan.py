@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.config.study import StudyBlock, StudyFile, StudyPlace, StudyQuestion
-from wcsim.core.reading import FileKind, counted, read_text, shown
+from wcsim.core.reading import FileKind, counted, escaped, read_text
 from wcsim.errors import ConfigError, DiskFullError
 
 END = "end"
@@ -175,18 +175,18 @@ def read_rows(path: Path, columns: Sequence[str]) -> tuple[dict[str, str], ...]:
         return ()
     text = read_text(path, _TABLE)
     if text and not text.endswith("\n"):
-        raise ConfigError(f"{shown(path)}: its last line is incomplete; complete it, or remove it")
+        raise ConfigError(f"{escaped(path)}: its last line is incomplete; complete it, or remove it")
     try:
         lines = [line for line in csv.reader(io.StringIO(text, newline=""), strict=True) if line]
     except csv.Error:
         lines = []
     if not lines or tuple(lines[0]) != tuple(columns):
         raise ConfigError(
-            f"{shown(path)}: its columns are not those of this study; expected the table of the same study file: "
+            f"{escaped(path)}: its columns are not those of this study; expected the table of the same study file: "
             "name another folder with --out"
         )
     if len(lines) > _MOST_ROWS or any(len(line) != len(columns) for line in lines):
-        raise ConfigError(f"{shown(path)}: is not a table with {len(columns)} columns; expected one that wcsim wrote")
+        raise ConfigError(f"{escaped(path)}: is not a table with {len(columns)} columns; expected one that wcsim wrote")
     return tuple(dict(zip(columns, line, strict=True)) for line in lines[1:])
 
 
@@ -201,7 +201,7 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
     except OSError as error:
-        raise ConfigError(f"{shown(path)}: cannot be written ({error.strerror}); choose another --out") from None
+        raise ConfigError(f"{escaped(path)}: cannot be written ({error.strerror}); choose another --out") from None
     try:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(handle, fcntl.LOCK_EX)  # another participant's drive may write on it at the same time
@@ -216,7 +216,7 @@ def append_row(path: Path, columns: Sequence[str], row: Row) -> None:
         if reason:
             os.ftruncate(handle, end)
             raise DiskFullError(
-                f"{shown(path)}: a row could not be written ({reason}); free some disk space, and press again"
+                f"{escaped(path)}: a row could not be written ({reason}); free some disk space, and press again"
             )
         os.fsync(handle)
     finally:

@@ -29,7 +29,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from wcsim.core.closing import Closing
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.drive import messages as m
 from wcsim.drive.playing.play_messages import StepBy, of_play_page
 from wcsim.drive.playing.play_runner import PlayStart, run_play
@@ -417,7 +417,7 @@ def _logger() -> logging.Logger:
 
 def _in_a_line(record: logging.LogRecord) -> bool:
     if record.exc_info and record.exc_info[1] is not None:
-        record.msg, record.args = shown(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
+        record.msg, record.args = escaped(f"{record.getMessage()}: {record.exc_info[1]!r}"), ()
         record.exc_info = None
     return True
 

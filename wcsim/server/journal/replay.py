@@ -16,7 +16,7 @@ from wcsim.bridge.sumo.open_scenario import RunPlace
 from wcsim.bridge.town_run import as_recorded
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
 from wcsim.server.journal.journal import (
     Admitted,
@@ -152,7 +152,7 @@ def journal_worlds(header: JournalHeader, hook: str = "") -> MakesEpoch[World]:
     """
     if header.hook != hook:
         raise ConfigError(
-            f"the journal was made with the step hook {shown(header.hook or 'none', 80)!r}, got {hook or 'none'!r}; "
+            f"the journal was made with the step hook {escaped(header.hook or 'none', 80)!r}, got {hook or 'none'!r}; "
             "a hook is code: name it with --hook if you trust it"
         )
     towns = tuple(map(asked_town, (header.town, *header.more_towns)))

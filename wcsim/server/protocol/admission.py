@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import (
     ConfigError,
     ConfigMismatchError,
@@ -68,7 +68,8 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
         return VersionMismatchError(f"a session of {len(join.session)} bytes; expected {m.SESSION_BYTES}")
     if not _NAME.fullmatch(join.name):
         return ProtocolError(
-            f"name {shown(join.name, 40)!r}: expected 1 to 64 letters, digits, '-', '_' or '.', and no '.' at the start"
+            f"name {escaped(join.name, 40)!r}: expected 1 to 64 letters, digits, '-', '_' or '.', and no '.' at the "
+            "start"
         )
     if join.config and join.config != rules.config:
         return ConfigMismatchError(
@@ -88,7 +89,7 @@ def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
         )
     if not named and spec.profile not in profile_names():
         known = ", ".join(profile_names())
-        return ConfigError(f"unknown user profile {shown(spec.profile, 40)!r}; expected one of: {known}")
+        return ConfigError(f"unknown user profile {escaped(spec.profile, 40)!r}; expected one of: {known}")
     if not 1 <= spec.max_steps <= MOST_STEPS:
         return ProtocolError(f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}")
     start = spec.start

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from wcsim import errors
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ProtocolError, WcsimError
 from wcsim.server.protocol import bounds as b
 from wcsim.server.protocol.frame_codec import Pictures, packed, packed_spec, unpacked, unpacked_spec
@@ -284,7 +284,7 @@ def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:
-        raise ProtocolError(f"a message does not fit protocol {PROTOCOL}: {shown(error, 200)}") from None
+        raise ProtocolError(f"a message does not fit protocol {PROTOCOL}: {escaped(error, 200)}") from None
 
 
 def failure_of(error: WcsimError, session: bytes = b"") -> Failure:
@@ -296,4 +296,4 @@ def error_of(failure: Failure) -> WcsimError:
     """The error that a message carries, under its own name; its text is printable, whoever wrote it."""
     kind = getattr(errors, failure.error, None)
     known = isinstance(kind, type) and issubclass(kind, WcsimError)
-    return (kind if known else WcsimError)(shown(failure.message, b.MOST_TEXT))  # type: ignore[misc]
+    return (kind if known else WcsimError)(escaped(failure.message, b.MOST_TEXT))  # type: ignore[misc]

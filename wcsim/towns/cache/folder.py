@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.core.files import KERNELS, folder_bytes, home, user_cache
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 
 MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
 WRITTEN_S = 3600.0  # a file that is being written is not older
@@ -37,7 +37,7 @@ def cache_folder() -> Path:
 def shown_cache() -> str:
     """The cache's folder for a message, with ~ for the home."""
     folder, own = cache_folder(), home()
-    return shown(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
+    return escaped(Path("~") / folder.relative_to(own) if own is not None and folder.is_relative_to(own) else folder)
 
 
 def write_verdict(path: Path) -> None:

@@ -25,7 +25,7 @@ from xml.etree.ElementTree import Element
 import cv2
 import numpy as np
 
-from wcsim.core.reading import FileKind, read_bytes, shown
+from wcsim.core.reading import FileKind, escaped, read_bytes
 from wcsim.core.seeding import generator
 from wcsim.errors import TownError, check_installed
 from wcsim.towns.ground.relief import steepest_run
@@ -253,7 +253,7 @@ def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
 
 
 def _one_line(error: Exception) -> str:
-    return shown(" ".join(str(error).split()), 300)
+    return escaped(" ".join(str(error).split()), 300)
 
 
 def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.wishes import Wishes
@@ -40,7 +40,7 @@ def made_seed(word: str) -> int | None:
     if kind != MADE or not colon:
         return None
     if not seed.isdecimal() or int(seed) >= 1 << 31:
-        raise ConfigError(f"town {shown(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
+        raise ConfigError(f"town {escaped(word)!r}: expected {MADE}:SEED with a seed below 2147483648")
     return int(seed)
 
 

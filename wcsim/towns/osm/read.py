@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.reading import FileKind, opened, regular_size, shown
+from wcsim.core.reading import FileKind, escaped, opened, regular_size
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.osm.area import LONGEST_M, Box, check_box, grown, is_within, size_m
 from wcsim.towns.sumo.tools import Limits, run_child, sumo_home
@@ -103,7 +103,7 @@ def _xml_of(path: Path, box: Box | None) -> bytes:
     most = 4 * MAX_XML_BYTES if box is not None else MAX_XML_BYTES
     data = _unpack_bz2(path, most) if kind == "bz2" else read_bytes(path, most)
     if len(data) > SMALL_BYTES and box is not None:
-        check_plain_xml(data, shown(path), 8 * MAX_TAGS)
+        check_plain_xml(data, escaped(path), 8 * MAX_TAGS)
         return _cut_by_osmium(path, {"gz": "osm.gz", "bz2": "osm.bz2"}.get(kind, "osm"), box)
     return data
 
@@ -127,9 +127,9 @@ def _unpack_bz2(path: Path, most: int) -> bytes:
         with opened(path, _EXTRACT) as file:
             data = bunzip2(file, most + 1)
     except (EOFError, ValueError) as error:
-        raise TownError(f"{shown(path)}: cannot be read ({error}); {EXPECTED}") from None
+        raise TownError(f"{escaped(path)}: cannot be read ({error}); {EXPECTED}") from None
     if len(data) > most:
-        raise TownError(f"{shown(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
+        raise TownError(f"{escaped(path)}: more than {most >> 20} MiB of XML; clip it to a smaller area")
     return data
 
 
@@ -139,7 +139,7 @@ def _require_tags(path: Path) -> None:
         while len(part := file.read(MAX_TAG_BYTES)) == MAX_TAG_BYTES:
             if b">" not in part or b"\0" in part:
                 raise TownError(
-                    f"{shown(path)}: is not XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
+                    f"{escaped(path)}: is not XML, or has a tag of more than {MAX_TAG_BYTES} bytes; {EXPECTED}"
                 )
 
 

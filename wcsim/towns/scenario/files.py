@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from wcsim.core.reading import FileKind, is_file, regular_size, shown
+from wcsim.core.reading import FileKind, escaped, is_file, regular_size
 from wcsim.errors import TownError
 from wcsim.towns.scenario.options import Content, SumoOption
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
@@ -50,10 +50,10 @@ def check_inside(path: Path, border: Path | None, named_by: Path) -> None:
         if border is None or real.is_relative_to(os.path.realpath(border)):
             return
     except ValueError as error:  # NUL in the path
-        raise TownError(f"{shown(named_by)}: names {shown(path)} ({error}); correct the name") from None
+        raise TownError(f"{escaped(named_by)}: names {escaped(path)} ({error}); correct the name") from None
     raise TownError(
-        f"{shown(named_by)}: names {shown(path)}, which is outside of its folder {shown(border)}; move it there and "
-        f"correct the name, or permit files elsewhere: {_trust(named_by)}"
+        f"{escaped(named_by)}: names {escaped(path)}, which is outside of its folder {escaped(border)}; move it there "
+        f"and correct the name, or permit files elsewhere: {_trust(named_by)}"
     )
 
 
@@ -64,7 +64,7 @@ def _trust(named_by: Path) -> str:
         return f"{some}, and of wcsim town import, which makes a copy for all others"
     path, name = named_by.absolute(), re.sub(r"[^A-Za-z0-9_-]", "_", named_by.absolute().parent.name)[:64] or "town"
     return (
-        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(shown(path, 4096))} "
+        f"{some}, or a copy for all commands: wcsim town import --sumocfg {shlex.quote(escaped(path, 4096))} "
         f"--name {name} {_ALLOW}"
     )
 
@@ -74,11 +74,11 @@ def check_file(path: Path, border: Path | None, named_by: Path) -> None:
     check_inside(path, border, named_by)
     if not is_file(path):
         raise TownError(
-            f"{shown(named_by)}: names a file that does not exist: {shown(path)}; restore it or correct "
-            f"{shown(named_by.name)}"
+            f"{escaped(named_by)}: names a file that does not exist: {escaped(path)}; restore it or correct "
+            f"{escaped(named_by.name)}"
         )
     if "," in str(path):
-        raise TownError(f"{shown(path)}: SUMO splits file names at commas; rename the file or its folder")
+        raise TownError(f"{escaped(path)}: SUMO splits file names at commas; rename the file or its folder")
 
 
 def with_included(files: Iterable[Path], border: Path | None) -> tuple[Path, ...]:
@@ -101,7 +101,7 @@ def _follow(path: Path, border: Path | None, above: tuple[Path, ...], found: dic
     real = Path(os.path.realpath(path))
     if real in above or len(above) >= MAX_DEPTH:
         chain = " -> ".join(item.name for item in (*above, real))
-        raise TownError(f"{shown(path)}: its files include each other ({chain}); remove one <include>")
+        raise TownError(f"{escaped(path)}: its files include each other ({chain}); remove one <include>")
     if real in found:
         return
     found[real] = path
@@ -121,7 +121,7 @@ def _included(path: Path) -> list[str]:
         if tag.rpartition(":")[2] == "include":
             names.append(dict(zip(attributes[::2], attributes[1::2], strict=True)).get("href", ""))
 
-    scan(data, shown(path), visit)
+    scan(data, escaped(path), visit)
     return [name for name in names if name]
 
 
@@ -190,9 +190,9 @@ class _NamesFiles:
         """An element with an attribute that names a file, or may do so."""
         emission, projection = attributes.get("emissionClass", ""), attributes.get("projParameter", "")
         if ".." in emission or emission.startswith("/"):
-            raise TownError(f"{self._where}: has emissionClass={shown(emission, 60)!r}; expected a name: correct it")
+            raise TownError(f"{self._where}: has emissionClass={escaped(emission, 60)!r}; expected a name: correct it")
         if _GRIDS.search(projection):
-            told = shown(projection, 60)
+            told = escaped(projection, 60)
             raise TownError(f"{self._where}: has projParameter={told!r}, which names a file; expected one without")
         for key, value in attributes.items():
             name = key.rpartition(":")[2]
@@ -304,12 +304,12 @@ class FilteredFiles:
         return whole
 
     def _filtered(self, path: Path, above: tuple[Path, ...]) -> Path:
-        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(shown(path))
-        scan(data, shown(path), names)
+        data, names = read_bytes(path, MAX_XML_BYTES), _NamesFiles(escaped(path))
+        scan(data, escaped(path), names)
         plain = _PLAIN.fullmatch(str(path)) is not None
         if plain and not names.found:
             return path
-        root = _without_namespaces(parse_root(data, shown(path)))
+        root = _without_namespaces(parse_root(data, escaped(path)))
         changes = [self._change(element, path, above) for element in root.iter()]
         if plain and not any(changes):
             return path

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wcsim.config import TownFile, parse
-from wcsim.core.reading import FileKind, is_file, is_folder, read_toml, shown
+from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_toml
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
@@ -82,7 +82,7 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
 
 
 def _unknown_town(name_or_path: str) -> TownError:
-    named = shown(name_or_path, 160)
+    named = escaped(name_or_path, 160)
     if name_or_path.endswith(".sumocfg"):
         return TownError(
             f"{named}: there is no such file, seen from {Path.cwd()}; expected the path of a .sumocfg, a folder with "
@@ -203,7 +203,7 @@ def _near(file: TownFile, net: Path) -> TownFile:
 
 def read_town_file(toml: Path) -> TownFile:
     """A `town.toml`. Raises ConfigError or TownError with every fault and its place."""
-    return parse(TownFile, read_toml(toml, _TOWN_FILE), shown(toml))
+    return parse(TownFile, read_toml(toml, _TOWN_FILE), escaped(toml))
 
 
 def net_middle(net: Path) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from wcsim.config import RunConfig, parse
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.core import frames
 from wcsim.core.constants import RECORDED
-from wcsim.core.reading import FileKind, is_file, read_toml, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_toml
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.adopt import copy_file
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
@@ -60,7 +60,7 @@ def find_scene(name_or_path: str) -> Path:
 def scene_of(folder: Path) -> SceneFile:
     """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
     toml = folder / "scene.toml"
-    return parse(SceneFile, read_toml(toml, _SCENE_TOML), shown(toml))
+    return parse(SceneFile, read_toml(toml, _SCENE_TOML), escaped(toml))
 
 
 def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from wcsim.config import RunConfig, parse_json
 from wcsim.core import seeding
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool, Joystick
 from wcsim.users.fitting.habits import correction_s, stretches
@@ -313,7 +313,7 @@ def _require_alike(drives: Sequence[DriveRecording]) -> None:
         for name in got:
             if got[name] != told[0][name]:
                 raise ConfigError(
-                    f"{shown(drive.name)}: was driven with {name} {got[name]:g}, {shown(drives[0].name)} with "
+                    f"{escaped(drive.name)}: was driven with {name} {got[name]:g}, {escaped(drives[0].name)} with "
                     f"{told[0][name]:g}; expected the same {name}: fit them separately"
                 )
 

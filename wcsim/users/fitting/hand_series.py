@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool
 from wcsim.users.fitting.habits import STICK_FILTER_S
@@ -48,8 +48,9 @@ def check_stick(name: str, ticks: Sequence[RecordedTick]) -> None:
     count = len(np.unique(moving.round(4), axis=0))
     if count <= _MOST and len(moving) >= _REPEATED * count:
         raise ConfigError(
-            f"{shown(name)}: its stick took only {count} position{'s' * (count > 1)}, as with keys or switches, which "
-            "do not show delay, gain and tremor; expected a drive by gamepad, pointer or finger: leave this one out"
+            f"{escaped(name)}: its stick took only {count} position{'s' * (count > 1)}, as with keys or switches, "
+            "which do not show delay, gain and tremor; expected a drive by gamepad, pointer or finger: leave "
+            "this one out"
         )
 
 

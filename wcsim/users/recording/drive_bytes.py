@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from wcsim.core.reading import FileKind, parse_json, shown
+from wcsim.core.reading import FileKind, escaped, parse_json
 from wcsim.errors import JournalError
 from wcsim.types import F64, Joystick, StartSpec
 from wcsim.users.recording.drive_types import (
@@ -54,7 +54,7 @@ def start_json(start: StartSpec) -> str:
 
 def start_of_json(text: str) -> StartSpec:
     """What `start_json` wrote. Raises JournalError for anything else."""
-    where = f"the drive's respawn at {shown(text, 80)}"
+    where = f"the drive's respawn at {escaped(text, 80)}"
     try:
         return _start_of(parse_json(text, where, DRIVE_FILE))
     except (KeyError, TypeError, ValueError):

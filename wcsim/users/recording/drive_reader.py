@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from wcsim.core.reading import opened, shown
+from wcsim.core.reading import escaped, opened
 from wcsim.errors import FileError, JournalError
 from wcsim.users.recording.drive_bytes import DRIVE_FILE, MOST_RECORDS, header_of_drive, is_drive_header, part_of_drive
 from wcsim.users.recording.drive_types import DriveHeader, DriveRecording, RecordedEvent, RecordedTick
@@ -42,17 +42,17 @@ def read_drive(path: Path) -> DriveRecording:
     ticks: list[RecordedTick] = []
     events: list[RecordedEvent] = []
     for payload in payloads:
-        part = part_of_drive(payload, shown(path))
+        part = part_of_drive(payload, escaped(path))
         if isinstance(part, RecordedEvent):
             events.append(part)
             continue
         if ticks and not _follows(ticks[-1], part):
             raise JournalError(
-                f"{shown(path)}: tick {part.tick} does not follow tick {ticks[-1].tick}; record it again"
+                f"{escaped(path)}: tick {part.tick} does not follow tick {ticks[-1].tick}; record it again"
             )
         ticks.append(part)
         if len(ticks) + len(events) > MOST_RECORDS:
-            raise JournalError(f"{shown(path)}: more than {MOST_RECORDS} records; expected {DRIVE_FILE.what}")
+            raise JournalError(f"{escaped(path)}: more than {MOST_RECORDS} records; expected {DRIVE_FILE.what}")
     return DriveRecording(name=str(path), header=header, ticks=tuple(ticks), events=tuple(events), torn=torn[0])
 
 
@@ -62,8 +62,8 @@ def _follows(before: RecordedTick, tick: RecordedTick) -> bool:
 
 def _header(payload: bytes, path: Path) -> DriveHeader:
     if not is_drive_header(payload):
-        raise JournalError(f"{shown(path)}: is not a drive; expected a file of `wcsim users record` or `wcsim drive`")
-    return header_of_drive(payload, shown(path))
+        raise JournalError(f"{escaped(path)}: is not a drive; expected a file of `wcsim users record` or `wcsim drive`")
+    return header_of_drive(payload, escaped(path))
 
 
 def _payloads(path: Path, torn: list[bool]) -> Iterator[bytes]:
@@ -71,11 +71,13 @@ def _payloads(path: Path, torn: list[bool]) -> Iterator[bytes]:
     with opened(path, DRIVE_FILE) as file:
         size = os.fstat(file.fileno()).st_size
         if size > DRIVE_FILE.limit_bytes:
-            raise JournalError(f"{shown(path)}: larger than {DRIVE_FILE.limit_bytes} bytes; expected {DRIVE_FILE.what}")
+            raise JournalError(
+                f"{escaped(path)}: larger than {DRIVE_FILE.limit_bytes} bytes; expected {DRIVE_FILE.what}"
+            )
         for record in whole_records(file, 0):
             end, after = record.end, record.crc
             yield record.payload
         left = torn_bytes(file, end, after) if end else 0
         if left is None:
-            raise JournalError(f"{shown(path)}: is damaged after {end} bytes, and more follows; record it again")
+            raise JournalError(f"{escaped(path)}: is damaged after {end} bytes, and more follows; record it again")
         torn.append(left != 0)

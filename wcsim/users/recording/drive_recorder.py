@@ -7,7 +7,7 @@ from io import FileIO
 from pathlib import Path
 
 from wcsim.core.closing import Closing
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, JournalError, WcsimError
 from wcsim.users.recording.drive_bytes import DRIVE_FILE, MOST_RECORDS, event_payload, header_payload, tick_payload
 from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
@@ -32,7 +32,7 @@ class DriveRecorder(Closing):
             self._file = FileIO(os.open(path, flags, 0o644), "w")
         except OSError as error:
             reason = error.strerror or error
-            raise ConfigError(f"{shown(path)}: cannot be created ({reason}); choose the name of a new file") from None
+            raise ConfigError(f"{escaped(path)}: cannot be created ({reason}); choose the name of a new file") from None
         self._end, self._after, self._records = 0, 0, -1  # records beside the header
         try:
             self._put(first)
@@ -52,7 +52,7 @@ class DriveRecorder(Closing):
             payload = tick_payload(tick)
         except ValueError:
             raise WcsimError(
-                f"{shown(self._path)}: tick {tick.tick} holds a number that is not finite or out of its bounds; "
+                f"{escaped(self._path)}: tick {tick.tick} holds a number that is not finite or out of its bounds; "
                 "expected sticks of -1 to 1, and a place in the town"
             ) from None
         self._put(payload)
@@ -68,11 +68,11 @@ class DriveRecorder(Closing):
     def _put(self, payload: bytes) -> None:
         """One unbuffered write; on a full disk the part that was written is taken back."""
         if self._file.closed:
-            raise WcsimError(f"{shown(self._path)}: this recording is closed; start another one")
+            raise WcsimError(f"{escaped(self._path)}: this recording is closed; start another one")
         data = framed(payload, self._after)
         if self._records >= MOST_RECORDS or self._end + len(data) > DRIVE_FILE.limit_bytes:
             raise WcsimError(
-                f"{shown(self._path)}: is full, with {self._records} records and {self._end} bytes; start another one"
+                f"{escaped(self._path)}: is full, with {self._records} records and {self._end} bytes; start another one"
             )
         try:
             written = self._file.write(data) or 0
@@ -82,7 +82,7 @@ class DriveRecorder(Closing):
         if reason:
             os.ftruncate(self._file.fileno(), self._end)
             self._file.seek(self._end)
-            raise DiskFullError(f"{shown(self._path)}: a record could not be written ({reason}); make room")
+            raise DiskFullError(f"{escaped(self._path)}: a record could not be written ({reason}); make room")
         self._end += len(data)
         self._records += 1
         self._after = crc_of(data)
@@ -94,7 +94,7 @@ def _first_payload(header: DriveHeader, path: Path) -> bytes:
         return header_payload(header)
     except (ValueError, JournalError):
         raise ConfigError(
-            f"{shown(path)}: seed {header.seed}, tick_s {header.tick_s}, max_steps {header.max_steps} or a text of its "
-            "header is out of bounds; expected a seed of 0 to 2^62, a tick of 0.001 to 10 s, at least one step, and "
-            "texts of at most a million letters"
+            f"{escaped(path)}: seed {header.seed}, tick_s {header.tick_s}, max_steps {header.max_steps} or a text of "
+            "its header is out of bounds; expected a seed of 0 to 2^62, a tick of 0.001 to 10 s, at least one step, "
+            "and texts of at most a million letters"
         ) from None

@@ -12,7 +12,7 @@ from typing import Any, Final
 from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
-from wcsim.core.reading import is_file, shown_value
+from wcsim.core.reading import escaped_value, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
@@ -123,7 +123,7 @@ def _episode(row: Mapping[str, str], path: Path) -> TrainedEpisode:
             overestimate=_number(row["overestimate"]),
         )
     except ValueError:
-        raise PolicyError(f"{path}: is damaged at step {shown_value(row['step'])}; expected numbers") from None
+        raise PolicyError(f"{path}: is damaged at step {escaped_value(row['step'])}; expected numbers") from None
     if episode.overestimate is not None and not math.isfinite(episode.overestimate):
         raise PolicyError(f"{path}: is damaged at step {episode.step}; expected finite numbers")
     return episode
@@ -140,7 +140,7 @@ def _steps(path: Path) -> tuple[TrainedSteps, ...]:
                 elapsed_s=float(row["elapsed_s_wall"]),
             )
         except ValueError:
-            raise PolicyError(f"{path}: is damaged at step {shown_value(row['step'])}; expected numbers") from None
+            raise PolicyError(f"{path}: is damaged at step {escaped_value(row['step'])}; expected numbers") from None
         if not math.isfinite(numbers.kpi1 + numbers.elapsed_s):
             raise PolicyError(f"{path}: is damaged at step {numbers.step}; expected finite numbers")
         found.append(numbers)

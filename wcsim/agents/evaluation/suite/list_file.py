@@ -11,7 +11,7 @@ from typing import Final
 
 from wcsim.config import parse
 from wcsim.config.suite import BlockFile, SuiteFile
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making.asked_town import made_seed, made_town
 from wcsim.towns.scenario.town import Town, content_hash, expanded, find_town
@@ -44,8 +44,8 @@ def open_suite(name_or_path: str) -> Suite:
     path = _SHIPPED / f"{name_or_path}.json" if name_or_path in shipped() else expanded(name_or_path)
     if not is_file(path):
         known = ", ".join(shipped()) or "(none)"
-        raise ConfigError(f"--suite {shown(name_or_path)!r}: there is no such list; expected {known}, or a file")
-    return suite_of(parse(SuiteFile, read_json(path, _LIST), shown(path)))
+        raise ConfigError(f"--suite {escaped(name_or_path)!r}: there is no such list; expected {known}, or a file")
+    return suite_of(parse(SuiteFile, read_json(path, _LIST), escaped(path)))
 
 
 def suite_of(file: SuiteFile) -> Suite:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
-from wcsim.core.reading import counted, shown
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -137,7 +137,7 @@ def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
             more = f" (and {other}, see episodes.json)" if len(reasons) > 1 else ""
             reason = " ".join(reasons.most_common(1)[0][0].split())
             of = counted(len(records), "episode")
-            told.append(f"{policy}: {word} in {reasons.total()} of {of}: {shown(reason, 400)}{more}")
+            told.append(f"{policy}: {word} in {reasons.total()} of {of}: {escaped(reason, 400)}{more}")
     return told
 
 

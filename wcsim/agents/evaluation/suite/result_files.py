@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.records import STATUSES, EpisodeRecord, record_of
-from wcsim.core.reading import FileKind, is_file, read_json, shown
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError
 
 RESULT: Final = "result.json"
@@ -62,7 +62,7 @@ def read_episodes(folder: Path) -> dict[str, tuple[KeptEpisode, ...]]:
     found = {}
     for name, items in data.items():
         if not isinstance(items, list) or not items:
-            raise ConfigError(f"{shown(path)}: is damaged; expected a list of episodes for each policy")
+            raise ConfigError(f"{escaped(path)}: is damaged; expected a list of episodes for each policy")
         found[name] = tuple(_episode(item, path) for item in items)
     return found
 
@@ -76,7 +76,7 @@ def read_result(folder: Path) -> KeptResult:
     names = [row["policy"] for row in pooled]
     changed = data.get("changed", [])
     if set(names) != set(episodes) or not isinstance(changed, list):
-        raise ConfigError(f"{shown(path)}: names other policies than {EPISODES}; run the test again with --resume")
+        raise ConfigError(f"{escaped(path)}: names other policies than {EPISODES}; run the test again with --resume")
     asked = read_json(folder / ASKED, _KIND) if is_file(folder / ASKED) else {}
     return KeptResult(
         suite=_text(data.get("suite"), path),
@@ -95,14 +95,16 @@ def read_result(folder: Path) -> KeptResult:
 
 def _rows(items: object, path: Path) -> tuple[Row, ...]:
     if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
-        raise ConfigError(f"{shown(path)}: is damaged; expected rows of a test")
+        raise ConfigError(f"{escaped(path)}: is damaged; expected rows of a test")
     for item in items:
         _text(item.get("policy"), path)
         _text(item.get("part"), path)
         wrong = [name for name in _NUMBERS if not _is_number(item.get(name, 0), name)]
         if wrong or "crashes_own" not in item:
             name = wrong[0] if wrong else "crashes_own"
-            raise ConfigError(f"{shown(path)}: is damaged; got {name} {str(item.get(name))[:40]!r}, expected a number")
+            raise ConfigError(
+                f"{escaped(path)}: is damaged; got {name} {str(item.get(name))[:40]!r}, expected a number"
+            )
     return tuple(items)
 
 
@@ -114,30 +116,30 @@ def _is_number(value: object, name: str) -> bool:
 
 def _text(value: object, path: Path) -> str:
     if not isinstance(value, str) or len(value) > _MOST_TEXT:
-        raise ConfigError(f"{shown(path)}: is damaged; got {str(value)[:40]!r}, expected a text")
+        raise ConfigError(f"{escaped(path)}: is damaged; got {str(value)[:40]!r}, expected a text")
     return value
 
 
 def _episode(data: object, path: Path) -> KeptEpisode:
     """One episode of the file; fields that this version's records do not have are those of `_MEASURED` alone."""
     if not isinstance(data, dict):
-        raise ConfigError(f"{shown(path)}: is damaged; expected an episode, got {str(data)[:40]!r}")
+        raise ConfigError(f"{escaped(path)}: is damaged; expected an episode, got {str(data)[:40]!r}")
     own = {field.name for field in fields(EpisodeRecord)}
     for field in fields(EpisodeRecord):
         there = field.name in data
         expected = _PLAIN.get(str(field.type))
         fits = not there or expected is None or _is(data[field.name], expected)
         if not fits or (not there and field.default is MISSING):
-            raise ConfigError(f"{shown(path)}: is damaged; {field.name} of an episode is not {field.type}")
+            raise ConfigError(f"{escaped(path)}: is damaged; {field.name} of an episode is not {field.type}")
     beside = {"path_m", *_MEASURED} - own
     try:
         record = record_of({key: value for key, value in data.items() if key not in beside})
         path_m = _points(data["path_m"]) if data.get("path_m") else None
         _points([record.end_m])
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"{shown(path)}: is damaged ({error}); expected an episode") from None
+        raise ConfigError(f"{escaped(path)}: is damaged ({error}); expected an episode") from None
     if record.status not in STATUSES:
-        raise ConfigError(f"{shown(path)}: status {shown(record.status)!r}; expected one of {', '.join(STATUSES)}")
+        raise ConfigError(f"{escaped(path)}: status {escaped(record.status)!r}; expected one of {', '.join(STATUSES)}")
     measured = {name: _measured(data.get(name), path) for name in _MEASURED}
     return KeptEpisode(record=record, said=data, path_m=path_m, **measured)
 
@@ -147,7 +149,7 @@ def _measured(value: object, path: Path) -> float | None:
         return None
     if isinstance(value, int | float) and _is(value, (int, float)):
         return float(value)
-    raise ConfigError(f"{shown(path)}: is damaged; got {str(value)[:40]!r}, expected a number")
+    raise ConfigError(f"{escaped(path)}: is damaged; got {str(value)[:40]!r}, expected a number")
 
 
 def _is(value: object, expected: tuple[type, ...]) -> bool:

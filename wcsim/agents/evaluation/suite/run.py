@@ -34,7 +34,7 @@ from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
-from wcsim.core.reading import FileKind, read_json, shown
+from wcsim.core.reading import FileKind, escaped, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.crew import Crew, WorkerNow
@@ -296,4 +296,4 @@ def read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     try:
         return tuple(record_of(record) for record in data["records"])
     except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{shown(path)}: is damaged ({error}); expected {_KEPT.what}") from None
+        raise ConfigError(f"{escaped(path)}: is damaged ({error}); expected {_KEPT.what}") from None

@@ -11,7 +11,7 @@ import numpy as np
 from wcsim.bridge.recording.trace import TickRecord, TraceHeader
 from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import ChairConfig
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmLine, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, quaternion
 from wcsim.errors import ConfigError, TownError
@@ -44,7 +44,7 @@ def trace_film(path: Path, epoch: int | None, town: str) -> Iterator[Said]:
     header, records = read_trace(path)
     chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
     if not chosen:
-        raise ConfigError(f"{shown(path)}: has no wheelchair to follow; expected a run with --chairs")
+        raise ConfigError(f"{escaped(path)}: has no wheelchair to follow; expected a run with --chairs")
     place = _town(header, town)
     yield FilmAbout(
         title=f"trace of {place.name}, seed {header.seed}",
@@ -68,7 +68,7 @@ def _town(header: TraceHeader, name: str) -> Town:
     except TownError as error:
         if name:
             raise
-        raise TownError(f"the trace is of a town {shown(header.name, 80)!r}: {error}; name it with --town") from None
+        raise TownError(f"the trace is of a town {escaped(header.name, 80)!r}: {error}; name it with --town") from None
     if tuple(town.file.origin_m) != tuple(header.origin_m):
         raise TownError(
             f"the trace has its origin at {header.origin_m}, {town.name} at {town.file.origin_m}; expected the town "

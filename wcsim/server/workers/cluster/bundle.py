@@ -13,7 +13,7 @@ from typing import Final
 
 import zstandard
 
-from wcsim.core.reading import shown, unzstd
+from wcsim.core.reading import escaped, unzstd
 from wcsim.errors import ConfigError
 from wcsim.server.workers.worker_api import Parcel
 
@@ -36,7 +36,7 @@ def packed(parcel: Parcel) -> bytes:
     size = sum((parcel.folder / name).stat().st_size for name in parcel.names)
     if size > MOST_BYTES:
         raise ConfigError(
-            f"{shown(parcel.folder)} has {size >> 20} MiB; expected at most {MOST_BYTES >> 20} MiB, as it travels to "
+            f"{escaped(parcel.folder)} has {size >> 20} MiB; expected at most {MOST_BYTES >> 20} MiB, as it travels to "
             "other machines: drive it without --cluster"
         )
     out = io.BytesIO()

@@ -17,7 +17,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final
 
-from wcsim.core.reading import shown
+from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WorkersError, check_installed
 from wcsim.server.workers.cluster.joining import LOCAL, LinkSpec
 from wcsim.server.workers.cluster.link import run_link
@@ -175,7 +175,7 @@ def require_address(address: str) -> None:
     found = _ADDRESS.fullmatch(address)
     if address != LOCAL and (found is None or not 0 < int(found[2]) < 1 << 16):
         raise ConfigError(
-            f"--cluster {shown(address, 80)!r}: expected `local`, or HOST:PORT as `ray start --head` prints it, such "
+            f"--cluster {escaped(address, 80)!r}: expected `local`, or HOST:PORT as `ray start --head` prints it, such "
             "as 10.0.0.1:6379"
         )
     check_installed("--cluster needs Ray", "cluster", "ray")
