@@ -25,7 +25,7 @@ from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import train_clients
 from wcsim.cli.training.train import Options
 from wcsim.core.files import locked
-from wcsim.core.reading import counted
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.launch.event_log import RunLog
 from wcsim.towns.scenario.town import Town
