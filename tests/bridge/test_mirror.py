@@ -9,7 +9,7 @@ import pytest
 from tests.support.actors import actor
 from tests.support.samples import KERB_M, strip_street
 from wcsim.bridge.mirror import JUMP_M, in_reach, moves, on_ground, walked
-from wcsim.scenes.run import open_scene, play
+from wcsim.scenes.run import _open_scene, play
 from wcsim.towns.scene_folders.build import find_scene
 from wcsim.types import ActorKind, ActorState
 
@@ -96,7 +96,7 @@ def test_who_slides_aside_has_the_velocity_of_it_and_who_jumps_keeps_sumos():
 
 def test_people_go_where_their_velocity_leads_them_those_who_stepped_aside_too():
     people = aside = slid = 0
-    with open_scene(find_scene("rush-hour")) as (world, scene):
+    with _open_scene(find_scene("rush-hour")) as (world, scene):
         before: dict[str, ActorState] = {}
         for after, _ in play(world, scene):
             now = {one.id: one for one in after.actors if one.kind is ActorKind.PEDESTRIAN}

@@ -45,7 +45,7 @@ def test_a_plant_declares_what_it_does_at_the_highest_kerb_that_counts_as_lowere
     setup = Setup(chair=ChairConfig(plant=plant), hz=240)
     declared = plant_spec(setup.chair).climbs
     for rises_m, run_up_m in ((declared.standstill_m, 0.0), (declared.run_up_m, RUN_UP_M)):
-        assert kerbs.kerb_climbed(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
+        assert kerbs._kerb_climbed(setup, KERB_STEP_M, run_up_m) == (KERB_STEP_M in rises_m)
     assert KERB_STEP_M in declared.run_up_m, "the street counts on it"
 
 

@@ -22,7 +22,7 @@ import wcsim
 from wcsim.bridge.reaction import conflict
 from wcsim.core import boxes, jit, joystick
 from wcsim.core.files import KERNELS
-from wcsim.core.jit import exact_kernel, frozen_digest
+from wcsim.core.jit import _frozen_digest, exact_kernel
 from wcsim.physics.wheelchair import drive_controller
 
 ROOT = Path(wcsim.__file__).parent
@@ -84,7 +84,7 @@ def test_every_kernel_says_what_is_frozen_into_it() -> None:
         name = ".".join(path.relative_to(ROOT.parent).with_suffix("").parts)
         found = kernels(importlib.import_module(name))
         assert found, name
-        digests += [frozen_digest(kernel) for kernel in found]
+        digests += [_frozen_digest(kernel) for kernel in found]
     assert len(set(digests)) == len(digests) > 70
 
 
@@ -131,19 +131,19 @@ def outer(pair: Pair) -> float:
 def test_each_kind_of_frozen_thing_counts(
     where: ModuleType | None, name: str, value: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = frozen_digest(outer)
+    before = _frozen_digest(outer)
     monkeypatch.setattr(where or sys.modules[__name__], name, value)
-    assert frozen_digest(outer) != before
+    assert _frozen_digest(outer) != before
     monkeypatch.undo()
-    assert frozen_digest(outer) == before
+    assert _frozen_digest(outer) == before
 
 
 def test_what_can_be_no_constant_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules[__name__], "TABLE", Path(), raising=True)
-    assert "pathlib.Path" not in frozen_digest(outer)  # of a library: its name counts
+    assert "pathlib.Path" not in _frozen_digest(outer)  # of a library: its name counts
     monkeypatch.setattr(sys.modules[__name__], "TABLE", type("Own", (), {"__module__": __name__})())
     with pytest.raises(TypeError, match=r"a kernel refers to .*Own.*expected a kernel, a number"):
-        frozen_digest(outer)
+        _frozen_digest(outer)
 
 
 def test_old_copies_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Route, SignalState, Street, UserView, WalkGraph
-from wcsim.users.crossing import Kerbs, crossings, has_light, is_red, vehicle_comes
+from wcsim.users.crossing import Kerbs, _has_light, _vehicle_comes, crossings, is_red
 from wcsim.users.route_line import Path
 
 
@@ -64,13 +64,13 @@ def test_the_crossing_is_found_where_it_is():
 def test_lights(colours, red, light):
     signals = (SignalState(tls_id="other", colours="rrrr"), SignalState(tls_id="t", colours=colours))
     assert is_red(ROAD, signals) == red
-    assert has_light(ROAD, signals) == light
+    assert _has_light(ROAD, signals) == light
 
 
 def test_without_a_light_nothing_is_red():
     (bare,) = crossings(ROUTE, walk())
     signals = (SignalState(tls_id="", colours="rrr"), SignalState(tls_id="t", colours="rrr"))
-    assert not is_red(bare, signals) and not has_light(bare, signals)
+    assert not is_red(bare, signals) and not _has_light(bare, signals)
     assert not is_red(ROAD, ())
 
 
@@ -90,7 +90,7 @@ def test_without_a_light_nothing_is_red():
     ],
 )
 def test_vehicles(vehicle, comes):
-    assert vehicle_comes(ROAD, (vehicle,)) == comes
+    assert _vehicle_comes(ROAD, (vehicle,)) == comes
 
 
 @pytest.mark.parametrize(

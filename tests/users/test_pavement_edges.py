@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.samples import straight_route, strip_street
 from wcsim.types import ClassId
-from wcsim.users.avoidance import FARTHEST_M, Edges, spread, wanted_aside
+from wcsim.users.avoidance import FARTHEST_M, Edges, _wanted_aside, spread
 from wcsim.users.route_line import Path
 
 GRID = strip_street().grid
@@ -42,7 +42,7 @@ def test_at_the_ends_of_a_route_there_is_an_answer():
 
 
 def test_between_two_edges_the_middle_is_kept_and_no_step_is_left():
-    aside = wanted_aside(np.array([[1.6, 1.6]] * 10 + [[1.0, 0.3]] * 4 + [[1.6, 1.6]] * 10))
+    aside = _wanted_aside(np.array([[1.6, 1.6]] * 10 + [[1.0, 0.3]] * 4 + [[1.6, 1.6]] * 10))
     assert aside[11] == pytest.approx(0.35)
     smooth = spread(aside)
     assert smooth[10:14] == pytest.approx([0.35] * 4)

@@ -52,7 +52,7 @@ def _climbs(spec: PlantSpec) -> Iterator[Trial]:
                 high=up,
                 method=f"square on, full stick, run-up {run_up_m:g} m (ISO 7176-10); 1 = all wheels are up",
                 source="climbs of the parameter file",
-                measure=partial(kerb_climbed, rise_m=rise_m, run_up_m=run_up_m),
+                measure=partial(_kerb_climbed, rise_m=rise_m, run_up_m=run_up_m),
             )
 
 
@@ -178,7 +178,7 @@ def _rear_m(spec: PlantSpec) -> float:
     return min([0.0, *(pair.swivel_x_m - pair.trail_m for pair in spec.casters)])
 
 
-def kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
+def _kerb_climbed(setup: Setup, rise_m: float, run_up_m: float) -> float:
     """1 when it comes up a kerb square on with all its wheels, 0 when it does not.
 
     Args:

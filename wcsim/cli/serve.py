@@ -109,7 +109,7 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
                 told.clear()
                 print_overrides(out, town.name, overrides, verbose=options.verbose)
                 listening = "" if state.world is None else state.world.listening
-                out.print(how_to_join(endpoint_in(place), listening, options), markup=False, soft_wrap=True)
+                out.print(_how_to_join(endpoint_in(place), listening, options), markup=False, soft_wrap=True)
             table.show(state)
 
         outcome = Launcher(_order(options, town, config, place), (), folder, place, show=show).run()
@@ -121,7 +121,7 @@ def _served(options: Options, town: Town, config: RunConfig, place: Path) -> int
     return Exit.DONE
 
 
-def how_to_join(endpoint: str, listening: str, options: Options) -> str:
+def _how_to_join(endpoint: str, listening: str, options: Options) -> str:
     """What a client has to say."""
     lines = [
         f"the world runs until Ctrl-C; join it with: wcsim join {shlex.quote(endpoint)} --network patch --steps 1000"

@@ -50,7 +50,7 @@ def exact_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function)
 
 
-def frozen_digest(compiled: Any) -> str:
+def _frozen_digest(compiled: Any) -> str:
     """SHA-256 over a kernel's code and options and over all that is frozen into it, without comments and places.
 
     Raises:
@@ -91,7 +91,7 @@ class _Copies(CompileResultCacheImpl):
 
 
 class _FrozenCache(FunctionCache):
-    """The copies on disk of one kernel, found by `frozen_digest`."""
+    """The copies on disk of one kernel, found by `_frozen_digest`."""
 
     _impl_class = _Copies
 
@@ -136,7 +136,7 @@ class _FrozenCache(FunctionCache):
 
     def _aim(self) -> None:
         if not self._aimed:
-            digest = frozen_digest(self._compiled)
+            digest = _frozen_digest(self._compiled)
             name = f"{self._stem}-{digest[:24]}.py{sys.version_info[0]}{sys.version_info[1]}"
             self._cache_file = IndexDataCacheFile(self._cache_path, name, digest)  # type: ignore[no-untyped-call]
             self._aimed = True

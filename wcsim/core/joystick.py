@@ -21,42 +21,42 @@ STILL_MPS: Final = 1e-3
 V_MAX, REVERSE, ACCEL, DECEL, JERK, YAW_MAX, YAW_ACCEL = range(7)
 
 
-class DriveSettings(Protocol):
+class _DriveSettings(Protocol):
     """What a chair's controller is programmed to, as `wcsim.config.ChairConfig` has it."""
 
     @property
-    def v_max_mps(self) -> float: ...  # noqa: D102
+    def v_max_mps(self) -> float: ...
     @property
-    def reverse_share(self) -> float: ...  # noqa: D102
+    def reverse_share(self) -> float: ...
     @property
-    def accel_mps2(self) -> float: ...  # noqa: D102
+    def accel_mps2(self) -> float: ...
     @property
-    def decel_mps2(self) -> float: ...  # noqa: D102
+    def decel_mps2(self) -> float: ...
     @property
-    def jerk_mps3(self) -> float: ...  # noqa: D102
+    def jerk_mps3(self) -> float: ...
     @property
-    def yaw_rate_max_radps(self) -> float: ...  # noqa: D102
+    def yaw_rate_max_radps(self) -> float: ...
     @property
-    def yaw_accel_radps2(self) -> float: ...  # noqa: D102
+    def yaw_accel_radps2(self) -> float: ...
     @property
-    def deadband(self) -> float: ...  # noqa: D102
+    def deadband(self) -> float: ...
     @property
-    def shape_exponent(self) -> float: ...  # noqa: D102
+    def shape_exponent(self) -> float: ...
 
 
-def limits_of(chair: DriveSettings) -> F64:
+def limits_of(chair: _DriveSettings) -> F64:
     """The limits of a drive (7,), in the order of the names above."""
     speeds = (chair.v_max_mps, chair.reverse_share, chair.accel_mps2, chair.decel_mps2, chair.jerk_mps3)
     return np.array([*speeds, chair.yaw_rate_max_radps, chair.yaw_accel_radps2])
 
 
-def shaped_rows(joysticks: F64, chair: DriveSettings) -> F64:
+def shaped_rows(joysticks: F64, chair: _DriveSettings) -> F64:
     """Joystick positions (K, 2) as the drive takes them, see `shaped`."""
     rows = [shaped(x, y, chair.deadband, chair.shape_exponent) for x, y in joysticks.tolist()]
     return np.array(rows, np.float64).reshape(-1, 2)
 
 
-def pushed(radius: float, chair: DriveSettings) -> float:
+def pushed(radius: float, chair: _DriveSettings) -> float:
     """How far a stick must be pushed out for `shaped` to give `radius`: what a practised driver knows.
 
     >>> from wcsim.config import ChairConfig

@@ -48,12 +48,12 @@ _FILM_CAMERA = CameraConfig(width_px=480, height_px=360, rgb=True)
 _FILM_SPAN_M = 40.0
 
 
-def run_scene(folder: Path, trace: Path) -> SceneFacts:
+def _run_scene(folder: Path, trace: Path) -> SceneFacts:
     """Build and run the scene in `folder`, write its trace, and return what happened.
 
     Raises TownError when the scene cannot be built or run.
     """
-    with open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
+    with _open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
         meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
         digest = hashlib.blake2b(digest_size=8)
         last = _ticks(world, scene)
@@ -66,7 +66,7 @@ def run_scene(folder: Path, trace: Path) -> SceneFacts:
 
 
 @contextmanager
-def open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
+def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS) -> Iterator[tuple[World, SceneFile]]:
     """The world of a scene before its first tick; tiny cameras, because a scene is about motion.
 
     Raises TownError when the scene cannot be built, or a seat starts where there is no street.
@@ -105,7 +105,7 @@ def play(world: World, scene: SceneFile) -> Iterator[tuple[Snapshot, tuple[Comma
 
 
 def run_in_child(folder: Path, trace: Path) -> SceneFacts:
-    """The same as `run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
+    """The same as `_run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
     command = [sys.executable, "-m", "wcsim.scenes.run", str(folder), str(trace)]
     try:
         done = subprocess.run(
@@ -182,7 +182,7 @@ def _joystick(client: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystic
 
 def film_scene(folder: Path, path: Path) -> None:
     """Run a scene and write it as a video (.webm). Raises TownError or ConfigError as the parts do."""
-    with open_scene(folder, (_FILM_CAMERA,)) as (world, scene):
+    with _open_scene(folder, (_FILM_CAMERA,)) as (world, scene):
         chart = MapView(world.street.mesh, _FILM_CAMERA.height_px, _FILM_SPAN_M)
         size = (_FILM_CAMERA.width_px + _FILM_CAMERA.height_px, _FILM_CAMERA.height_px)
         with VideoWriter(path, 1.0 / world.config.world.tick_s, size) as video:
@@ -196,7 +196,7 @@ def film_scene(folder: Path, path: Path) -> None:
 def _main() -> int:
     """Run the scene that the command line names."""
     try:
-        facts = run_scene(Path(sys.argv[1]), Path(sys.argv[2]))
+        facts = _run_scene(Path(sys.argv[1]), Path(sys.argv[2]))
     except WcsimError as error:
         sys.stderr.write(f"{error}\n")
         return _BAD_SCENE

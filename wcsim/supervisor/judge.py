@@ -12,7 +12,7 @@ from wcsim.supervisor.rewards import joystick_distance, reward
 from wcsim.types import F64, ClientSnapshot, Joystick, RewardTerms
 
 
-class Judgement(NamedTuple):
+class _Judgement(NamedTuple):
     """What one step was worth."""
 
     observation: Observation
@@ -21,7 +21,7 @@ class Judgement(NamedTuple):
     truncated: bool
 
 
-def judge(snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, config: RunConfig) -> Judgement:
+def judge(snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, config: RunConfig) -> _Judgement:
     """Judge the step that led to `snapshot`.
 
     Args:
@@ -38,7 +38,7 @@ def judge(snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, c
     taken = points[action]
     distance = joystick_distance(np.array([asked.x, asked.y]), taken, config.reward)
     events = snapshot.events
-    return Judgement(
+    return _Judgement(
         observation=observation_of(snapshot, config),
         reward=reward(distance, snapshot.sensors.imu, snapshot.plant, events, config.reward),
         terminated=events.crashed,

@@ -28,7 +28,7 @@ FAR_M = 25.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Assessment(Verdict):
+class _Assessment(Verdict):
     """Everything the oracle says of one moment."""
 
     clearance_m: float
@@ -95,7 +95,7 @@ class Oracle:
         waiting: Sequence[Joystick] = (),
         known: Iterable[ActorState] | None = None,
         accel_mps2: float = 0.0,
-    ) -> Assessment:
+    ) -> _Assessment:
         """All answers at once.
 
         `waiting` are the commands that the chair obeys before the next one, one a tick; `known` are those of the
@@ -111,7 +111,7 @@ class Oracle:
             same = few.many == others.many
             visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
         gap_m = self._clearance(plant, others)
-        return Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
+        return _Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
 
     def _verdict(
         self, plant: PlantState, joystick: Joystick, others: Others, waiting: Sequence[Joystick], accel_mps2: float

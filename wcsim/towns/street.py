@@ -55,7 +55,7 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
         with _progress(town, say or log.warning) as at:
             return build_street(town, at)
 
-    return unpack_street(built()) if town.passing else cached_street(street_key(town), built)
+    return unpack_street(built()) if town.passing else cached_street(_street_key(town), built)
 
 
 @contextmanager
@@ -85,7 +85,7 @@ def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[st
         reporter.join()
 
 
-def street_key(town: Town) -> str:
+def _street_key(town: Town) -> str:
     """Name of a town's state: its SUMO files, what town.toml says of its ground, and what makes a street of it."""
     file = town.file
     ground = f"{file.origin_m} {file.kerb_height_m} {file.lowered_kerb_m} {file.chair_ways}"

@@ -179,13 +179,13 @@ class Edges:
             height_cm = grid.height_cm[grid.cells(line + aside_m)].astype(np.int64)  # (3, _PIECE)
             along = np.abs(np.diff(height_cm, axis=1, append=height_cm[:, -1:])).max(axis=0)
             self._slopes = np.concatenate([self._slopes, (along >= SLOPE_CM) | (np.ptp(height_cm, axis=0) >= SLOPE_CM)])
-        self._aside = spread(wanted_aside(self._room))
+        self._aside = spread(_wanted_aside(self._room))
 
 
-def wanted_aside(room_m: F64) -> F64:
+def _wanted_aside(room_m: F64) -> F64:
     """(N,) offset to the left for room (N, 2) left and right: clear of an edge, or halfway between two.
 
-    >>> wanted_aside(np.array([[1.6, 1.6], [1.6, 0.4], [0.8, 0.4]])).round(2).tolist()
+    >>> _wanted_aside(np.array([[1.6, 1.6], [1.6, 0.4], [0.8, 0.4]])).round(2).tolist()
     [0.0, 0.26, 0.2]
     """
     left, right = room_m[:, 0], room_m[:, 1]

@@ -142,12 +142,12 @@ class Kerbs:
             return True
         if item in self._red_last_s:
             self._green_since_s.setdefault(item, time_s)
-        lit = has_light(item, signals)
+        lit = _has_light(item, signals)
         watched = near and (item in self._red_last_s or not lit)
         if not watched:
             return False
         traffic = [vehicle for vehicle in vehicles if _is_traffic(item, vehicle, self._ground)]
-        return vehicle_comes(item, _near_kerb(item, traffic) if lit else traffic)
+        return _vehicle_comes(item, _near_kerb(item, traffic) if lit else traffic)
 
 
 def _near_kerb(item: Crossing, vehicles: Iterable[ActorState]) -> list[ActorState]:
@@ -209,7 +209,7 @@ def is_red(crossing: Crossing | WalkEdge, signals: Iterable[SignalState]) -> boo
     return False
 
 
-def has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
+def _has_light(crossing: Crossing, signals: Iterable[SignalState]) -> bool:
     """Whether a signal that is switched on governs the crossing."""
     for signal in signals:
         if signal.tls_id == crossing.tls_id and crossing.tls_id:
@@ -232,7 +232,7 @@ def _is_traffic(crossing: Crossing, vehicle: ActorState, ground: Ground | None) 
     return bool(abs(vx * to_x + vy * to_y) <= _ALONG * math.hypot(vx, vy) * math.hypot(to_x, to_y))
 
 
-def vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
+def _vehicle_comes(crossing: Crossing, vehicles: Iterable[ActorState]) -> bool:
     """Whether a vehicle, driving on as it does, comes too near to a chair that starts to cross now.
 
     Too near: it is somewhere on the crossing within the next `GAP_S` seconds, or within `GAP_S` of the moment at which

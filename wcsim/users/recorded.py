@@ -226,7 +226,7 @@ def _joystick_of(ticks: Sequence[RecordedTick], tick_s: float) -> JoystickRecord
     )
 
 
-def write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
+def _write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
     """Write a joystick over time, whole or not at all, as `read_recording` takes it.
 
     Args:

@@ -8,13 +8,13 @@ import pytest
 
 from wcsim.agents.clients.paid_times import WAITS, PaidShares, PaidTimes, PaidTimesLog, read_paid_times
 from wcsim.errors import PolicyError
-from wcsim.server.host.status import Stragglers, names_of
+from wcsim.server.host.status import Stragglers, _names_of
 from wcsim.server.launch.states import ClientState, LaunchState
 from wcsim.server.protocol.members import Member
 from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, _pays_of
-from wcsim.view.report.client_sections import HEADINGS, waiting_rows
+from wcsim.view.report.client_sections import HEADINGS, _waiting_rows
 
 
 def state(learned_s, waited_s, pid=1, names=("a", "b"), lives=(7, 8)):
@@ -53,7 +53,7 @@ def test_lives_of_clients_and_worlds_add_up(tmp_path):
 
 def test_two_clients_of_one_name_are_told_apart():
     mates = [Member(seat=seat, session=b"s", peer=b"door", claim=b"", name="a", spec=SeatSpec()) for seat in (1, 0)]
-    assert names_of(mates) == ["a (seat 1)", "a"]
+    assert _names_of(mates) == ["a (seat 1)", "a"]
 
 
 def test_the_last_words_of_a_world_that_is_down_are_no_other_worlds(tmp_path):
@@ -91,7 +91,7 @@ def test_who_comes_back_is_not_waited_for_again_in_what_it_was_waited_for_before
 def test_a_table_says_who_waits_for_whom(tmp_path):
     log = PaidTimesLog(tmp_path)
     log.add(state((5.0, 6.0), 2.0))
-    headings, rows = waiting_rows(log.times)
+    headings, rows = _waiting_rows(log.times)
     assert headings == (*HEADINGS, "for a s", "for b s")
     assert rows == [["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0], ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None]]
     assert PAYS.startswith("acts") and _pays_of(ClientStatus(name="a")) == "-"
@@ -99,7 +99,7 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
 
 def test_parts_of_waiting_sum_to_it_where_most_of_it_was_spent_on_learning():
     paid = PaidShares(acting_s=10.0, learning_s=50.0, overlap_s=35.0, world_s=40.0)
-    headings, ((_, *told),) = waiting_rows(PaidTimes(clients={"a": paid}, waited_s={}))
+    headings, ((_, *told),) = _waiting_rows(PaidTimes(clients={"a": paid}, waited_s={}))
     row = dict(zip(headings[1:], told, strict=True))
     assert (row["waiting for the world s"], row["of both learning s"], row["idle s"]) == (40.0, 35.0, 5.0)
     waited_s = row["waiting for the world s"] + row["for others and messages s"]

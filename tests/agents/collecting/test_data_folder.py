@@ -12,13 +12,13 @@ import zstandard
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting import data_folder
 from wcsim.agents.collecting.data_folder import (
+    _write_segment,
     data_digest,
     read_manifest,
     read_segment,
     require_same_settings,
     segment_path,
     write_manifest,
-    write_segment,
 )
 from wcsim.agents.collecting.segment import Segment, SegmentKey, joined
 from wcsim.errors import PolicyError
@@ -50,11 +50,11 @@ def a_segment(rows: int = 7, seed: int = 0) -> Segment:
 
 def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
     segment, path = a_segment(), segment_path(tmp_path, KEY)
-    sha256 = write_segment(path, segment)
+    sha256 = _write_segment(path, segment)
     for name, column in read_segment(path, sha256).arrays().items():
         assert column.dtype == segment.arrays()[name].dtype and (column == segment.arrays()[name]).all(), name
-    assert write_segment(tmp_path / "again", a_segment()) == sha256
-    assert write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
+    assert _write_segment(tmp_path / "again", a_segment()) == sha256
+    assert _write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
 
 
 def test_segments_are_joined_in_their_order():
@@ -68,7 +68,7 @@ def test_segments_are_joined_in_their_order():
 @pytest.mark.parametrize("bytes_left", [0, 10, 2000])
 def test_a_segment_that_was_cut_short_is_refused(tmp_path: Path, bytes_left: int):
     path = tmp_path / "a.npz.zst"
-    write_segment(path, a_segment())
+    _write_segment(path, a_segment())
     path.write_bytes(path.read_bytes()[:bytes_left])
     with pytest.raises(PolicyError, match="cannot be read"):
         read_segment(path)
@@ -76,8 +76,8 @@ def test_a_segment_that_was_cut_short_is_refused(tmp_path: Path, bytes_left: int
 
 def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
     path = tmp_path / "a.npz.zst"
-    sha256 = write_segment(path, a_segment())
-    write_segment(path, a_segment(seed=1))
+    sha256 = _write_segment(path, a_segment())
+    _write_segment(path, a_segment(seed=1))
     with pytest.raises(PolicyError, match="damaged or replaced"):
         read_segment(path, sha256)
 
@@ -86,7 +86,7 @@ def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
 def test_numbers_that_are_none_are_refused(tmp_path: Path, value: float):
     segment, path = a_segment(), tmp_path / "a.npz.zst"
     segment.imu[2, 1] = value
-    write_segment(path, segment)
+    _write_segment(path, segment)
     with pytest.raises(PolicyError, match="not finite"):
         read_segment(path)
 

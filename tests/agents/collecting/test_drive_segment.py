@@ -14,11 +14,11 @@ from wcsim.agents.collecting.labels import SAFE, codes_of
 from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
 from wcsim.agents.collecting.segment_places import (
     SegmentOrder,
-    drawn_settings,
-    is_of_scenes,
+    _drawn_settings,
+    _is_of_scenes,
+    _town_in_turn,
     orders_of,
     places_of,
-    town_in_turn,
 )
 from wcsim.agents.collecting.work import collect
 from wcsim.bridge.world import World
@@ -60,7 +60,7 @@ def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, s
 def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
     config = with_overrides(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
     keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
-    assert [is_of_scenes(config, key) for key in keys].count(True) == 2
+    assert [_is_of_scenes(config, key) for key in keys].count(True) == 2
     place = next(places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
     assert len(place.seats) == 1 and place.seats[0].profile.startswith("recorded:")
 
@@ -72,19 +72,19 @@ def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_ov
         towns.append(str(tmp_path / name))
     order = order_in(corner, "collect.scene_share=0.5", "collect.segments=3")
     keys = [SegmentKey(run=5, round=n, index=k) for n in range(4) for k in range(3)]
-    streets = [key for key in keys if not is_of_scenes(order.config, key)]
+    streets = [key for key in keys if not _is_of_scenes(order.config, key)]
     places = [next(places_of(replace(order, key=key, towns=tuple(towns)), tmp_path)) for key in streets]
     driven = [place.town.folder.name for place in places]
     assert sorted(driven[:3]) == ["a", "b", "c"] and driven[3:] == driven[:3]
-    firsts = {town_in_turn(order.config, SegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
+    firsts = {_town_in_turn(order.config, SegmentKey(run=run, round=0, index=0), 3) for run in range(30)}
     assert firsts == {0, 1, 2}, "many short runs leave no town out"
 
 
 def test_variants_are_drawn_by_key():
     config = with_overrides(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
-    drawn = {drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
+    drawn = {_drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
-    assert drawn_settings(RunConfig(), KEY) == ()
+    assert _drawn_settings(RunConfig(), KEY) == ()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, small_config
-from wcsim.agents.danger.dataset import Dataset, frame_windows, labelled_steps
+from wcsim.agents.danger.dataset import Dataset, _frame_windows, labelled_steps
 from wcsim.agents.danger.features import MIRRORED, FeatureExtractor
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import SLICES
@@ -69,7 +69,7 @@ def test_windows_hold_the_pictures_of_their_own_episode():
     lessons.add(labelled_steps(segment, config))
     frames = lessons.batch(all_of(lessons)).inputs[3].numpy()
     wanted = [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3], [4, 4, 4], [4, 4, 5], [4, 5, 6], [5, 6, 7]]
-    assert frame_windows(segment.ended, 3).tolist() == wanted
+    assert _frame_windows(segment.ended, 3).tolist() == wanted
     for row, window in enumerate(wanted):
         assert np.array_equal(frames[row, :, 0], segment.seg[window])
         assert np.array_equal(frames[row, :, 1], segment.depth[window])

@@ -8,7 +8,7 @@ import torch
 
 from tests.agents.danger.sights import a_segment, all_of, lectures, small_config
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
-from wcsim.agents.danger.learner import DangerLearner, rate_share
+from wcsim.agents.danger.learner import DangerLearner, _rate_share
 from wcsim.errors import PolicyError
 
 
@@ -31,11 +31,11 @@ def test_64_steps_are_learned_by_heart(words):
 
 
 def test_the_rate_rises_and_falls_once_and_stays_down_when_a_run_is_made_longer():
-    shares = [rate_share(done) for done in np.linspace(0.0, 1.0, 101)]
+    shares = [_rate_share(done) for done in np.linspace(0.0, 1.0, 101)]
     top = int(np.argmax(shares))
     assert shares[0] == pytest.approx(0.04) and shares[top] == pytest.approx(1.0) and 0 < top < 10
     assert (np.diff(shares[: top + 1]) > 0.0).all() and (np.diff(shares[top:]) < 0.0).all()
-    assert rate_share(1.7) == pytest.approx(0.0)
+    assert _rate_share(1.7) == pytest.approx(0.0)
 
 
 def test_equal_seeds_give_equal_weights_and_others_others():

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.agents.export.guard import FAULTS, GuardRule, GuardState, GuardTick, fault_of, guarded
+from wcsim.agents.export.guard import FAULTS, GuardRule, GuardState, GuardTick, _fault_of, guarded
 from wcsim.agents.export.guarded_policy import GuardedPolicy
 from wcsim.supervisor.actions import action_set
 
@@ -45,14 +45,14 @@ def test_whoever_wants_what_only_good_ticks_drive_and_a_bad_one_never_adds_throt
     states = driven(rule, ticks)
     for tick, before, after in zip(ticks, states, states[1:], strict=False):
         assert all(map(math.isfinite, after.stick)) and after.fault in FAULTS
-        assert after.fault == fault_of(rule, tick)
+        assert after.fault == _fault_of(rule, tick)
         if after.tripped:
             assert math.hypot(*after.stick) <= math.hypot(*before.stick)
         else:
             assert after.fault == "" and after.stick == tick.wanted
 
 
-@given(RULES, MOSTLY_GOOD, st.lists(TICKS.filter(lambda tick: fault_of(RULE, tick)), min_size=25, max_size=25))
+@given(RULES, MOSTLY_GOOD, st.lists(TICKS.filter(lambda tick: _fault_of(RULE, tick)), min_size=25, max_size=25))
 def test_the_stick_is_at_rest_within_the_stated_time(rule, ticks, bad):
     enough = math.ceil(rule.stop_s / rule.tick_s)
     assert driven(rule, [*ticks, *bad])[len(ticks) + enough].stick == (0.0, 0.0)
@@ -77,7 +77,7 @@ def test_the_example_guards_alike(rule, ticks):
 
 def test_each_fault_has_its_name():
     good = {"wanted": (0.0, 1.0)}
-    found = [fault_of(RULE, GuardTick(**{**good, **bad})) for bad in (
+    found = [_fault_of(RULE, GuardTick(**{**good, **bad})) for bad in (
         {}, {"wanted": None}, {"inputs_finite": False}, {"age_s": 0.31}, {"took_s": 0.2}, {"outputs_finite": False},
     )]  # fmt: skip
     assert tuple(found) == FAULTS

@@ -7,7 +7,7 @@ from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.depth_check import CorridorWatch, in_corridor, viewing_rays
+from wcsim.agents.policies.depth_check import CorridorWatch, _in_corridor, viewing_rays
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth, is_baseline
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
@@ -91,7 +91,7 @@ def test_corridor_is_mirror_symmetric():
     mirrored = points * [1, -1, 1]
     for turn in (0.0, 0.3, 1.5):
         left, right = ((points, turn), (mirrored, -turn))
-        assert np.array_equal(*(in_corridor(p, 1.0, w, 2.5, USUAL_OUTLINE) for p, w in (left, right)))
+        assert np.array_equal(*(_in_corridor(p, 1.0, w, 2.5, USUAL_OUTLINE) for p, w in (left, right)))
 
 
 def test_two_derivations_of_the_viewing_rays_agree():

@@ -15,7 +15,7 @@ from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touches_after
 from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
-from wcsim.agents.policies.dynamic_window.surroundings import up_in_body
+from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
 from wcsim.agents.policies.elevation_map import StepMap
 from wcsim.agents.policy_api import is_baseline
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
@@ -44,7 +44,7 @@ def obstacles(surface):
     seen = view_of(surface)
     depth_m = decode_depth(seen["depth"].reshape(-1), CAMERA.range_m)
     rays = viewing_rays(CAMERA).astype(np.float32)
-    return StepMap().obstacles(depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), up_in_body(seen["imu"])).copy()
+    return StepMap().obstacles(depth_m, rays, np.array(CAMERA.p_BC_m), (0.1, 39.0), _up_in_body(seen["imu"])).copy()
 
 
 def drive(surface, ticks, stick=AHEAD, driver=None):

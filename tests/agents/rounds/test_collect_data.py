@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import a_segment, small_config
-from wcsim.agents.collecting.data_folder import read_manifest, segment_path, write_segment
+from wcsim.agents.collecting.data_folder import _write_segment, read_manifest, segment_path
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
@@ -45,7 +45,7 @@ class OneDies:
             if self.dies and number == 1:
                 raise KeyboardInterrupt
             path = segment_path(self._folder, order.key)
-            found[path.name] = write_segment(path, a_segment(seed=order.key.index))
+            found[path.name] = _write_segment(path, a_segment(seed=order.key.index))
         return found
 
 

@@ -17,12 +17,12 @@ from safetensors.torch import load_file, save_file
 from tests.agents.danger.sights import a_segment, lectures, small_config
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import segment_path, write_manifest, write_segment
+from wcsim.agents.collecting.data_folder import _write_segment, segment_path, write_manifest
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import run_of_rounds, train_rounds
-from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
+from wcsim.agents.rounds.round_checkpoint import _checkpoint_path, load_round, newest_round, save_round
 from wcsim.agents.rounds.round_log import read_rounds
 from wcsim.agents.rounds.run_of_rounds import _tell_damaged, train_danger
 from wcsim.agents.rounds.train_rounds import RoundProgress
@@ -58,7 +58,7 @@ class NoiseCrew:
     ) -> dict[str, str]:
         self.ask(orders)
         paths = {segment_path(self._folder, order.key): order.key for order in orders}
-        return {path.name: write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
+        return {path.name: _write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
 
 
 @pytest.fixture(autouse=True)
@@ -105,7 +105,7 @@ def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
     (name,) = others_drive(tmp_path / "mine", 1)
     train_danger(run_in(corner, tmp_path / "run", *words), town)
     path = tmp_path / "mine" / "segments" / name
-    path.unlink() if gone else write_segment(path, a_segment(seed=99))
+    path.unlink() if gone else _write_segment(path, a_segment(seed=99))
     told = r"No such file.*learned_data\.json names it" if gone else r"replaced.*learned_data\.json names it"
     with pytest.raises(PolicyError, match=told):
         train_danger(run_in(corner, tmp_path / "run", *words, resume=True), town)
@@ -133,7 +133,7 @@ def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, t
 def others_drive(folder: Path, count: int) -> dict[str, str]:
     """A data folder with so many segments of noise; their SHA-256 by file name."""
     paths = [segment_path(folder, SegmentKey(run=8, round=0, index=index)) for index in range(count)]
-    held = {path.name: write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
+    held = {path.name: _write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
     write_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
     return held
 
@@ -180,7 +180,7 @@ def test_a_round_with_very_many_segments_is_kept_and_found(tmp_path: Path) -> No
 def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, name: str) -> None:
     learner = a_learner()
     save_round(tmp_path, 0, learner, {})
-    path = checkpoint_path(tmp_path, 0) / "state.json"
+    path = _checkpoint_path(tmp_path, 0) / "state.json"
     state = json.loads(path.read_text())
     del state["seal"]  # as an older version wrote it, or somebody who means it
     path.write_text(json.dumps({**state, "segments": {name: "a" * 64}}))
@@ -195,12 +195,12 @@ def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_ther
     folder = create_run(tmp_path / "run", RunConfig(), make_manifest(RunConfig(), RunInfo(seed=1, town="t")))
     for number in range(2):
         save_round(folder.checkpoints, number, learner, {})
-    (checkpoint_path(folder.checkpoints, 1) / "weights.safetensors").write_bytes(b"torn")
+    (_checkpoint_path(folder.checkpoints, 1) / "weights.safetensors").write_bytes(b"torn")
     _tell_damaged(folder, told.append)
     assert "round-001" in told[0] and (folder.checkpoints / "round-001.damaged").is_dir()
     _tell_damaged(folder, told.append)
     assert len(told) == 1 and newest_round(folder.checkpoints) == 0
-    (checkpoint_path(folder.checkpoints, 0) / "weights.safetensors").write_bytes(b"torn")
+    (_checkpoint_path(folder.checkpoints, 0) / "weights.safetensors").write_bytes(b"torn")
     with pytest.raises(PolicyError, match="no intact checkpoint"):
         _tell_damaged(folder, told.append)
 
@@ -210,7 +210,7 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     learner = a_learner()
     for number in range(2):
         save_round(tmp_path, number, learner, {"3-000-0000.npz.zst": "a" * 64})
-    path = checkpoint_path(tmp_path, 1) / "state.json"
+    path = _checkpoint_path(tmp_path, 1) / "state.json"
     state = json.loads(path.read_text())
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
@@ -229,8 +229,8 @@ def test_a_pipe_or_endless_zeros_in_place_of_arrays_are_passed_over_at_once(tmp_
     for number in range(3):
         save_round(tmp_path, number, a_learner(), {})
     for number, lay in ((1, os.mkfifo), (2, lambda path: path.symlink_to("/dev/zero"))):
-        (checkpoint_path(tmp_path, number) / name).unlink()
-        lay(checkpoint_path(tmp_path, number) / name)
+        (_checkpoint_path(tmp_path, number) / name).unlink()
+        lay(_checkpoint_path(tmp_path, number) / name)
     assert newest_round(tmp_path) == 0
 
 
@@ -249,7 +249,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
     learner = a_learner()
     learner.learn(lectures(small_config()), 1)
     save_round(tmp_path, 0, learner, {})
-    path = checkpoint_path(tmp_path, 0) / f"{name}.safetensors"
+    path = _checkpoint_path(tmp_path, 0) / f"{name}.safetensors"
     held = load_file(path)
     key = next(key for key, value in held.items() if value.numel() > 1)
     save_file({**held, key: change(held[key]).contiguous()}, path)
@@ -264,7 +264,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
 @pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])
 def test_a_state_of_other_types_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
     save_round(tmp_path, 0, a_learner(), {})
-    resealed(checkpoint_path(tmp_path, 0) / "state.json", **changes)
+    resealed(_checkpoint_path(tmp_path, 0) / "state.json", **changes)
     with pytest.raises(PolicyError, match="is damaged; expected updates"):
         load_round(tmp_path, 0, a_learner())
 
@@ -280,8 +280,8 @@ def test_the_newest_three_rounds_are_kept_and_a_gap_before_them_costs_nothing(tm
     learner = a_learner()
     for number in range(5):
         save_round(tmp_path, number, learner, {})
-    assert [checkpoint_path(tmp_path, number).exists() for number in range(5)] == [False, False, True, True, True]
+    assert [_checkpoint_path(tmp_path, number).exists() for number in range(5)] == [False, False, True, True, True]
     assert newest_round(tmp_path) == 4
-    (checkpoint_path(tmp_path, 4) / "weights.safetensors").write_bytes(b"torn")
-    (checkpoint_path(tmp_path, 2) / "state.json").unlink()
+    (_checkpoint_path(tmp_path, 4) / "weights.safetensors").write_bytes(b"torn")
+    (_checkpoint_path(tmp_path, 2) / "state.json").unlink()
     assert newest_round(tmp_path) == 3

@@ -20,9 +20,9 @@ from tests.attack.outcomes import Case
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import (
     _model_arrays,
+    _restored_generator,
     generator_state,
     load_checkpoint,
-    restored_generator,
     save_checkpoint,
 )
 from wcsim.agents.learning.checkpoint_file import MODEL, REPLAY, STATE, left_behind, step_folders, step_name
@@ -89,7 +89,7 @@ class Bench:
             net.load_state_dict(state)
         model.policy.optimizer.load_state_dict(copy.deepcopy(self._optimizer))
         model.replay_buffer.reset()
-        model.rng, model.replay_buffer.rng = map(restored_generator, self._rngs)
+        model.rng, model.replay_buffer.rng = map(_restored_generator, self._rngs)
         model.num_timesteps = model._n_updates = model._episode_num = 0
         torch.manual_seed(1)
 

@@ -17,8 +17,15 @@ from tests.server.journal.test_journal import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
-from wcsim.server.journal.journal import Ended, JournalRecord, JournalWriter, iter_journal, journal_digest, read_journal
-from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, read_ledger
+from wcsim.server.journal.journal import (
+    Ended,
+    JournalRecord,
+    JournalWriter,
+    _read_journal,
+    iter_journal,
+    journal_digest,
+)
+from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, _read_ledger
 from wcsim.server.journal.records import header_bytes
 from wcsim.server.launch.event_log import EVENTS, RunLog
 from wcsim.users.recording.framing import MAX_RECORD_BYTES, framed
@@ -77,7 +84,7 @@ def a_journal(path: Path) -> list[bytes]:
 def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
     """Reading it, and going on with it; a refusal leaves it as it was."""
     try:
-        seen = read_journal(path)
+        seen = _read_journal(path)
         digest = journal_digest(path)
         if seen.records != LONG[: len(seen.records)] or tuple(iter_journal(path)) != seen.records:
             return False
@@ -94,7 +101,7 @@ def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
     rest = path.read_bytes()
     begun = len(data) - cut
     prefix = whole.startswith(data[:begun]) and data[:begun] + kept == data and rest.startswith(data[:begun])
-    return prefix and not _holds_another_record(kept, whole, begun) and read_journal(path).records[-1] == RECORDS[0]
+    return prefix and not _holds_another_record(kept, whole, begun) and _read_journal(path).records[-1] == RECORDS[0]
 
 
 def _holds_another_record(kept: bytes, whole: bytes, begun: int) -> bool:
@@ -199,7 +206,7 @@ def a_ledger(path: Path) -> list[bytes]:
 def check_ledger(path: Path, data: bytes, whole: bytes) -> bool:
     """As for a journal; the last entry may be damaged, it is kept then."""
     try:
-        seen = read_ledger(path)
+        seen = _read_ledger(path)
         with LedgerWriter(path) as ledger:
             cut = ledger.cut_bytes
             ledger.add(LedgerEntry(session=b"t" * 16, epoch=1, tick=0, stepped=False))
@@ -210,7 +217,7 @@ def check_ledger(path: Path, data: bytes, whole: bytes) -> bool:
     kept = path.with_name("x.torn").read_bytes() if path.with_name("x.torn").exists() else bytes(cut)
     begun = len(data) - cut
     right = whole.startswith(data[:begun]) and data[:begun] + kept == data and len(seen) == begun // 32
-    return right and (cut < 64 or not any(kept)) and len(read_ledger(path)) == len(seen) + 1
+    return right and (cut < 64 or not any(kept)) and len(_read_ledger(path)) == len(seen) + 1
 
 
 # --- metrics and events ---

@@ -22,7 +22,7 @@ from wcsim.agents.collecting.data_folder import packed_segment, read_segment
 from wcsim.agents.danger.dataset import labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.learner_files import STATE
-from wcsim.agents.rounds.round_checkpoint import checkpoint_path, load_round, newest_round, save_round
+from wcsim.agents.rounds.round_checkpoint import _checkpoint_path, load_round, newest_round, save_round
 from wcsim.core import files
 from wcsim.core.reading import is_file, is_folder
 
@@ -160,7 +160,7 @@ def _take_round(path: Path) -> bool:
         return True  # a run without any begins again, or says which are damaged
     segments = load_round(path.parents[1], number, learner)
     return _same(
-        checkpoint_path(path.parents[1], number), learner, lambda out: save_round(out, number, learner, segments)
+        _checkpoint_path(path.parents[1], number), learner, lambda out: save_round(out, number, learner, segments)
     )
 
 

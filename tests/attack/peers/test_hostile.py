@@ -12,7 +12,7 @@ import pytest
 from tests.attack.peers import hostile
 from tests.server.servers import Server, stand_in_order
 from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import audit, read_ledger
+from wcsim.server.journal.ledger import _read_ledger, audit
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.keys import make_keys
 
@@ -41,7 +41,7 @@ def besieged(folder: Path, town: str, rounds: int, phase_s: float) -> dict[str, 
             hostile.end(client)
         server.process.terminate()
         server.wait()
-    ledgers = [(seat, read_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
+    ledgers = [(seat, _read_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
     found = audit(iter_journal(folder / "run" / JOURNAL), ledgers)
     sights = hostile.sights_of(folder, "a")
     floods, burns = ([phase for phase in told if phase.what == what] for what in ("flood", "burn"))

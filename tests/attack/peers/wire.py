@@ -47,7 +47,7 @@ def shapes() -> tuple[Shape, ...]:
     """All kinds of messages."""
     requests = {kind.__name__ for kind in m.Request.__args__} | {"PackedJoin"}
     found = []
-    for kind in m.travelling():
+    for kind in m._travelling():
         info = inspect.type_info(kind)
         sound = sound_value(info)
         found.append(

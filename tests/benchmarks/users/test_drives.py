@@ -23,7 +23,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names
-from wcsim.users.recorded import read_recording, write_recording
+from wcsim.users.recorded import _write_recording, read_recording
 
 TOWNS = ("helsinki", "monaco", "manhattan")
 # How far a mean over 20 routes may lie from the mean of the parameters that were drawn: absolute, then relative.
@@ -89,7 +89,7 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
             world.tick(as_users_wish(world.snapshot))
             sticks.append(world.seats[0].user.joystick)
     file = tmp_path / "stick.csv"
-    write_recording(file, 0.1 * np.arange(len(sticks)), np.array([(j.x, j.y) for j in sticks]))
+    _write_recording(file, 0.1 * np.arange(len(sticks)), np.array([(j.x, j.y) for j in sticks]))
     assert len(read_recording(file).time_s) == 31
     with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{file}")) as world:
         replayed, gave_up = [world.seats[0].user.joystick], []

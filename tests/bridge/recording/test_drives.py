@@ -13,9 +13,9 @@ from wcsim.bridge.drives.drive_header import drive_header
 from wcsim.bridge.drives.record_user import (
     Given,
     UserDriveOrder,
+    _seat_tick,
     drawn_user,
     record_user,
-    seat_tick,
     write_user,
 )
 from wcsim.bridge.drives.remake import verify_drive
@@ -26,7 +26,7 @@ from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
 from wcsim.users.profiles import profile, profile_json, profile_names, profile_of_json, read_profile, sample
-from wcsim.users.recorded import write_recording
+from wcsim.users.recorded import _write_recording
 from wcsim.users.recording.drive_reader import read_drive
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import RESPAWN, RecordedEvent
@@ -101,7 +101,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     """A person is whoever gives sticks: here a table of them, and an episode that is begun anew after tick 12."""
     rng, config, town = np.random.default_rng(4), quick_config(), find_town(str(corner))
     sticks = np.clip(np.c_[rng.normal(0.0, 0.2, 40), rng.uniform(0.3, 0.8, 40)], -0.7, 0.7)
-    write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
+    _write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
     with (
         World(town, config, (spec,), 6) as world,
@@ -115,7 +115,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
             (command,) = as_users_wish(world.snapshot)
             after = world.tick((command,)).clients[0]
             given = Given(commanded=command.joystick, chosen=command.joystick, action=-1)
-            recorder.record(seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
+            recorder.record(_seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
     drive = read_drive(path)
     assert (drive.header.profile, drive.header.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents

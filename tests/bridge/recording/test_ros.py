@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests.users.recording.drives import tick, write_drive
 from wcsim.bridge.recording.ros_bag import RosBag
-from wcsim.bridge.recording.ros_chairs import RosChair, drive_bag, quaternion_of, trace_bag
+from wcsim.bridge.recording.ros_chairs import RosChair, _quaternion_of, drive_bag, trace_bag
 from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import load_run_config
 from wcsim.core.rotations import matrix, quaternion
@@ -161,7 +161,7 @@ def test_a_camera_looks_along_z_of_its_frame(tmp_path):
 @pytest.mark.parametrize("angles", [(0.3, 0.2, -0.1), (3.0, -0.5, 2.9), (-1.6, 1.2, 0.0)])
 def test_a_quaternion_is_that_of_its_matrix(angles):
     turn = np.array(matrix(quaternion(*angles))).reshape(3, 3)
-    assert np.allclose(np.array(matrix(tuple(quaternion_of(turn).tolist()))).reshape(3, 3), turn)
+    assert np.allclose(np.array(matrix(tuple(_quaternion_of(turn).tolist()))).reshape(3, 3), turn)
 
 
 def test_static_transforms_are_offered_as_those_who_listen_to_them_ask(bag):

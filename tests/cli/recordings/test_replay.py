@@ -14,7 +14,7 @@ import pytest
 from tests.cli.test_bad_input import refused
 from tests.support.framing import chained
 from tests.support.journals import eventful_run, nudged, rewritten
-from wcsim.server.journal.journal import Ticked, iter_journal, read_header, read_journal
+from wcsim.server.journal.journal import Ticked, _read_journal, iter_journal, read_header
 from wcsim.server.journal.records import header_bytes, record_bytes
 
 
@@ -29,7 +29,7 @@ def journaled(corner, tmp_path_factory) -> Path:
 def changed(journaled, tmp_path_factory) -> Path:
     """The same run with another command in tick 50 of epoch 0."""
     folder = tmp_path_factory.mktemp("runs") / "other"
-    records = read_journal(journaled / "journal").records
+    records = _read_journal(journaled / "journal").records
     at = next(i for i, record in enumerate(records) if isinstance(record, Ticked) and record.tick == 50)
     rewritten(journaled / "journal", folder / "journal", {at: nudged(records[at])})
     return folder

@@ -9,9 +9,9 @@ from tests.support.menagerie import HITTING, build_street
 from tests.towns.made import hostile
 from wcsim.bridge.sumo.session import log
 from wcsim.bridge.town_run import CrashFact
-from wcsim.cli.evaluation.test import jams_once
+from wcsim.cli.evaluation.test import _jams_once
 from wcsim.cli.main import main
-from wcsim.cli.town.run import crash_lines
+from wcsim.cli.town.run import _crash_lines
 from wcsim.towns.scenario.town import find_town
 
 QUICK = ["--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24"]
@@ -72,7 +72,7 @@ def test_collisions_of_the_warm_up_are_counted_apart(tmp_path, capsys):
 
 
 def test_a_jam_that_all_policies_meet_is_told_once(caplog):
-    with jams_once():
+    with _jams_once():
         for vehicle in ("a", "a", "b", "a"):
             log.warning("jam: %s", vehicle)
     log.warning("jam: %s", "a")
@@ -197,10 +197,10 @@ def test_the_first_crashes_are_listed(corner, tmp_path, capsys):
     told = "was hit by car cars.8.1, at x 10.0 y 0.0 in the net, edge :C_c0"
     fact = CrashFact(seat=1, reason="collision", time_s=2.5, at_m=(10.0, 0.0), fault="other", told=told)
     crashed = (fact,) * 7
-    lines = crash_lines(crashed)
+    lines = _crash_lines(crashed)
     assert lines[0] == f"wheelchair 1, 2.5 s: collision, other fault: it {told}"
     assert len(lines) == 6 and lines[-1] == "and 2 more crashes; all of them are in the manifest"
-    assert crash_lines(()) == [] and len(crash_lines(crashed[:5])) == 5
+    assert _crash_lines(()) == [] and len(_crash_lines(crashed[:5])) == 5
     jolts = ["--set", "reward.accel_window_mps2=[0.001, 0.002]", "--set", "imu.saturation_mps2=10"]
     words = ["town", "run", str(corner), "--seconds", "2", "--out", str(tmp_path / "run"), *QUICK, *jolts]
     assert main(words) == 0

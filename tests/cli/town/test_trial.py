@@ -58,16 +58,16 @@ def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path,
         return ToolRun(name=name, returncode=0, output="")
 
     monkeypatch.setattr(trial, "run_tool", sumo)
-    (note,) = trial.collisions_note(town)
+    (note,) = trial._collisions_note(town)
     assert "reports 2 collisions in the first 300 s of this traffic: b with a on :j_0_0, p with q on e_0;" in note
     parse(RunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
     hits.clear()
-    assert trial.collisions_note(town) == ()
+    assert trial._collisions_note(town) == ()
 
 
 def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch) -> None:
     monkeypatch.setattr(trial, "COLLIDING_S", 30.0)
-    (note,) = trial.collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
+    (note,) = trial._collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
     assert "reports 1 collision in the first 30 s" in note and "behind with ahead on " in note
 
 

@@ -22,7 +22,7 @@ from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import how_it_learns, learning, with_steps
+from wcsim.cli.shared.run_config import _with_steps, how_it_learns, learning
 from wcsim.cli.training.clients import ALL_DONE, _told_stop, client_names, resolved, train_clients
 from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig, load_run_config
@@ -120,14 +120,14 @@ def test_names_of_networks_are_known_without_torch():
 
 def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
     learn = RunConfig().learn
-    assert with_steps(RunConfig(), None) == RunConfig()
-    assert with_steps(RunConfig(), 2 * learn.phase1_steps).learn.phase1_steps == learn.phase1_steps
+    assert _with_steps(RunConfig(), None) == RunConfig()
+    assert _with_steps(RunConfig(), 2 * learn.phase1_steps).learn.phase1_steps == learn.phase1_steps
     for steps in (1, 60, 2 * learn.phase1_steps - 1):
-        short = with_steps(RunConfig(), steps).learn
+        short = _with_steps(RunConfig(), steps).learn
         assert short.total_steps == steps
         assert short.phase1_steps == round(steps * learn.phase1_steps / learn.total_steps)
         assert short.learning_starts <= max(steps / 2, 1)
-        assert f"{steps} steps: {short.phase1_steps} in" in how_it_learns(with_steps(RunConfig(), steps))
+        assert f"{steps} steps: {short.phase1_steps} in" in how_it_learns(_with_steps(RunConfig(), steps))
     assert "an oracle's labels (learn.aid=oracle)" in how_it_learns(load_run_config("dqn"))
     assert how_it_learns(load_run_config("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
 

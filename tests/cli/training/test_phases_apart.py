@@ -21,7 +21,7 @@ from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training import phases_apart
 from wcsim.cli.training.clients import resolved
-from wcsim.cli.training.phases_apart import best_of, first_phase, judged_of, policy_of, second_phase
+from wcsim.cli.training.phases_apart import _best_of, _first_phase, _judged_of, _policy_of, _second_phase
 from wcsim.cli.training.train import Options
 from wcsim.config import load_run_config
 from wcsim.errors import PolicyError
@@ -51,21 +51,21 @@ def test_the_paper_chooses_by_kpi_1_and_trains_figure_6_in_a_supervised_way():
 def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():
     run = a_group("learn.phase1_steps=30", "learn.learning_rate_fade=0.5")
     assert [client.steps for client in run.clients] == [100, 100]
-    first = first_phase(run)
+    first = _first_phase(run)
     assert [client.steps for client in first.clients] == [30, 30] and not first.last
     assert {client.ordered.learn.learning_rate_fade for client in first.clients} == {0.0}
-    second = second_phase(run, "fig6")
+    second = _second_phase(run, "fig6")
     assert [client.steps for client in second.clients] == [30, 100] and second.last and second.resume
     assert second.clients[1].ordered == run.clients[1].config
 
 
 def test_the_highest_score_goes_on_then_fewer_crashes_then_the_first_seat():
     def result(**scores):
-        rows = [{"policy": policy_of(Path("r"), n), "score": s, "crashes_own": c} for n, (s, c) in scores.items()]
+        rows = [{"policy": _policy_of(Path("r"), n), "score": s, "crashes_own": c} for n, (s, c) in scores.items()]
         return {"pooled": [{"policy": "follow", "score": 0.9, "crashes_own": 0}, *rows]}
 
     def best(**scores):
-        return best_of(judged_of(result(**scores), Path("r"), list(scores)))
+        return _best_of(_judged_of(result(**scores), Path("r"), list(scores)))
 
     assert best(a=(0.1, 0), b=(0.3, 5), c=(0.2, 0)) == "b"
     assert best(a=(0.3, 2), b=(0.3, 1)) == "b"

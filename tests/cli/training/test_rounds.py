@@ -15,7 +15,7 @@ from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.run_config import how_it_learns
 from wcsim.cli.training import rounds
-from wcsim.cli.training.rounds import share_done
+from wcsim.cli.training.rounds import _share_done
 from wcsim.config import load_run_config
 from wcsim.errors import InterruptedRunError
 from wcsim.server.specs import RunInfo
@@ -87,16 +87,16 @@ def test_what_a_run_that_goes_on_finds_there_is_told_as_one():
 def test_the_work_of_rounds_adds_up():
     config = load_run_config("quick", ("collect.rounds=3",))
     of = config.collect.segments
-    shares = [share_done(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
+    shares = [_share_done(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
     for number in range(3):
         for learned in (1, config.danger.updates):
             now = RoundProgress(round=number, rounds=3, segments=of, of=of, learned=learned)
-            shares.append(share_done(now, config))
-        shares.append(share_done(replace(now, updates=config.danger.updates * (number + 1)), config))
+            shares.append(_share_done(now, config))
+        shares.append(_share_done(replace(now, updates=config.danger.updates * (number + 1)), config))
     assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
     assert shares == sorted(shares)
     without = load_run_config("quick", ("collect.segments=0",))
-    assert share_done(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
+    assert _share_done(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
 def test_a_demo_says_what_its_settings_make_it_do():

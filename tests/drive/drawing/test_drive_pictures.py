@@ -14,8 +14,8 @@ from wcsim.drive.drawing.pictures import (
     DrivePictures,
     PageLooks,
     StillPictures,
-    ground_points,
-    mark_goal,
+    _ground_points,
+    _mark_goal,
 )
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.types import Joystick
@@ -95,15 +95,15 @@ def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind:
 
 def test_the_way_lies_ahead_on_the_ground(session: DriveSession) -> None:
     grid = session.world.street.grid
-    points = ground_points(session.route, 0.0, grid)
+    points = _ground_points(session.route, 0.0, grid)
     assert np.allclose(points[-1][:2], session.route.points_W_m[-1])
     assert len(points) > 10
-    assert len(ground_points(session.route, float(session.route.arc_m[-1]), grid)) == 1
+    assert len(_ground_points(session.route, float(session.route.arc_m[-1]), grid)) == 1
 
 
 def test_a_far_destination_is_at_the_maps_edge() -> None:
-    inside = mark_goal(np.zeros((320, 320, 3), np.uint8), np.array([10.0, 0.0]), 60.0)
-    outside = mark_goal(np.zeros((320, 320, 3), np.uint8), np.array([0.0, -500.0]), 60.0)
+    inside = _mark_goal(np.zeros((320, 320, 3), np.uint8), np.array([10.0, 0.0]), 60.0)
+    outside = _mark_goal(np.zeros((320, 320, 3), np.uint8), np.array([0.0, -500.0]), 60.0)
     rows, columns = np.nonzero(np.abs(inside.astype(int) - GOAL_RGB).max(axis=2) < 9)
     assert 205 < columns.mean() < 235 and 135 < rows.mean() < 160
     rows, columns = np.nonzero(np.abs(outside.astype(int) - GOAL_RGB).max(axis=2) < 9)

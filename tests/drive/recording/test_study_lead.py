@@ -13,7 +13,7 @@ from wcsim.bridge.drives.remake import verify_drive
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
 from wcsim.drive.recording import study_lead
-from wcsim.drive.recording.open_study import OpenStudy, open_study, participant_rows, shipped_studies
+from wcsim.drive.recording.open_study import OpenStudy, _shipped_studies, open_study, participant_rows
 from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
 from wcsim.users.recording.drive_reader import read_drive
@@ -284,7 +284,7 @@ def test_a_class_that_a_study_names_is_loaded_only_when_it_is_named_again(
 
 
 def test_the_study_that_is_shipped_can_begin(tmp_path: Path) -> None:
-    assert shipped_studies() == ("assistance",)
+    assert _shipped_studies() == ("assistance",)
     study = open_study("assistance", 2, tmp_path)
     assert study.order == "less>more>alone"
     assert parse_json(StudyFile, study.file.model_dump_json(), "again") == study.file

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from wcsim.config.study import StudyBlock, StudyFile, StudyPlace, StudyQuestion
-from wcsim.drive.recording.study_plan import END, StepKind, latin_square, order_words, remaining_steps, study_parts
+from wcsim.drive.recording.study_plan import END, StepKind, _latin_square, _study_parts, order_words, remaining_steps
 
 
 def block(name: str) -> StudyBlock:
@@ -28,7 +28,7 @@ def study(**more: object) -> StudyFile:
 
 @pytest.mark.parametrize("count", range(1, 13))
 def test_each_stands_everywhere_and_behind_each_other_equally_often(count: int) -> None:
-    rows = latin_square(count)
+    rows = _latin_square(count)
     assert all(sorted(row) == list(range(count)) for row in rows)
     places = Counter((at, item) for row in rows for at, item in enumerate(row))
     behind = Counter(pair for row in rows for pair in pairwise(row))
@@ -41,7 +41,7 @@ def test_participants_go_through_all_orders_and_blocks_through_all_places() -> N
     met = Counter(
         (part.block.name, part.place.seed)
         for number in range(1, 5)
-        for part in study_parts(file, number)
+        for part in _study_parts(file, number)
         if part.number
     )
     assert len(met) == 16 and set(met.values()) == {1}

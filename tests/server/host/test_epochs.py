@@ -30,7 +30,7 @@ from wcsim.server.journal.journal import (
     journal_digest,
     read_header,
 )
-from wcsim.server.journal.ledger import read_ledger
+from wcsim.server.journal.ledger import _read_ledger
 from wcsim.server.journal.parts import part_files, put_aside
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.links.socket import open_seat
@@ -89,7 +89,7 @@ def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
     records, found = audited(folder)
     assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
     for name in "ab":  # the last frame of an epoch was seen before its world went
-        seen = {(entry.epoch, entry.tick) for entry in read_ledger(folder / name) if entry.stepped}
+        seen = {(entry.epoch, entry.tick) for entry in _read_ledger(folder / name) if entry.stepped}
         assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
     parts = part_files(folder / "run" / JOURNAL)
     assert [part.name for part in parts] == ["journal.00001", "journal.00002", "journal"]

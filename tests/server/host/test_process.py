@@ -16,8 +16,8 @@ import pytest
 from tests.server.servers import AHEAD, WAIT_S, Server, driven, joined, stand_in_order, stub_client, together
 from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedError
 from wcsim.server.host.process import main
-from wcsim.server.journal.journal import JOURNAL, Ended, EpochBegun, Ticked, read_journal
-from wcsim.server.journal.ledger import audit, read_ledger
+from wcsim.server.journal.journal import JOURNAL, Ended, EpochBegun, Ticked, _read_journal
+from wcsim.server.journal.ledger import _read_ledger, audit
 from wcsim.server.journal.replay import ALIVE_EVERY, verify
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.links.socket import open_seat
@@ -34,8 +34,8 @@ def two_seats(server, folder):
 
 
 def audited(folder):
-    records = read_journal(folder / "run" / JOURNAL).records
-    return records, audit(records, [(0, read_ledger(folder / "a")), (1, read_ledger(folder / "b"))])
+    records = _read_journal(folder / "run" / JOURNAL).records
+    return records, audit(records, [(0, _read_ledger(folder / "a")), (1, _read_ledger(folder / "b"))])
 
 
 def drive_through(link, ticks=30):
@@ -153,7 +153,7 @@ def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):
                 a.act(tick, AHEAD)
         assert server.wait() == 0
         assert server.errors() == ""
-    last = read_journal(tmp_path / "run" / JOURNAL).records[-1]
+    last = _read_journal(tmp_path / "run" / JOURNAL).records[-1]
     assert last == Ended(reason="requested to stop")
 
 
@@ -178,7 +178,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
                 a.act(tick, AHEAD)
         assert server.wait() == WorldExit.DISK_FULL
         assert "DiskFullError" in server.errors()
-    journal = read_journal(tmp_path / "run" / JOURNAL)
+    journal = _read_journal(tmp_path / "run" / JOURNAL)
     assert not journal.torn
     assert sum(isinstance(record, Ticked) for record in journal.records) > 100
 

@@ -9,7 +9,7 @@ from benchmarks.soak.stub_client import read_sights
 from tests.server.servers import STAND_IN, OtherWorlds
 from tests.support.worlds import quick_config
 from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import audit, ledger_facts, read_ledger
+from wcsim.server.journal.ledger import _read_ledger, audit, ledger_facts
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchState
 from wcsim.server.protocol.events import Rules
@@ -56,7 +56,7 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
         outcome = Launcher(order, plans, tmp_path, place, show=states.append, spawner=worlds).run()
     assert outcome.code == 0, outcome.message
-    ledgers = [(seat, read_ledger(tmp_path / f"c{seat}.ledger")) for seat in range(6)]
+    ledgers = [(seat, _read_ledger(tmp_path / f"c{seat}.ledger")) for seat in range(6)]
     for _, entries in ledgers:
         facts = ledger_facts(entries)
         assert (facts.first_tick, facts.last_tick, facts.ticks) == (0, STEPS, STEPS)

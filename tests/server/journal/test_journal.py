@@ -23,10 +23,10 @@ from wcsim.server.journal.journal import (
     JournalWriter,
     Respawned,
     Ticked,
+    _read_journal,
     iter_journal,
     journal_digest,
     read_header,
-    read_journal,
 )
 from wcsim.server.journal.records import header_bytes, header_of, record_of
 from wcsim.types import Command, Joystick, SeatSpec, StartSpec
@@ -76,7 +76,7 @@ def write(path: Path, records=RECORDS, header=HEADER) -> str:
 
 def test_what_was_written_is_read(tmp_path):
     write(tmp_path / "j")
-    journal = read_journal(tmp_path / "j")
+    journal = _read_journal(tmp_path / "j")
     assert (journal.header, journal.records, journal.torn) == (HEADER, RECORDS, False)
     assert read_header(tmp_path / "j") == HEADER
     assert tuple(iter_journal(tmp_path / "j")) == RECORDS
@@ -86,7 +86,7 @@ def test_commands_come_back_to_the_last_bit(tmp_path):
     sticks = [(-0.0, 5e-324), (0.1 + 0.2, -1.0), (1.0, 0.25)]
     commands = tuple(Command(seat=i, tick=4, joystick=Joystick(x, y)) for i, (x, y) in enumerate(sticks))
     write(tmp_path / "j", [Ticked(epoch=0, tick=5, commands=commands, state_hash="ff")])
-    (got,) = read_journal(tmp_path / "j").records
+    (got,) = _read_journal(tmp_path / "j").records
     assert isinstance(got, Ticked)
     assert [(c.seat, c.tick) for c in got.commands] == [(0, 4), (1, 4), (2, 4)]
     assert [(c.joystick.x.hex(), c.joystick.y.hex()) for c in got.commands] == [(x.hex(), y.hex()) for x, y in sticks]
@@ -132,8 +132,8 @@ def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path):
     digest = write(whole)
     for cut in (1, 7, 20):
         path.write_bytes(whole.read_bytes()[:-cut])
-        assert read_journal(path).torn
-        assert read_journal(path).records == RECORDS[:-1]
+        assert _read_journal(path).torn
+        assert _read_journal(path).records == RECORDS[:-1]
         with JournalWriter.append_to(path) as writer:
             writer.append(RECORDS[-1])
             assert writer.digest == digest
@@ -167,14 +167,14 @@ def test_every_record_can_be_read_as_soon_as_it_is_written(tmp_path):
         for count, record in enumerate(RECORDS, start=1):
             writer.append(record)
             assert next(reading) == record
-            assert len(read_journal(tmp_path / "j").records) == count
+            assert len(_read_journal(tmp_path / "j").records) == count
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", bytes(64), framed(b"{}"), framed(b"[1]"), framed(b"\xff"), None])
 def test_something_else_is_refused(tmp_path, data):
     if data is not None:
         (tmp_path / "j").write_bytes(data)
-    for read in (read_header, read_journal, journal_digest, JournalWriter.append_to):
+    for read in (read_header, _read_journal, journal_digest, JournalWriter.append_to):
         with pytest.raises(WcsimError, match=r"j: .*(not a journal|cannot be read)"):
             read(tmp_path / "j")
 
@@ -200,7 +200,7 @@ def test_a_whole_record_that_is_none_is_refused(tmp_path, payload):
     with (tmp_path / "j").open("ab") as file:
         file.write(chained([payload], last))
     with pytest.raises(WcsimError, match=r"j: after \d+ bytes"):
-        read_journal(tmp_path / "j")
+        _read_journal(tmp_path / "j")
 
 
 @given(data=st.binary(max_size=200))
@@ -221,7 +221,7 @@ def test_damage_leaves_a_prefix_or_an_error_of_ours(tmp_path_factory, cut, flips
         data[bit // 8 % len(data)] ^= 1 << bit % 8
     path.write_bytes(bytes(data[: max(0, len(data) - cut)]))
     try:
-        journal = read_journal(path)
+        journal = _read_journal(path)
     except WcsimError:
         return
     assert journal.records == RECORDS[: len(journal.records)]
@@ -233,7 +233,7 @@ import resource, sys
 from pathlib import Path
 from tests.server.journal.test_journal import HEADER, tick
 from wcsim.errors import DiskFullError
-from wcsim.server.journal.journal import JournalWriter, journal_digest, read_journal
+from wcsim.server.journal.journal import JournalWriter, journal_digest, _read_journal
 path = Path(sys.argv[1])
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 with JournalWriter(path, HEADER) as writer:
@@ -245,13 +245,13 @@ with JournalWriter(path, HEADER) as writer:
             written += 1
     except DiskFullError as error:
         print(error)
-    journal = read_journal(path)
+    journal = _read_journal(path)
     assert (len(journal.records), journal.torn) == (written, False), journal
     assert 5 < written < 20
     assert writer.digest == journal_digest(path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     writer.append(tick(written + 1))
-assert len(read_journal(path).records) == written + 1
+assert len(_read_journal(path).records) == written + 1
 assert writer.digest == journal_digest(path)
 """
 
@@ -303,7 +303,7 @@ def test_a_killed_process_loses_nothing_that_was_acknowledged(tmp_path):
     assert done.returncode == -9, done.stderr
     acknowledged = int(done.stdout.split()[-1])
     assert acknowledged == 123
-    assert read_journal(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
+    assert _read_journal(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
 
 
 def test_a_journal_has_one_writer_at_a_time(tmp_path):
@@ -314,7 +314,7 @@ def test_a_journal_has_one_writer_at_a_time(tmp_path):
         writer.append(RECORDS[1])
     with JournalWriter.append_to(tmp_path / "j") as writer:
         writer.append(RECORDS[2])
-    assert read_journal(tmp_path / "j").records == RECORDS[:3]
+    assert _read_journal(tmp_path / "j").records == RECORDS[:3]
 
 
 def test_a_journal_is_read_without_its_ticks(tmp_path):

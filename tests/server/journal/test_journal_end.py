@@ -10,7 +10,7 @@ import pytest
 from tests.server.journal.test_journal import FIRST, HEADER, RECORDS, tick, write
 from tests.support.framing import pieces, record_ends
 from wcsim.errors import JournalError
-from wcsim.server.journal.journal import JournalWriter, iter_journal, journal_digest, read_header, read_journal
+from wcsim.server.journal.journal import JournalWriter, _read_journal, iter_journal, journal_digest, read_header
 from wcsim.server.journal.records import record_bytes
 from wcsim.users.recording.framing import framed
 
@@ -39,7 +39,7 @@ def test_what_is_damaged_before_its_end_is_not_cut_off(tmp_path):
     seen = []
     with pytest.raises(JournalError, match=r"is damaged at byte"):
         seen.extend(iter_journal(path))
-    for use in (read_journal, journal_digest, JournalWriter.append_to):
+    for use in (_read_journal, journal_digest, JournalWriter.append_to):
         with pytest.raises(JournalError, match=r"is damaged at byte"):
             use(path)
     assert path.read_bytes() == data
@@ -54,7 +54,7 @@ def test_a_damaged_length_cuts_nothing_off(tmp_path, version):
     if version == 1:
         path.write_bytes(b"".join(map(framed, [FIRST, *map(record_bytes, records)])))
     whole, ends = path.read_bytes(), record_ends(path, 0 if version == 2 else None)
-    assert read_journal(path).records == tuple(records)
+    assert _read_journal(path).records == tuple(records)
     for back in (1, 2, 5, 50, 200):
         for bit in (3, 12, 20, 27):
             data = bytearray(whole)
@@ -72,7 +72,7 @@ def test_records_cannot_be_doubled_moved_or_left_out(tmp_path):
     swapped = [*rest[:3], rest[4], rest[3], *rest[5:]]
     for other in ([*rest, rest[-1]], swapped, [*rest[:3], *rest[4:]], [rest[1], *rest]):
         path.write_bytes(b"".join([head, *other]))
-        for use in (read_journal, JournalWriter.append_to):
+        for use in (_read_journal, JournalWriter.append_to):
             with pytest.raises(JournalError, match="damaged"):
                 use(path)
 
@@ -86,7 +86,7 @@ def test_a_journal_of_the_version_before_is_gone_on_with(tmp_path):
         assert writer.cut_bytes == 4
         for record in RECORDS[-2:]:
             writer.append(record)
-    assert (read_journal(old).records, journal_digest(old)) == (RECORDS, digest)
+    assert (_read_journal(old).records, journal_digest(old)) == (RECORDS, digest)
     assert len(record_ends(old, None)) == len(RECORDS) + 1, "it stays one of its version"
 
 
@@ -107,4 +107,4 @@ def test_what_is_no_regular_file_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "j")
     for path in (tmp_path / "j", tmp_path, Path("/dev/zero")):
         with pytest.raises(JournalError, match=r"not a regular file|cannot be read"):
-            read_journal(path)
+            _read_journal(path)

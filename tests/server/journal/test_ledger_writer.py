@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from wcsim.errors import DiskFullError, JournalError
-from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, read_ledger
+from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, _read_ledger
 
 FILL = """
 import resource, sys
 from pathlib import Path
 from tests.server.journal.test_ledger_writer import entry
 from wcsim.errors import DiskFullError
-from wcsim.server.journal.ledger import LedgerWriter, read_ledger
+from wcsim.server.journal.ledger import LedgerWriter, _read_ledger
 path = Path(sys.argv[1])
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 with LedgerWriter(path) as ledger:
@@ -31,7 +31,7 @@ with LedgerWriter(path) as ledger:
         print(error)
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     ledger.add(entry(3))
-assert [e.tick for e in read_ledger(path)] == [0, 1, 3], read_ledger(path)
+assert [e.tick for e in _read_ledger(path)] == [0, 1, 3], _read_ledger(path)
 """
 
 
@@ -71,15 +71,15 @@ def test_a_torn_end_is_cut_off_and_kept(tmp_path):
 
 def test_no_flipped_bit_is_taken_for_an_entry(tmp_path):
     path = tmp_path / "a"
-    whole, entries = filled(path), read_ledger(path)
+    whole, entries = filled(path), _read_ledger(path)
     for bit in range(0, 8 * len(whole), 7):
         data = bytearray(whole)
         data[bit // 8] ^= 1 << bit % 8
         path.write_bytes(data)
         if bit >= 8 * (len(whole) - 32):  # the last one: nobody can say whether it was ever whole
-            assert read_ledger(path) == entries[:-1]
+            assert _read_ledger(path) == entries[:-1]
             continue
-        for use in (read_ledger, LedgerWriter):
+        for use in (_read_ledger, LedgerWriter):
             with pytest.raises(JournalError, match="damaged"):
                 use(path)
         assert path.read_bytes() == data
@@ -91,7 +91,7 @@ def test_entries_cannot_be_doubled_moved_or_left_out(tmp_path):
     for other in ([*rows[:4], rows[5], rows[4], *rows[6:]], [*rows[:3], *rows[4:]], [*rows[:5], *rows[4:]], rows[1:]):
         path.write_bytes(b"".join(other))
         with pytest.raises(JournalError, match="damaged"):
-            read_ledger(path)
+            _read_ledger(path)
 
 
 def test_a_ledger_without_seals_goes_on_without_them(tmp_path):
@@ -101,13 +101,13 @@ def test_a_ledger_without_seals_goes_on_without_them(tmp_path):
     with LedgerWriter(path) as ledger:
         assert ledger.cut_bytes == 4
         ledger.add(entry(3))
-    assert [e.tick for e in read_ledger(path)] == [0, 1, 2, 3]
+    assert [e.tick for e in _read_ledger(path)] == [0, 1, 2, 3]
     assert path.read_bytes()[: len(old)] == old
 
 
 def test_what_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "a")
-    for use in (read_ledger, LedgerWriter):
+    for use in (_read_ledger, LedgerWriter):
         with pytest.raises(JournalError, match="not a regular file"):
             use(tmp_path / "a")
 
@@ -123,4 +123,4 @@ def test_half_an_entry_is_taken_back(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "only a part was written" in done.stdout
-    assert len(read_ledger(path)) == 3
+    assert len(_read_ledger(path)) == 3

@@ -23,9 +23,9 @@ from wcsim.server.journal.journal import (
     JournalWriter,
     Respawned,
     Ticked,
+    _read_journal,
     journal_digest,
     read_header,
-    read_journal,
 )
 from wcsim.server.journal.replay import Seats, journal_worlds, rebuild_world, recompute, recompute_fcd, verify
 from wcsim.server.protocol.barrier import Kept
@@ -44,7 +44,7 @@ def run(corner, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def records(run):
-    return read_journal(run / "journal").records
+    return _read_journal(run / "journal").records
 
 
 def made_again(journal: Path) -> tuple[World, tuple[Kept, ...]]:
@@ -134,7 +134,7 @@ def test_the_world_after_the_last_record_goes_on_as_the_first_one_would_have(cor
         assert [(one.seat, one.name, one.life) for one in kept] == [(2, "c2", 0)]
         assert (world.epoch, world.snapshot.tick, [seat.index for seat in world.seats]) == (1, 12, [2])
         world.admit(1, kept[0].spec)
-        for record in read_journal(tmp_path / "run" / "journal").records[-10:]:
+        for record in _read_journal(tmp_path / "run" / "journal").records[-10:]:
             assert world.tick(record.commands).state_hash == record.state_hash
         assert world.snapshot.state_hash == expected.state_hash
 
@@ -280,5 +280,5 @@ def test_habits_that_were_drawn_for_episodes_are_drawn_again(corner, tmp_path):
     world, _ = made_again(tmp_path / "journal")
     with world:
         assert [client.drawn for client in world.snapshot.clients] == drawn
-        assert world.snapshot.state_hash == read_journal(tmp_path / "journal").records[-1].state_hash
+        assert world.snapshot.state_hash == _read_journal(tmp_path / "journal").records[-1].state_hash
     assert len({one.reaction_s for one in drawn}) == len({one.attention for one in drawn}) == 2

@@ -43,18 +43,18 @@ def edit(copy: Path, module: ModuleType, more: str = "# a comment\n") -> None:
 
 
 def test_what_makes_a_street_makes_its_name(copy: Path, corner_town: Town) -> None:
-    keys = [street.street_key(corner_town)]
+    keys = [street._street_key(corner_town)]
     for module in (build_street, net, mesh, tiles, street_types, arrays, seeding, jit):
         edit(copy, module)
-        keys.append(street.street_key(corner_town))
+        keys.append(street._street_key(corner_town))
     assert len(set(keys)) == len(keys)
 
 
 def test_what_only_stands_beside_it_does_not(copy: Path, corner_town: Town) -> None:
-    key = street.street_key(corner_town)
+    key = street._street_key(corner_town)
     for module in (read, importer, demand, stage, episode, street, sys.modules["wcsim.config"], wcsim):
         edit(copy, module)
-    assert street.street_key(corner_town) == key
+    assert street._street_key(corner_town) == key
 
 
 def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_town: Town) -> None:
@@ -62,19 +62,19 @@ def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_t
     below.parent.mkdir()
     below.with_name("__init__.py").write_text('"""Gathers names."""\n\nfrom wcsim.towns.deep.er import EDGE as EDGE\n')
     below.write_text("EDGE = 1\n")
-    before = street.street_key(corner_town)
+    before = street._street_key(corner_town)
     edit(copy, net, "\nfrom wcsim.towns.deep import EDGE\n")
-    imported = street.street_key(corner_town)
+    imported = street._street_key(corner_town)
     below.write_text("EDGE = 2\n")
     sources._parsed.cache_clear()
-    assert len({before, imported, street.street_key(corner_town)}) == 3
+    assert len({before, imported, street._street_key(corner_town)}) == 3
 
 
 def test_the_versions_of_all_its_libraries_count(corner_town: Town, monkeypatch: pytest.MonkeyPatch) -> None:
-    used = sources.libraries_of(sources.sources_of(build_street.__name__)) - sys.stdlib_module_names
+    used = sources._libraries_of(sources.sources_of(build_street.__name__)) - sys.stdlib_module_names
     assert used == set(street.LIBRARIES)
-    key, known = street.street_key(corner_town), {name: version(name) for name in street.LIBRARIES.values()}
+    key, known = street._street_key(corner_town), {name: version(name) for name in street.LIBRARIES.values()}
     for library in known:
         with monkeypatch.context() as patch:
             patch.setattr(street, "version", {**known, library: "0.0"}.__getitem__)
-            assert street.street_key(corner_town) != key
+            assert street._street_key(corner_town) != key

@@ -84,7 +84,7 @@ def test_cached_street_is_the_same_and_fast(
     manhattan: Street,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    key = street.street_key(manhattan_town)
+    key = street._street_key(manhattan_town)
     street_cache.cached_street(key, lambda: manhattan_packed)
     monkeypatch.setattr(build_street, "build_street", lambda town, at: pytest.fail("built although it is in the cache"))
     found = load_street(manhattan_town)
@@ -100,7 +100,7 @@ def test_cached_street_is_the_same_and_fast(
         assert (ours.sumo_id, ours.kind, ours.start, ours.end, ours.width_m, ours.tls_id, ours.tls_links) == (
             theirs.sumo_id, theirs.kind, theirs.start, theirs.end, theirs.width_m, theirs.tls_id, theirs.tls_links
         )  # fmt: skip
-    assert street.street_key(corner_town) != key
+    assert street._street_key(corner_town) != key
 
 
 def test_broken_or_forbidden_cache_is_no_error(corner_town: Town, own_cache: Path) -> None:

@@ -16,7 +16,7 @@ from wcsim.towns.checks.check import _demand_classes, _find_notes, _for_routes, 
 from wcsim.towns.checks.cures import routes_cure
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.town import Town, content_hash, open_town
-from wcsim.towns.street import street_key
+from wcsim.towns.street import _street_key
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import content_digest
 
@@ -107,12 +107,12 @@ def test_the_cure_of_trips_without_a_way_names_the_parts_that_matter(including: 
 
 
 def test_what_is_included_counts_in_the_hashes(including: Town, plain: Town, folder: Path) -> None:
-    before = content_hash(including), street_key(including)
+    before = content_hash(including), _street_key(including)
     parts = {name: (folder / name).read_bytes() for name in ("parts/people.rou.xml", "parts/deeper/signals.tll.xml")}
     seen = []
     for name, data in parts.items():
         (folder / name).write_bytes(data.replace(b"<additional>", b'<additional x="1">'))
-        seen.append((content_hash(including), street_key(including)))
+        seen.append((content_hash(including), _street_key(including)))
         (folder / name).write_bytes(data)
     (people, same_street), (signals, other_street) = seen
     assert len({before[0], people, signals}) == 3 and same_street == before[1] != other_street

@@ -10,7 +10,7 @@ import pytest
 
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.scenes.run import open_scene, play
+from wcsim.scenes.run import _open_scene, play
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.checks.validate import validate_net
@@ -71,7 +71,7 @@ def test_streets_build_and_the_chair_starts_on_pavement(family: str, tmp_path: P
 @pytest.mark.parametrize("family", FAMILIES)
 def test_who_only_follows_meets_the_danger_that_is_meant(family: str, tmp_path: Path) -> None:
     seed, reason, partner = MEANT[family]
-    with open_scene(write_scene(family, seed, tmp_path / "scene")) as (world, scene):
+    with _open_scene(write_scene(family, seed, tmp_path / "scene")) as (world, scene):
         end = next(snapshot.clients[0] for snapshot, _ in play(world, scene) if snapshot.clients[0].events.crashed)
     assert end.events.crash_reason == reason
     assert {contact.actor_id for contact in end.contacts} <= {partner}

@@ -13,7 +13,7 @@ from wcsim.config import load_run_config
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.types import Joystick
-from wcsim.users.fitting.fit_user import by_switches, fit_user, is_told
+from wcsim.users.fitting.fit_user import _by_switches, fit_user, is_told
 from wcsim.users.fitting.hand_series import hand_series
 from wcsim.users.profiles import profile, profile_names, profile_text, read_profile, sample
 
@@ -76,7 +76,7 @@ def test_a_steady_hand_has_no_tremor_and_another_reaction_is_noticed():
 def test_switches_are_known_and_fitted(shaking):
     user = drawn("switch", 1)
     drive = plane_drive(user, 60.0, 4)
-    assert by_switches(hand_series([drive])) and not by_switches(hand_series([shaking[1]]))
+    assert _by_switches(hand_series([drive])) and not _by_switches(hand_series([shaking[1]]))
     fit = fit_user([drive], BASE)
     assert fit.profile.discrete and fit.profile.noise == 0.0
     assert fit.profile.reaction_s == pytest.approx(user.reaction_s, abs=0.02)

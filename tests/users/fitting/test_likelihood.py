@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.users.fitting.hand_likelihood import certainty, least, surprises, wish_on_its_way
+from wcsim.users.fitting.hand_likelihood import _certainty, _surprises, _wish_on_its_way, least
 
 STEP_S = 0.03
 
@@ -31,7 +31,7 @@ def test_it_is_the_density_of_all_samples_together(amplitude, noise):
     hand, wish, line = 0.2 * rng.normal(size=(40, 2)), rng.normal(size=(40, 2)), np.array([0.8, 1.1, 0.02, -0.1])
     law = np.array([STEP_S, noise, 3.0, amplitude, 0.9, 0.99])
     all_of_them, clear = np.ones(40, np.bool_), np.zeros(40, np.bool_)
-    got = surprises(hand, wish, all_of_them, law, line, all_of_them, clear)
+    got = _surprises(hand, wish, all_of_them, law, line, all_of_them, clear)
     assert got.sum() == pytest.approx(dense(hand, wish, noise, 3.0, amplitude, 0.9, 0.99, line), rel=1e-6)
 
 
@@ -41,11 +41,11 @@ def test_what_the_gate_stopped_says_nothing():
     law, clear = np.array([STEP_S, 0.1, 3.0, 0.0, 0.9, 0.99]), np.zeros(30, np.bool_)
     free = np.ones(30, np.bool_)
     free[10:14] = False
-    got = surprises(hand, wish, free, law, line, free, clear)
+    got = _surprises(hand, wish, free, law, line, free, clear)
     hand[10:14] = 9.0
-    assert np.array_equal(got, surprises(hand, wish, free, law, line, free, clear))
+    assert np.array_equal(got, _surprises(hand, wish, free, law, line, free, clear))
     assert not got[10:14].any() and not clear[11:15].any() and clear[20]
-    surprises(0.1 * hand + 0.66, wish + 0.66, free, law, line, free, clear)
+    _surprises(0.1 * hand + 0.66, wish + 0.66, free, law, line, free, clear)
     assert not clear.any()  # too near to the gate
 
 
@@ -53,13 +53,13 @@ def test_what_the_gate_stopped_says_nothing():
 def test_a_wish_arrives_late_slowly_and_smoothly(delay_s):
     intents, dt_s = np.zeros((30, 2)), 0.1 / 24
     intents[5:, 0] = 1.0
-    out = wish_on_its_way(intents, 24, dt_s, delay_s, 0.2, 0.0)[:, 0]
+    out = _wish_on_its_way(intents, 24, dt_s, delay_s, 0.2, 0.0)[:, 0]
     times_s = dt_s * np.arange(1, len(out) + 1)
     expected = 1.0 - np.exp(-np.maximum(times_s - 0.5 - delay_s, 0.0) / 0.2)
     assert np.allclose(out, expected, atol=0.02)
-    later = wish_on_its_way(intents, 24, dt_s, delay_s + 1e-4, 0.2, 0.0)[:, 0]
+    later = _wish_on_its_way(intents, 24, dt_s, delay_s + 1e-4, 0.2, 0.0)[:, 0]
     assert 0.0 < float((out - later).max()) < 2e-3
-    filtered = wish_on_its_way(intents, 24, dt_s, delay_s, 0.2, 0.02)[:, 0]
+    filtered = _wish_on_its_way(intents, 24, dt_s, delay_s, 0.2, 0.02)[:, 0]
     assert math.isclose(float((out - filtered).sum()) * dt_s, 0.02, rel_tol=0.15)
 
 
@@ -72,7 +72,7 @@ def test_newton_finds_mean_and_spread_and_how_sure_they_are():
     steps, together = np.array([0.02, 0.02]), np.arange(4000) // 10
     here = least(summands, np.array([2.6, 0.5]), steps)
     assert here == pytest.approx([values.mean(), math.log(values.std())], abs=5e-3)
-    sd = np.sqrt(np.diag(certainty(summands, here, steps, together)))
+    sd = np.sqrt(np.diag(_certainty(summands, here, steps, together)))
     assert sd == pytest.approx([2.0 / math.sqrt(4000), 1.0 / math.sqrt(8000)], rel=0.12)
 
 
@@ -85,5 +85,5 @@ def test_stretches_that_move_together_are_less_sure():
 
     steps = np.array([0.02])
     here = least(summands, np.array([2.5]), steps)
-    alone = certainty(summands, here, steps, np.arange(4000))[0, 0]
-    assert certainty(summands, here, steps, np.arange(4000) // 10)[0, 0] == pytest.approx(10.0 * alone, rel=0.02)
+    alone = _certainty(summands, here, steps, np.arange(4000))[0, 0]
+    assert _certainty(summands, here, steps, np.arange(4000) // 10)[0, 0] == pytest.approx(10.0 * alone, rel=0.02)

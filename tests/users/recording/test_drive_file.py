@@ -18,7 +18,7 @@ from tests.users.recording.drives import drive_header, tick, write_drive
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, JournalError, WcsimError
 from wcsim.types import Joystick, StartSpec
-from wcsim.users.recording.drive_bytes import header_payload, start_json, start_of_json, tick_of, tick_payload
+from wcsim.users.recording.drive_bytes import _tick_of, header_payload, start_json, start_of_json, tick_payload
 from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 from wcsim.users.recording.drive_recorder import DriveRecorder
 from wcsim.users.recording.drive_types import DRIVE_MAGIC, RecordedEvent
@@ -85,7 +85,7 @@ def test_a_header_that_could_not_be_read_again_begins_no_recording(tmp_path, wro
 def test_a_tick_is_the_same_after_it_was_bytes(x, y, flags, action, samples):
     sticks = np.linspace(-1.0, 1.0, 2 * samples).reshape(-1, 2).astype(np.float32).astype(float)
     made = tick(5, stick=Joystick(x, y), action=action, sticks=sticks, **dict.fromkeys(flags, True))
-    assert tick_of(tick_payload(made)) == made
+    assert _tick_of(tick_payload(made)) == made
 
 
 def test_a_killed_drive_keeps_what_was_driven(tmp_path):

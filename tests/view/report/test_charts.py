@@ -23,7 +23,7 @@ from wcsim.view.report.charts import (
     share_chart,
     town_chart,
 )
-from wcsim.view.report.figures import ground_around, levels_of
+from wcsim.view.report.figures import _ground_around, _levels_of
 from wcsim.view.report.learning_curve import running_means
 
 CURVE = Curve(name="c", steps=[1, 2], values=[1.0, 2.0], means=[1.0, 1.5], switch=1, crossing=2)
@@ -59,14 +59,14 @@ def test_a_run_whose_name_begins_with_a_line_has_its_curve_and_its_legend(name):
 
 
 def test_levels_of_one_policy_are_joined_in_their_order():
-    lines = levels_of(["n@0.75", "follow", "n@0.5", "m@1", "n@10", "x@y"])
+    lines = _levels_of(["n@0.75", "follow", "n@0.5", "m@1", "n@10", "x@y"])
     assert lines == [["n@0.5", "n@0.75", "n@10"]]
     with_line, without = CHARTS["obedience"](), obedience_chart({name: (SOME, SOME) for name in PLACES}, [], PLACES)
     assert with_line.count(b"#888888") > without.count(b"#888888")
 
 
 def test_the_ground_shows_the_street_around_the_points_and_nothing_where_there_is_no_town(corner):
-    ground = ground_around(str(corner), [(-10.0, -5.0), (20.0, 5.0)])
+    ground = _ground_around(str(corner), [(-10.0, -5.0), (20.0, 5.0)])
     assert (ground.west_m, ground.east_m, ground.south_m, ground.north_m) == (-35.0, 45.0, -30.0, 30.0)
     rows, columns, _ = ground.image.shape
     assert columns / rows == pytest.approx(80 / 60, rel=0.01)
@@ -80,7 +80,7 @@ def test_the_ground_shows_the_street_around_the_points_and_nothing_where_there_i
         for each in (ClassId.ROAD, ClassId.SIDEWALK)
     ]
     assert [len(each) for each in colours] == [1, 1] and colours[0] != colours[1]
-    assert ground_around("atlantis", [(0.0, 0.0)]) is None and ground_around(str(corner), []) is None
+    assert _ground_around("atlantis", [(0.0, 0.0)]) is None and _ground_around(str(corner), []) is None
 
 
 def test_means_go_over_the_last_values_alone():

@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.result_files import KeptEpisode, read_result
 from wcsim.config import RewardConfig
 from wcsim.types import Events, Joystick
-from wcsim.view.report.failures import chosen, failures_of, judged, last_speed_mps, where_typed, worst_of
+from wcsim.view.report.failures import _last_speed_mps, chosen, failures_of, judged, where_typed, worst_of
 
 NOTHING = Events(
     episode=0, step=0, crashed=False, crash_reason="", truncated=False, arrived=False, gave_up=False
@@ -69,10 +69,10 @@ def test_of_two_like_failures_the_faster_is_worse(tmp_path):
 
 
 def test_the_speed_of_the_last_second_comes_from_the_way():
-    assert last_speed_mps(kept(tuple(map(tuple, PATH_M)), 1.5)) == pytest.approx(1.5 / 0.5)
-    assert last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (1.1, 0.0)), 2.1)) == pytest.approx(1.1 / 1.1)
-    assert last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (3.0, 0.0)), 3.0)) == pytest.approx(2.0)
-    assert last_speed_mps(kept(None, 1.5)) is None
+    assert _last_speed_mps(kept(tuple(map(tuple, PATH_M)), 1.5)) == pytest.approx(1.5 / 0.5)
+    assert _last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (1.1, 0.0)), 2.1)) == pytest.approx(1.1 / 1.1)
+    assert _last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (3.0, 0.0)), 3.0)) == pytest.approx(2.0)
+    assert _last_speed_mps(kept(None, 1.5)) is None
 
 
 @pytest.mark.parametrize("steps", [11, 14, 120, 121, 123, 129])
@@ -84,7 +84,7 @@ def test_a_steady_speed_is_told_however_long_the_episode(steps):
         told = {"events": NOTHING, "joystick_distance": 0.0, "asked": at_rest, "given": at_rest, "speed_mps": 1.5}
         meter.add({**told, "state": state}, None)
     path_m = meter.sums()["path_m"]
-    assert last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
+    assert _last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
 
 
 def test_the_command_says_all_that_was_changed_and_nothing_can_leave_its_word(tmp_path):

@@ -14,7 +14,7 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.failures import Illustration, SeenMoment, failures_of
-from wcsim.view.report.figures import figures_of, obedience_figure
+from wcsim.view.report.figures import _obedience_figure, figures_of
 from wcsim.view.report.suite_page import write_suite_page
 from wcsim.view.report.tables import SAFETY, SERVICE
 
@@ -156,7 +156,7 @@ def test_who_hardly_obeys_does_not_squeeze_the_figure_of_obedience(folder, said)
             for row in result.pooled
         ],
     )
-    drawn, without = (obedience_figure(one, places) for one in (result, low))
+    drawn, without = (_obedience_figure(one, places) for one in (result, low))
     assert "Not drawn" not in drawn.says
     assert "Not drawn, below 50 %: follow." in without.says
     assert "follow" in without.csv and drawn.svg != without.svg

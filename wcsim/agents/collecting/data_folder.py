@@ -78,7 +78,7 @@ def key_of(name: str) -> SegmentKey:
     return SegmentKey(run=run, round=number, index=index)
 
 
-def write_segment(path: Path, segment: Segment) -> str:
+def _write_segment(path: Path, segment: Segment) -> str:
     """Write a segment, whole or not at all; returns its SHA-256 (hex). Raises DiskFullError."""
     data = packed_segment(segment)
     files.write_bytes(path, data)

@@ -62,7 +62,7 @@ def drive_segment(place: SegmentPlace, make_learned: MakeLearned | None, seed: i
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DrivenRow:
+class _DrivenRow:
     """One step of one chair."""
 
     seen: Observation
@@ -78,7 +78,7 @@ class _Seat:
     def __init__(
         self, config: RunConfig, first: ClientSnapshot, make_learned: MakeLearned | None, rng: np.random.Generator
     ) -> None:
-        self.rows: list[DrivenRow] = []
+        self.rows: list[_DrivenRow] = []
         self._config, self._make, self._rng = config, make_learned, rng
         self._actions = action_set(config.env.actions)
         self._chair, self._link = Chair(config), HeldLink()
@@ -99,7 +99,8 @@ class _Seat:
         """Write down what came of it."""
         self._link.now = client
         step = self._chair.receive(self._link)
-        self.rows.append(DrivenRow(seen=self._seen, said=self._said, choice=self._choice, step=step, delay=self._delay))
+        row = _DrivenRow(seen=self._seen, said=self._said, choice=self._choice, step=step, delay=self._delay)
+        self.rows.append(row)
         if client.first is not None:
             self._begin(client.first)
         else:
@@ -113,7 +114,7 @@ class _Seat:
         self._driver = DataDriver(self._config.collect, self._actions, self._rng, learned)
 
 
-def _segment_of(chairs: Sequence[Sequence[DrivenRow]]) -> Segment:
+def _segment_of(chairs: Sequence[Sequence[_DrivenRow]]) -> Segment:
     """The rows of all chairs, one chair after the other; a chair's last step here ends its episode."""
     rows = [row for chair in chairs for row in chair]
     last = [number == len(chair) - 1 for chair in chairs for number in range(len(chair))]
@@ -135,9 +136,9 @@ def _segment_of(chairs: Sequence[Sequence[DrivenRow]]) -> Segment:
     )
 
 
-def _seen(rows: Sequence[DrivenRow], key: str) -> npt.NDArray[Any]:
+def _seen(rows: Sequence[_DrivenRow], key: str) -> npt.NDArray[Any]:
     return np.stack([row.seen[key] for row in rows])
 
 
-def _column(rows: Sequence[DrivenRow], take: Callable[[DrivenRow], Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+def _column(rows: Sequence[_DrivenRow], take: Callable[[_DrivenRow], Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     return np.array([take(row) for row in rows], dtype)

@@ -53,7 +53,7 @@ def orders_of(
     require_recordable(config)
     keys = [replace(first, index=first.index + number) for number in range(count)]
     return [
-        SegmentOrder(key=key, towns=towns, config=config, settings=drawn_settings(config, key), policy=policy)
+        SegmentOrder(key=key, towns=towns, config=config, settings=_drawn_settings(config, key), policy=policy)
         for key in keys
     ]
 
@@ -79,7 +79,7 @@ def require_recordable(config: RunConfig) -> None:
             ) from None
 
 
-def drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
+def _drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
     """What differs from segment to segment: one of the settings of `collect.variants`, drawn for each."""
     variants = config.collect.variants
     if not variants:
@@ -88,25 +88,25 @@ def drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
     return tuple(variants[int(draw.integers(len(variants)))].split())
 
 
-def is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
+def _is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
     """Whether a segment is driven in generated scenes; the share of all that are is kept from the first one on.
 
     >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.3",))
-    >>> [is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
+    >>> [_is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
     3
     """
     number = _number(config, key)
     return _scenes_before(config, number + 1) > _scenes_before(config, number)
 
 
-def town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
+def _town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
     """Which of so many towns a segment is driven in that is not of scenes: each in turn, over all rounds.
 
     The first one is drawn for each run, so that many short ones leave no town out.
 
     >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
     >>> keys = [SegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
-    >>> sorted(town_in_turn(config, key, 3) for key in keys if not is_of_scenes(config, key))
+    >>> sorted(_town_in_turn(config, key, 3) for key in keys if not _is_of_scenes(config, key))
     [0, 1, 2]
     """
     number, first = _number(config, key), seeding.derive(key.run, "collect", "first town")
@@ -135,7 +135,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
     """
     config = with_overrides(order.config, (*order.settings, "world.draw_threads=1"))
     config = with_senses(config, MOTION_SENSES)
-    if is_of_scenes(order.config, order.key):
+    if _is_of_scenes(order.config, order.key):
         yield from _scenes(order, config, work)
     else:
         yield _street(order, config)
@@ -144,7 +144,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
 def _street(order: SegmentOrder, config: RunConfig) -> SegmentPlace:
     key, collect = order.key, config.collect
     rng = seeding.generator(key.run, "collect", key.round, key.index, "street")
-    town = find_town(order.towns[town_in_turn(order.config, key, len(order.towns))])
+    town = find_town(order.towns[_town_in_turn(order.config, key, len(order.towns))])
     drawn = rng.permutation(len(collect.profiles))
     who = [collect.profiles[int(drawn[seat % len(drawn)])] for seat in range(collect.chairs)]
     seats = tuple(SeatSpec(profile=profile, max_steps=collect.episode_steps) for profile in who)

@@ -81,17 +81,17 @@ def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
     return LabelledSteps(
         pictures=pictures,
         frames=frames,
-        windows=frame_windows(segment.ended, spec.pictures),
+        windows=_frame_windows(segment.ended, spec.pictures),
         vectors=np.stack([features.vector for features in found]),
         starts=np.stack([features.start for features in found]),
         unsafe=unsafe_ahead(codes, segment.ended, config.danger.ahead),
     )
 
 
-def frame_windows(ended: Bool, frames: int) -> I64:
+def _frame_windows(ended: Bool, frames: int) -> I64:
     """(N, frames) the rows whose pictures are seen in each of N successive steps; none is of an episode before.
 
-    >>> frame_windows(np.array([False, False, True, False]), 2).tolist()
+    >>> _frame_windows(np.array([False, False, True, False]), 2).tolist()
     [[0, 0], [0, 1], [1, 2], [3, 3]]
     """
     rows = np.arange(len(ended))
@@ -102,7 +102,7 @@ def frame_windows(ended: Bool, frames: int) -> I64:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Batch:
+class _Batch:
     """What a step of learning gets."""
 
     inputs: Inputs
@@ -158,7 +158,7 @@ class Dataset:
         """The share of steps in which something is unsafe."""
         return len(self._tight) / max(len(self._rows), 1)
 
-    def draw(self) -> Batch:
+    def draw(self) -> _Batch:
         """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be."""
         size, rng = self._danger.batch, self._rng
         # Steps with a danger are rare. Drawn evenly, they would hardly move the weights.
@@ -171,7 +171,7 @@ class Dataset:
         )
         return self.batch(picks, mirror=bool(rng.random() < 0.5) and self._may_mirror)
 
-    def batch(self, picks: np.ndarray, mirror: bool = False) -> Batch:
+    def batch(self, picks: np.ndarray, mirror: bool = False) -> _Batch:
         """These rows, (B, 2) part and row."""
         chosen = [(self._parts[part], row) for part, row in picks.tolist()]
         pictures = unpack_each([part.pictures[row] for part, row in chosen], PLANES * SIDE * SIDE)
@@ -187,7 +187,7 @@ class Dataset:
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
         seen, *rest = to_tensors(self._extractor, picture, vector, start, frames)
-        return Batch(
+        return _Batch(
             inputs=(seen.contiguous(memory_format=torch.channels_last), *rest),
             unsafe=torch.from_numpy(unsafe).float(),
         )

@@ -57,7 +57,7 @@ class DangerLearner:
         self.net.train()
         for done in range(1, updates + 1):
             for group in self._optimizer.param_groups:
-                group["lr"] = self._rate * rate_share(self.updates / self._total)
+                group["lr"] = self._rate * _rate_share(self.updates / self._total)
             batch = data.draw()
             seen, unsafe = (part.to(self._device) for part in batch.inputs), batch.unsafe.to(self._device)
             loss = functional.binary_cross_entropy_with_logits(self.net(*seen), unsafe)
@@ -111,10 +111,10 @@ class DangerLearner:
         self.updates, self.loss = updates, loss
 
 
-def rate_share(done: float) -> float:
+def _rate_share(done: float) -> float:
     """Of the learning rate, when the share `done` of all updates is done: up to its whole, then down along a cosine.
 
-    >>> [round(rate_share(done), 3) for done in (0.0, 0.05, 0.525, 1.0)]
+    >>> [round(_rate_share(done), 3) for done in (0.0, 0.05, 0.525, 1.0)]
     [0.04, 1.0, 0.5, 0.0]
     """
     done = min(done, 1.0)

@@ -95,10 +95,10 @@ class DangerNet(nn.Module):
                 *(nn.Conv2d(width, 32, 4, stride=2, padding=1), nn.ReLU()),
                 *(nn.Conv2d(32, 32, 3, padding=1), nn.ReLU()),
             )
-            self.roll_out = RollOutHead(width)
+            self.roll_out = _RollOutHead(width)
             self.context = Context(count)
         if spec.eye != "map":
-            self.pictures = PictureHead(spec, count)
+            self.pictures = _PictureHead(spec, count)
         # The order of these modules is the order of the random draws: another one gives another network for a seed.
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
         self.base = nn.Parameter(torch.tensor(_BASE))
@@ -146,7 +146,7 @@ def _small_init(layer: nn.Linear) -> nn.Linear:
     return layer
 
 
-class RollOutHead(nn.Module):
+class _RollOutHead(nn.Module):
     """Cost maps (B, 2 * SLICES, SIDE, SIDE), read where hull and wheels sweep; the worst place counts most."""
 
     def __init__(self, width: int) -> None:
@@ -184,7 +184,7 @@ class Context(nn.Module):
         return torch.as_tensor(self.out(self.dense(torch.cat([self.squeeze(far), vector], 1))))
 
 
-class PictureHead(nn.Module):
+class _PictureHead(nn.Module):
     """The camera's last pictures through a network of the registry.
 
     It is given the sight's vector in the place of the IMU's, and nothing in that of the joystick.

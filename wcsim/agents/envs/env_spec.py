@@ -57,7 +57,7 @@ class EnvOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Face:
+class _Face:
     """A town, how it is configured, and where its outputs go."""
 
     town: str
@@ -102,7 +102,7 @@ class Face:
         )
 
 
-def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) -> Face:
+def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) -> _Face:
     """The face that these options of an environment describe.
 
     Args:
@@ -123,7 +123,7 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
     if render_mode == "rgb_array":
         resolved = _with_colours(resolved)
     run, hook = options.get("run"), options.get("hook", "")
-    return Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
+    return _Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
 
 
 def _resolved(options: EnvOptions) -> RunConfig:
@@ -200,7 +200,7 @@ def _with_colours(config: RunConfig) -> RunConfig:
 class Chairs:
     """The chairs of a world, by seat; the world is made by the first `begin`."""
 
-    def __init__(self, face: Face, count: int, terms: Sequence[RewardTerm] = ()) -> None:
+    def __init__(self, face: _Face, count: int, terms: Sequence[RewardTerm] = ()) -> None:
         """So many chairs, each with a copy of the user's own reward terms, which remember one episode each."""
         self.face = face
         self.all = [Chair(face.config, copy.deepcopy(tuple(terms))) for _ in range(count)]

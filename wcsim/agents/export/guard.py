@@ -53,7 +53,7 @@ class GuardState:
     fault: str = ""  # of the last tick
 
 
-def fault_of(rule: GuardRule, tick: GuardTick) -> str:
+def _fault_of(rule: GuardRule, tick: GuardTick) -> str:
     """Why a tick is bad, "" when it is good."""
     if not tick.inputs_finite:
         return "input"
@@ -77,7 +77,7 @@ def guarded(rule: GuardRule, state: GuardState, tick: GuardTick) -> GuardState:
     >>> driven
     [1.0, 0.29, 0.0, 1.0, 1.0]
     """
-    fault = fault_of(rule, tick)
+    fault = _fault_of(rule, tick)
     good = 0 if fault else state.good + 1
     tripped = bool(fault) or (state.tripped and good < rule.good_ticks)
     if tripped or tick.wanted is None:

@@ -119,7 +119,7 @@ def export_policy(
     return facts[0]
 
 
-def run_model(
+def _run_model(
     path: Path, ride: Sequence[Observation], keys: Sequence[str], before: Sequence[Sequence[F32]] | None = None
 ) -> dict[str, Any]:
     """Outputs by name, stacked over the steps of a ride.
@@ -180,8 +180,8 @@ def _write_reference(
             state = list(out[len(graph.outputs) :])
             wanted.append(out[at][0].numpy())
             actions.append(int(out[0].argmax()))
-    off = _off(run_model(target / MODEL_FILE, ride, graph.inputs, before)[graph.checked], np.stack(wanted), graph)
-    told = run_model(target / MODEL_FILE, ride, graph.inputs)
+    off = _off(_run_model(target / MODEL_FILE, ride, graph.inputs, before)[graph.checked], np.stack(wanted), graph)
+    told = _run_model(target / MODEL_FILE, ride, graph.inputs)
     inputs = {key: np.stack([seen[key] for seen in ride]) for key in graph.inputs}
     # Its own actions, whoever drove a recording: whoever runs the model again can have no others.
     kept: dict[str, Any] = {**inputs, graph.checked: told[graph.checked], "action": np.array(actions)}

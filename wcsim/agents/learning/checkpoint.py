@@ -48,7 +48,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PassedOver:
+class _PassedOver:
     """A checkpoint that was not used, and why."""
 
     path: Path
@@ -62,7 +62,7 @@ class Loaded:
     path: Path
     extra: dict[str, int | float | str | bool]
     sealed: bool  # False for a checkpoint of an older version, whose counters have no hash
-    passed_over: tuple[PassedOver, ...]
+    passed_over: tuple[_PassedOver, ...]
 
 
 def save_checkpoint(
@@ -148,7 +148,7 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
     Raises:
         PolicyError: None is sound and fits the model, which is as it was then.
     """
-    passed: list[PassedOver] = []
+    passed: list[_PassedOver] = []
     for path in reversed(step_folders(folder)):
         try:
             state = read_state(path)
@@ -161,13 +161,13 @@ def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = l
     raise _none_sound(folder, passed)
 
 
-def passed_over(path: Path, error: Exception) -> PassedOver:
+def passed_over(path: Path, error: Exception) -> _PassedOver:
     """The message on a checkpoint that could not be used."""
     reason = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
-    return PassedOver(path=path, reason=escaped(reason, 300))
+    return _PassedOver(path=path, reason=escaped(reason, 300))
 
 
-def _none_sound(folder: Path, passed: Sequence[PassedOver]) -> PolicyError:
+def _none_sound(folder: Path, passed: Sequence[_PassedOver]) -> PolicyError:
     """What is raised where all checkpoints of a run were passed over, or none found."""
     faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
     return PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
@@ -191,7 +191,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def restored_generator(state: dict[str, Any]) -> np.random.Generator:
+def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
     """The generator that `generator_state` described."""
     bits = np.random.Philox()
     bits.state = {
@@ -243,7 +243,7 @@ def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive:
             )
         model.policy.optimizer.load_state_dict({"state": slots, "param_groups": optimizer["param_groups"]})
         restore_replay(memory, replay, alive)
-        memory.rng, explore_rng = restored_generator(state.replay_rng), restored_generator(state.explore_rng)
+        memory.rng, explore_rng = _restored_generator(state.replay_rng), _restored_generator(state.explore_rng)
         torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
     except BaseException:
         for (_, net), before in zip(_nets(model), nets, strict=True):

@@ -54,7 +54,7 @@ class CorridorWatch:
         limit = STEP_M + _SLOPE_PER_M * np.hypot(points[:, 0], points[:, 1])
         low, high = heights(points, roll, pitch)
         solid = seen & (low > limit) & (high < HEAD_M)
-        return self._enough(solid & in_corridor(points, speed, turn, reach_m, self._outline))
+        return self._enough(solid & _in_corridor(points, speed, turn, reach_m, self._outline))
 
     def _drop(self, points: F64, speed: float, turn: float, reach_m: float, roll: float, pitch: float) -> bool:
         """Rays that would meet level ground within the corridor, but go on below it."""
@@ -63,7 +63,7 @@ class CorridorWatch:
         ground = self._eye_B_m + self._rays * fall[:, None]
         _, high = heights(points, roll, pitch)
         deep = high < -(STEP_M + _SLOPE_PER_M * np.hypot(ground[:, 0], ground[:, 1]))
-        return self._enough(down & deep & in_corridor(ground, speed, turn, reach_m, self._outline))
+        return self._enough(down & deep & _in_corridor(ground, speed, turn, reach_m, self._outline))
 
     def _enough(self, pixels: Bool) -> bool:
         return int(np.count_nonzero(pixels)) >= self._few
@@ -116,7 +116,7 @@ def heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F6
     return np.minimum(own, level), np.maximum(own, level)
 
 
-def in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float, outline: Outline) -> Bool:
+def _in_corridor(points_B_m: F64, speed_mps: float, turn_radps: float, reach_m: float, outline: Outline) -> Bool:
     """Points over which the chair passes on the arc of (speed, turn), up to `reach_m` ahead of its axle; (K,) bool."""
     x, y = points_B_m[:, 0], points_B_m[:, 1]
     half = 0.5 * outline.width_m + MARGIN_M

@@ -21,7 +21,7 @@ _KEYS: Final = frozenset(("updates", "loss", "segments", "sha256"))
 _KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
 
 
-def checkpoint_path(folder: Path, number: int) -> Path:
+def _checkpoint_path(folder: Path, number: int) -> Path:
     """Where the checkpoint after a round lies."""
     return folder / f"round-{number:03d}"
 
@@ -39,20 +39,20 @@ def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict
         }
         files.write_sealed_json(target / STATE, state)
 
-    files.write_folder(checkpoint_path(folder, number), fill)
+    files.write_folder(_checkpoint_path(folder, number), fill)
     for old in _numbers(folder)[:-KEPT_ROUNDS]:
-        shutil.rmtree(checkpoint_path(folder, old), ignore_errors=True)
+        shutil.rmtree(_checkpoint_path(folder, old), ignore_errors=True)
 
 
 def newest_round(folder: Path) -> int:
     """The last round that is kept whole, -1 for none."""
-    return next((number for number in reversed(_numbers(folder)) if _is_whole(checkpoint_path(folder, number))), -1)
+    return next((number for number in reversed(_numbers(folder)) if _is_whole(_checkpoint_path(folder, number))), -1)
 
 
 def damaged_rounds(folder: Path) -> list[Path]:
     """Checkpoints that are newer than the last whole one: what they held is done again."""
     newest = newest_round(folder)
-    return [checkpoint_path(folder, number) for number in _numbers(folder) if number > newest]
+    return [_checkpoint_path(folder, number) for number in _numbers(folder) if number > newest]
 
 
 def _numbers(folder: Path) -> list[int]:
@@ -66,7 +66,7 @@ def load_round(folder: Path, number: int, learner: DangerLearner) -> dict[str, s
     Raises:
         PolicyError: The checkpoint does not fit, or is damaged.
     """
-    path = checkpoint_path(folder, number)
+    path = _checkpoint_path(folder, number)
     state = _state(path)
     updates, loss, segments = (state[name] for name in ("updates", "loss", "segments"))
     named = isinstance(segments, dict) and all(isinstance(sha256, str) for sha256 in segments.values())

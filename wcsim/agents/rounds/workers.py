@@ -43,14 +43,14 @@ class SegmentDrivers:
     logs: Path  # folder of the run, for the logs of a cluster
     config: RunConfig
 
-    def open(self) -> SegmentCrew:
+    def open(self) -> _SegmentCrew:
         """Find the workers. Raises ConfigError when there are none, or they could not be sent what they need."""
         if self.machines.cluster:
             require_travels(self.config, own_code=(self.config.learn.network,))
-        return SegmentCrew(self)
+        return _SegmentCrew(self)
 
 
-class SegmentCrew:
+class _SegmentCrew:
     """Worlds that drive segments into a data folder; a context manager."""
 
     def __init__(self, drivers: SegmentDrivers) -> None:
@@ -58,7 +58,7 @@ class SegmentCrew:
         self._crew = Crew(drivers.machines.open(drivers.logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by key
 
-    def __enter__(self) -> SegmentCrew:
+    def __enter__(self) -> _SegmentCrew:
         self._crew.__enter__()
         return self
 

@@ -86,10 +86,10 @@ def _driven_tick(world: World, seat: int, points: ActionSet) -> RecordedTick:
     given = Given(commanded=Joystick(x, y), chosen=Joystick(x, y), action=action)
     tick = world.snapshot.tick
     (after,) = world.tick((Command(seat=seat, tick=tick, joystick=given.commanded),)).clients
-    return seat_tick(before, after, given, intent, user.sticks, world.config.world.tick_s)
+    return _seat_tick(before, after, given, intent, user.sticks, world.config.world.tick_s)
 
 
-def seat_tick(
+def _seat_tick(
     before: ClientSnapshot, after: ClientSnapshot, given: Given, intent: Joystick | None, sticks: F64, tick_s: float
 ) -> RecordedTick:
     """A tick of a seat as it is recorded.

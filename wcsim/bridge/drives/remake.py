@@ -35,7 +35,7 @@ from wcsim.users.recording.drive_types import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveCheck:
+class _DriveCheck:
     """How a drive compares with the same one made again."""
 
     ticks: int = 0  # compared
@@ -110,12 +110,12 @@ def remade(
                 yield tick, client.first or client, world.tick((command,)).clients[0]
 
 
-def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lambda ticks: None) -> DriveCheck:
+def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lambda ticks: None) -> _DriveCheck:
     """Compare every tick's place, heading, speed and ends, and the stick of who was simulated.
 
     Raises what `remade` raises.
     """
-    result = DriveCheck()
+    result = _DriveCheck()
     with closing(remade(drive)) as steps:
         for tick, before, after in steps:
             persons = drive.header.accompanied and by_person(tick)
@@ -152,7 +152,7 @@ def _ended_so(tick: RecordedTick, client: ClientSnapshot) -> bool:
     return now == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
 
 
-def _compared(so_far: DriveCheck, tick: RecordedTick, same: bool, client: ClientSnapshot) -> DriveCheck:
+def _compared(so_far: _DriveCheck, tick: RecordedTick, same: bool, client: ClientSnapshot) -> _DriveCheck:
     """One tick more, in which stick and ends were the `same`, with the seat at its end."""
     plant = client.plant
     same = same and np.array_equal(plant.p_WB_m, tick.p_WB_m) and client.tick == tick.tick

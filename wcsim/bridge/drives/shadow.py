@@ -20,7 +20,7 @@ from wcsim.users.user import SimulatedUser
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenDrive:
+class _SeenDrive:
     """A drive, and what there was to see at the beginning of each of its ticks."""
 
     drive: DriveRecording
@@ -29,7 +29,7 @@ class SeenDrive:
     outline: Outline
 
 
-def seen_drive(drive: DriveRecording) -> SeenDrive:
+def seen_drive(drive: DriveRecording) -> _SeenDrive:
     """Make a drive again and keep what its person saw. Raises what `remade` raises."""
     views: list[UserView] = []
     held: list[tuple[Street, Outline]] = []
@@ -43,10 +43,10 @@ def seen_drive(drive: DriveRecording) -> SeenDrive:
         for _ in steps:
             pass
     street, outline = held[0]
-    return SeenDrive(drive=drive, views=tuple(views), street=street, outline=outline)
+    return _SeenDrive(drive=drive, views=tuple(views), street=street, outline=outline)
 
 
-def with_shadow(seen: SeenDrive, user: UserProfile) -> DriveRecording:
+def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
     """What the person drove, with the intents of an attentive driver of these delays, who always corrects."""
     careful = replace(user, see_share=1.0, away_share=0.0, correct_every_s=0.0, give_up_s=3600.0)
     chair, shadow, before = config_of_drive(seen.drive.header).chair, None, None

@@ -60,7 +60,7 @@ class RosChair:
         for camera in cameras:
             T_CB = camera_matrix(np.eye(3, 4), mount(camera))
             R_BC = T_CB[:, :3].T
-            pose = (-R_BC @ T_CB[:, 3], quaternion_of(R_BC))
+            pose = (-R_BC @ T_CB[:, 3], _quaternion_of(R_BC))
             self._bag.transform(time_s, (self.frame(BASE), self.frame(optical(camera.name))), pose, fixed=True)
 
     def saw(self, time_s: float, client: ClientSnapshot, config: RunConfig) -> None:
@@ -139,10 +139,10 @@ def measured(depth_m: F32, range_m: float) -> F32:
     return told
 
 
-def quaternion_of(turn: F64) -> F64:
+def _quaternion_of(turn: F64) -> F64:
     """Unit quaternion (4,) x, y, z, w of a rotation matrix (3, 3).
 
-    >>> quaternion_of(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])).round(4).tolist()
+    >>> _quaternion_of(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])).round(4).tolist()
     [0.0, 0.0, 0.7071, 0.7071]
     """
     (a, b, c), (d, e, f), (g, h, i) = turn.tolist()

@@ -25,10 +25,10 @@ _TOLD_EVERY_S = 0.5
 _MAP_PX, _MAP_SPAN_M = 480, 30.0
 
 
-def place_of_play(text: str, blocks: int) -> tuple[int, int]:
+def _place_of_play(text: str, blocks: int) -> tuple[int, int]:
     """Block and seat. Raises ConfigError.
 
-    >>> place_of_play("12.3", 20)
+    >>> _place_of_play("12.3", 20)
     (12, 3)
     """
     found = _PLACE.fullmatch(text)
@@ -47,7 +47,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
         ConfigError: The place is none, the policies are not one, or the episode went another way.
         PolicyError: The policy cannot be used.
     """
-    index, seat = place_of_play(place, len(order.suite.file.blocks))
+    index, seat = _place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
         raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
     from wcsim.agents.evaluation.suite.list_rules import settings_in_list

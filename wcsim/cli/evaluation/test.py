@@ -148,7 +148,7 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
         tick_s=config.world.tick_s,
         config=config,
     )
-    with StageBar("testing") as bar, jams_once():
+    with StageBar("testing") as bar, _jams_once():
         bar.say(_told_of(plan, names))
         return run_test(
             policies, make_env, plan, lambda text: bar.say(f"tested {text}"), lambda share, who: bar.show(share, who)
@@ -156,7 +156,7 @@ def test_policies(options: Options, *, overrides: bool = True) -> Sequence[TestR
 
 
 @contextlib.contextmanager
-def jams_once() -> Iterator[None]:
+def _jams_once() -> Iterator[None]:
     """Tell a jam of the traffic that all policies meet once, and not for each of them."""
     told: set[str] = set()
 

@@ -12,13 +12,13 @@ COMMANDS = {"record": "UserRecordOptions", "fit": "UserFitOptions"}
 
 def run(words: list[str]) -> int:
     """Run one of them; only its own file is loaded."""
-    name = subcommand(words, "users", COMMANDS, options_of)
+    name = subcommand(words, "users", COMMANDS, _options_of)
     if not name:
         return 0
-    return int(import_module(_home(name)).run(parse(options_of(name), words[1:], f"users {name}")))
+    return int(import_module(_home(name)).run(parse(_options_of(name), words[1:], f"users {name}")))
 
 
-def options_of(name: str) -> type:
+def _options_of(name: str) -> type:
     """A command's class of options."""
     found: type = getattr(import_module(_home(name)), COMMANDS[name])
     return found

@@ -54,7 +54,7 @@ def run(options: UserFitOptions) -> int:
     drives = [read_drive(path) for path in options.drives]
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
     fit = _fitted(drives, base) if known else _reconstructed(drives, base)
-    fit = replace(fit, profile=replace(fit.profile, name=base_name(options.out)))
+    fit = replace(fit, profile=replace(fit.profile, name=_base_name(options.out)))
     head = f"fitted to {fit.seconds:.0f} s of driving; values without an interval are those of {base.name}\n"
     text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
     write_whole(options.out, lambda part: part.write_text(text, encoding="utf-8"))
@@ -73,7 +73,7 @@ def _trial(out: Path) -> str:
     return shlex.join(["wcsim", "test", "--profile", str(out), "--only", "--episodes", "1", "--max-steps", "600"])
 
 
-def base_name(path: Path) -> str:
+def _base_name(path: Path) -> str:
     """What a profile is called that is written to a file."""
     return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in path.stem)[:64] or "user"
 

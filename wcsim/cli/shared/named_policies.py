@@ -25,7 +25,7 @@ def require_policy(name: str, network: str) -> None:
     if is_own_class(name):
         find_class(without_veto(name), "policy")
     elif not is_plain(name):
-        used = network_of(name)
+        used = _network_of(name)
         if is_own(used):
             require_named(escaped(name), used, network)
 
@@ -40,7 +40,7 @@ def require_driver(name: str, network: str) -> None:
     if not network:
         return
     check_network(network)
-    if is_plain(name) or network_of(name) != network:
+    if is_plain(name) or _network_of(name) != network:
         raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
 
 
@@ -52,7 +52,7 @@ def require_without_veto(name: str, does: str) -> None:
         )
 
 
-def network_of(name: str) -> str:
+def _network_of(name: str) -> str:
     """What a run's policy looks at pictures with. Raises PolicyError when there is no such run."""
     path = policy_path(name)
     return (read_danger_file if is_danger(path) else read_policy_file)(path).net.network

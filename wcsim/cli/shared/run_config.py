@@ -164,7 +164,7 @@ def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunC
     named = (f'learn.network="{network}"',) if network else ()
     config = load_run_config(preset_of(asked, network), (*asked.set, *named), asked.config)
     config = config if file is None else with_file(config, file)
-    config = with_steps(config, asked.steps, _given_parts(asked, (asked.config, file)))
+    config = _with_steps(config, asked.steps, _given_parts(asked, (asked.config, file)))
     require_trained_users(config)
     return learning(config)
 
@@ -206,13 +206,13 @@ def _given_parts(asked: Asked, config_files: Sequence[Path | None]) -> frozenset
     return frozenset(key for key in _PARTS if key in typed or any(key in table for table in tables))
 
 
-def with_steps(config: RunConfig, steps: int | None, given: Collection[str] = ()) -> RunConfig:
+def _with_steps(config: RunConfig, steps: int | None, given: Collection[str] = ()) -> RunConfig:
     """The configuration for so many steps in all; None for its own.
 
     A preset's first phase of more than half of them shrinks in proportion, and so does its wait for the first update.
     The keys of [learn] in `given` are the user's own, and stay.
 
-    >>> learn = with_steps(RunConfig(), 60).learn
+    >>> learn = _with_steps(RunConfig(), 60).learn
     >>> learn.total_steps, learn.phase1_steps, learn.learning_starts
     (60, 15, 2)
 

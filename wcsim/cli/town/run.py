@@ -83,7 +83,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     facts = _recorded(options, town, config, out, ("wcsim", "town", *words))
     console = stdout_console()
     console.print(_table(town.name, facts))
-    for line in crash_lines(facts.crashed):
+    for line in _crash_lines(facts.crashed):
         print(line)
     if not facts.persons:
         console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
@@ -184,7 +184,7 @@ def _counted(number: int, warming: int) -> str:
     return f"{number}{f', {warming} during warm-up' if warming else ''}"
 
 
-def crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
+def _crash_lines(crashed: Sequence[CrashFact]) -> list[str]:
     """Up to five crashes of wheelchairs, each with its second, reason, fault, with whom, and where."""
     lines = [f"wheelchair {c.seat}, {c.time_s:.1f} s: {blamed(c.reason, c.fault, c.told)}" for c in crashed]
     return first_few(lines, "crashes; all of them are in the manifest")

@@ -28,7 +28,7 @@ class StageCost:
     tools_s: float  # of children: netconvert, polyconvert, duarouter, sumo, and what reads an extract
 
 
-def cpu_time() -> CpuTime:
+def _cpu_time() -> CpuTime:
     """User and system time of this process, and of its children that have ended."""
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return own.ru_utime + own.ru_stime, children.ru_utime + children.ru_stime
@@ -37,7 +37,7 @@ def cpu_time() -> CpuTime:
 class StageClock:
     """Hears which stage begins, says it on, and keeps what the one before has cost."""
 
-    def __init__(self, told: Callable[[str], None], now: Callable[[], CpuTime] = cpu_time) -> None:
+    def __init__(self, told: Callable[[str], None], now: Callable[[], CpuTime] = _cpu_time) -> None:
         self._told = told
         self._now = now
         self._stage = _FIRST

@@ -43,10 +43,10 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
     except TownError as refused:
         return replace(report, faults=(*report.faults, str(refused)))
     told(f"testing {COLLIDING_S:g} s of traffic in SUMO")
-    return replace(report, notes=(*report.notes, *collisions_note(town)))
+    return replace(report, notes=(*report.notes, *_collisions_note(town)))
 
 
-def collisions_note(town: Town) -> tuple[str, ...]:
+def _collisions_note(town: Town) -> tuple[str, ...]:
     """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself, or that this takes too long."""
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
         staged = stage_scenario(town, settings_of(load_run_config("quick"), 1), Path(work))

@@ -83,7 +83,7 @@ def run(words: list[str]) -> int:
         town=options.test_town, episodes=options.episodes, max_steps=options.max_steps, seed=options.seed
     )
     school, tested = _towns(options.train_town, trial)
-    out = options.out if options.out is not None else free_folder(Path("runs"), "demo")
+    out = options.out if options.out is not None else _free_folder(Path("runs"), "demo")
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
@@ -195,6 +195,6 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
     return school, tested
 
 
-def free_folder(parent: Path, name: str) -> Path:
+def _free_folder(parent: Path, name: str) -> Path:
     """The first of name, name-2, name-3, ... that does not exist yet."""
     return next(path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists())

@@ -71,11 +71,11 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     suite = _checked(options, run, by)
     chosen = read_choice(run.out, [client.name for client in run.clients]) if run.resume else ""
     if not chosen:
-        code = train_clients(options, first_phase(run), town)
+        code = train_clients(options, _first_phase(run), town)
         if code != Exit.DONE:
             return code
         chosen = _choose(options, run, by, suite)
-    return train_clients(options, second_phase(run, chosen), town)
+    return train_clients(options, _second_phase(run, chosen), town)
 
 
 def _checked(options: Options, run: GroupRun, by: str) -> Suite | None:
@@ -99,12 +99,12 @@ def _checked(options: Options, run: GroupRun, by: str) -> Suite | None:
     return suite
 
 
-def first_phase(run: GroupRun) -> GroupRun:
+def _first_phase(run: GroupRun) -> GroupRun:
     """The run as far as all learn."""
     return replace(run, clients=tuple(_until_switch(client) for client in run.clients), last=False)
 
 
-def second_phase(run: GroupRun, best: str) -> GroupRun:
+def _second_phase(run: GroupRun, best: str) -> GroupRun:
     """The rest of the run: the best client goes on, the others stay where they are."""
     clients = tuple(client if client.name == best else _until_switch(client) for client in run.clients)
     return replace(run, clients=clients, resume=True, best=best)
@@ -122,7 +122,7 @@ def _choose(options: Options, run: GroupRun, by: str, suite: Suite | None) -> st
     try:
         with locked(run.out):
             judged = _followed(run) if suite is None else _tested(options, run, suite, by)
-            best = by if by in [each.client for each in judged] else best_of(judged)
+            best = by if by in [each.client for each in judged] else _best_of(judged)
             kept = {"list_sha256": suite.sha256} if suite else {}
             clients = {each.client: dict(each.figures) for each in judged}
             # Written last: a run without it compares again, one with it goes on with the second phase.
@@ -161,7 +161,7 @@ def _tested(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
     networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
     for client in run.clients:
         network = client.config.learn.network
-        networks[policy_of(run.out, client.name)] = network if is_own(network) else ""
+        networks[_policy_of(run.out, client.name)] = network if is_own(network) else ""
     for line in told_of_rules(networks, order.preset, suite.file.settings):
         told.print(line, markup=False)
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
@@ -169,30 +169,30 @@ def _tested(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Ju
         policies = [policy for policy, its in networks.items() if its == network]
         found |= run_suite(replace(order, network=network), policies, say)
     records = {policy: found[policy] for policy in networks}
-    return judged_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
+    return _judged_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
 
 
-def policy_of(run: Path, client: str) -> str:
+def _policy_of(run: Path, client: str) -> str:
     """What a client's policy of the first phase is called."""
     return f"{run / client}:phase1"
 
 
-def judged_of(result: Mapping[str, Any], run: Path, clients: Sequence[str]) -> list[Judged]:
+def _judged_of(result: Mapping[str, Any], run: Path, clients: Sequence[str]) -> list[Judged]:
     """What a result says of the clients, in their order."""
     rows = {row["policy"]: row for row in result["pooled"]}
     found = []
     for client in clients:
-        row = rows[policy_of(run, client)]
+        row = rows[_policy_of(run, client)]
         figures = {"score": row["score"] or 0.0, "crashes_own": row["crashes_own"]}
         found.append(Judged(client=client, figures=figures, rank=(-figures["score"], figures["crashes_own"])))
     return found
 
 
-def best_of(judged: Sequence[Judged]) -> str:
+def _best_of(judged: Sequence[Judged]) -> str:
     """Who has the lowest rank: the lowest KPI 1, or the highest score and then the fewest own crashes; else the first.
 
     >>> tie = [Judged(client=name, figures={}, rank=(-0.5, own)) for name, own in (("a", 2), ("b", 1), ("c", 1))]
-    >>> best_of(tie)
+    >>> _best_of(tie)
     'b'
     """
     return min(judged, key=lambda each: each.rank).client

@@ -44,10 +44,10 @@ def given(words: Sequence[str]) -> frozenset[str]:
     return frozenset(w[2:].partition("=")[0].replace("-", "_") for w in words if w.startswith("--"))
 
 
-def value_of(command: Sequence[str], option: str) -> str | None:
+def _value_of(command: Sequence[str], option: str) -> str | None:
     """The last value of an option in a command that was typed once; None where it was left out.
 
-    >>> value_of(["wcsim", "train", "--town", "a", "--town=b"], "town")
+    >>> _value_of(["wcsim", "train", "--town", "a", "--town=b"], "town")
     'b'
     """
     found = None
@@ -70,7 +70,7 @@ def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
         PolicyError: Others were typed, or one has other streets by now.
         TownError: One is not found under the name that it had.
     """
-    said = typed.town or value_of(manifest.command, "town") or manifest.town
+    said = typed.town or _value_of(manifest.command, "town") or manifest.town
     try:
         towns = [asked_town(word) for word in some_words("--town", said)]
         kept = [asked_town(word) for word in manifest.more_towns]
@@ -101,7 +101,7 @@ def require_same(path: Path, manifest: Manifest, typed: Typed, meant: str = DQN)
         raise _another(path, "rewards", f"--reward {' '.join(typed.reward)}", ", ".join(manifest.rewards) or "none")
     if typed.hook is not None and typed.hook != manifest.hook:
         raise _another(path, "hook", f"--hook {typed.hook}", manifest.hook or "none")
-    preset = value_of(manifest.command, "preset") or meant
+    preset = _value_of(manifest.command, "preset") or meant
     if typed.preset is not None and typed.preset != preset:
         raise _another(path, "preset", f"--preset {typed.preset}", preset)
 

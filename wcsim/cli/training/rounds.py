@@ -40,7 +40,7 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
             bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})
             learns = now.learned > 0 or now.segments == now.of
             at = f"update {now.learned}" if learns else f"segment {now.segments} of {now.of}"
-            bar.show(share_done(now, run.config), f"round {now.round + 1} of {now.rounds}, {at}", _DOES[learns])
+            bar.show(_share_done(now, run.config), f"round {now.round + 1} of {now.rounds}, {at}", _DOES[learns])
             if not bar.console.is_terminal:
                 _log(bar, now)
 
@@ -59,7 +59,7 @@ def _trained(run: ResolvedRun, town: Town, machines: Machines, show: Show, say: 
         raise NothingKept("stopped before the first segment was driven; nothing is saved") from None
 
 
-def share_done(now: RoundProgress, config: RunConfig) -> float:
+def _share_done(now: RoundProgress, config: RunConfig) -> float:
     """Which share of a run's work is done, 0 to 1.
 
     A step that is driven and one in a batch that is learned from cost about the same on two cores. From the second

@@ -90,7 +90,7 @@ class Moment:
         return math.atan2(R_WB[1, 0], R_WB[0, 0])
 
 
-def ground_points(route: Route, done_m: float, grid: Ground) -> F64:
+def _ground_points(route: Route, done_m: float, grid: Ground) -> F64:
     """Points (n, 3) of the way on the ground ahead; the last is the destination, however far.
 
     Args:
@@ -113,7 +113,7 @@ def _mark_way(image: U8, depth_m: F32, camera: Pinhole, T_CW: F64, points_W_m: F
         depth_m: (H, W) of the same picture.
         camera: That took it.
         T_CW: (3, 4) world to camera frame.
-        points_W_m: (n, 3) see `ground_points`.
+        points_W_m: (n, 3) see `_ground_points`.
     """
     for point in points_W_m[:-1][::-1]:
         seen = _seen(point, camera, T_CW, depth_m)
@@ -145,7 +145,7 @@ def _mark_chair(chart: U8, yaw_rad: float) -> U8:
     return chart
 
 
-def mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
+def _mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
     """Draw the destination into a map (S, S, 3), north up with the chair in the middle; one beyond it at the edge.
 
     Args:
@@ -308,7 +308,7 @@ class StreetPictures:
         images = self._look(camera, T_CW, rows, shown)
         if moment.route is None:
             return _colours(images)
-        points = ground_points(moment.route, moment.done_m, self._grid)
+        points = _ground_points(moment.route, moment.done_m, self._grid)
         return _mark_way(_colours(images), images.depth_m, camera, T_CW, points)
 
     def _own(self, moment: Moment, kind: CameraKind, front: CameraConfig) -> U8:
@@ -335,7 +335,7 @@ class StreetPictures:
         _mark_chair(picture, moment.yaw_rad)
         if moment.route is None:
             return picture
-        return mark_goal(picture, moment.route.points_W_m[-1] - moment.chair.p_WB_m[:2], _MAP_SPAN_M)
+        return _mark_goal(picture, moment.route.points_W_m[-1] - moment.chair.p_WB_m[:2], _MAP_SPAN_M)
 
     def _rows(self, moment: Moment) -> tuple[Instances, Bool]:
         """What moves, and which of it a camera sees that sits on no chair."""

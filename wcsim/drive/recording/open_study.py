@@ -48,7 +48,7 @@ class OpenStudy:
         return order_words(self.file, self.participant)
 
 
-def shipped_studies() -> tuple[str, ...]:
+def _shipped_studies() -> tuple[str, ...]:
     """The studies that come with wcsim."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
@@ -72,9 +72,9 @@ def open_study(
     """
     if not 1 <= participant <= _MOST_PARTICIPANTS:
         raise ConfigError(f"--participant {participant}: expected 1 to {_MOST_PARTICIPANTS}")
-    path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in shipped_studies() else expanded(name_or_path)
+    path = _SHIPPED / f"{name_or_path}.toml" if name_or_path in _shipped_studies() else expanded(name_or_path)
     if not is_file(path):
-        known = ", ".join(shipped_studies())
+        known = ", ".join(_shipped_studies())
         raise ConfigError(f"--study {escaped(name_or_path)}: there is no such study; expected {known}, or a TOML file")
     text = read_text(path, CONFIG_FILE)
     file = parse(StudyFile, parse_toml(text, escaped(path), CONFIG_FILE), escaped(path))

@@ -65,14 +65,14 @@ class StudyStep:
     part: StudyPart | None = None  # of the whole study where it is None
 
 
-def latin_square(count: int) -> tuple[tuple[int, ...], ...]:
+def _latin_square(count: int) -> tuple[tuple[int, ...], ...]:
     """Orders of so many things in which each is as often at each place, and as often right after each other one.
 
     Williams' design: `count` orders for an even number, twice as many for an odd one.
 
-    >>> latin_square(4)
+    >>> _latin_square(4)
     ((0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1))
-    >>> latin_square(3)
+    >>> _latin_square(3)
     ((0, 1, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0), (0, 2, 1), (1, 0, 2))
     """
     first = [0]
@@ -82,9 +82,9 @@ def latin_square(count: int) -> tuple[tuple[int, ...], ...]:
     return tuple(rows if count % 2 == 0 else rows + [row[::-1] for row in rows])
 
 
-def study_parts(study: StudyFile, participant: int) -> tuple[StudyPart, ...]:
+def _study_parts(study: StudyFile, participant: int) -> tuple[StudyPart, ...]:
     """The blocks in this participant's order, the practice first; `participant` is 1 or more."""
-    orders = latin_square(len(study.blocks)) if study.balanced else (tuple(range(len(study.blocks))),)
+    orders = _latin_square(len(study.blocks)) if study.balanced else (tuple(range(len(study.blocks))),)
     order = orders[(participant - 1) % len(orders)]
     found = [
         StudyPart(number=at + 1, block=study.blocks[index], place=study.places[at % len(study.places)])
@@ -105,7 +105,7 @@ def order_words(study: StudyFile, participant: int) -> str:
     >>> order_words(study, 1), order_words(study, 4), order_words(study, 7)
     ('a>b>c', 'c>b>a', 'a>b>c')
     """
-    return ">".join(part.block.name for part in study_parts(study, participant) if part.number)
+    return ">".join(part.block.name for part in _study_parts(study, participant) if part.number)
 
 
 def step_questions(study: StudyFile, step: StudyStep) -> tuple[StudyQuestion, ...]:
@@ -126,7 +126,7 @@ def remaining_steps(
         driven: Those that were driven, and not asked about yet.
     """
     steps: list[StudyStep] = []
-    left = [part for part in study_parts(study, participant) if part.block.name not in done]
+    left = [part for part in _study_parts(study, participant) if part.block.name not in done]
     asks = any(question.after == "block" for question in study.questions)
     for part in left:
         if steps and part.number > 1 and study.pause_s > 0.0:

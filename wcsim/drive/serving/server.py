@@ -51,7 +51,7 @@ _SOON_S, _END_S = 0.5, 10.0  # for a process that hears, and for one that does n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PageKind:
+class _PageKind:
     """A page, and who is behind it."""
 
     word: str  # for it in messages
@@ -62,7 +62,7 @@ class PageKind:
     ended: str  # what a page says when that process has ended
 
 
-DRIVE: Final = PageKind(
+DRIVE: Final = _PageKind(
     word="drive",
     page="index.html",
     of_page=m.of_page,
@@ -70,7 +70,7 @@ DRIVE: Final = PageKind(
     begins="starting the simulator, then the street; the page shows the progress",
     ended="The drive has ended. Start wcsim drive again.",
 )
-PLAY: Final = PageKind(
+PLAY: Final = _PageKind(
     word="film",
     page="play.html",
     of_page=of_play_page,
@@ -131,7 +131,7 @@ class ServeOrder:
     """Where the page is served, and what is behind it."""
 
     start: DriveOrder | PlayStart  # as its kind takes it
-    kind: PageKind = DRIVE
+    kind: _PageKind = DRIVE
     host: str = "127.0.0.1"
     port: int = 8080  # 0 for a free one
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended

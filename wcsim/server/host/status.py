@@ -82,7 +82,7 @@ class Stragglers:
         return tuple(tuple(round(row.get(whom, 0.0), 2) for whom in members) for row in self._pairs.values())
 
 
-def names_of(members: Sequence[Member]) -> list[str]:
+def _names_of(members: Sequence[Member]) -> list[str]:
     """The names of members; who bears the name of one on a lower seat is told with its own."""
     first = {mate.name: mate.seat for mate in sorted(members, key=lambda mate: -mate.seat)}
     return [mate.name if first[mate.name] == mate.seat else f"{mate.name} (seat {mate.seat})" for mate in members]
@@ -90,7 +90,7 @@ def names_of(members: Sequence[Member]) -> list[str]:
 
 def _names_and_late(cycle: Barrier, members: Sequence[Member]) -> tuple[list[str], list[str]]:
     """The names of members, and of those of them that the others wait for."""
-    names = names_of(members)
+    names = _names_of(members)
     waits = cycle.stage is BarrierState.COLLECT
     return names, [name for name, mate in zip(names, members, strict=True) if waits and not mate.ready]
 

@@ -45,7 +45,7 @@ Post = Callable[[Peer, m.Reply], None]
 Keep = Callable[[JournalRecord], None]
 
 
-class SlottedSink(ImageSink, Protocol):
+class _SlottedSink(ImageSink, Protocol):
     """Where pictures go: two slots a seat in turn, so that the frame before stands while the next is drawn."""
 
     def turn(self, tick: int) -> None:
@@ -64,7 +64,7 @@ class WorldHost:
         world: SeatWorld,
         post: Post,
         keep: Keep = lambda record: None,
-        sink: SlottedSink | None = None,
+        sink: _SlottedSink | None = None,
         loading: Callable[[], object] = lambda: None,
     ) -> None:
         """Host a world.

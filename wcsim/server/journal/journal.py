@@ -50,7 +50,7 @@ _KIND = FileKind(what="a journal", limit_bytes=1 << 62, error=JournalError)  # r
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Journal:
+class _Journal:
     """A whole journal; `torn` when something that is no whole record follows the last one."""
 
     header: JournalHeader
@@ -210,15 +210,15 @@ def iter_journal(path: Path, ticks: bool = True) -> Iterator[JournalRecord]:
     return chain(_Scan(first).records(ticks), *(iter_part(part, ticks) for part in others))
 
 
-def read_journal(path: Path) -> Journal:
+def _read_journal(path: Path) -> _Journal:
     """A whole journal in memory. Raises JournalError when it is none, or is damaged before its end."""
     scans = [_Scan(part) for part in _parts(path)]
     records = tuple(record for scan in scans for record in scan.records())
-    return Journal(header=scans[0].header, records=records, torn=scans[-1].torn_bytes > 0)
+    return _Journal(header=scans[0].header, records=records, torn=scans[-1].torn_bytes > 0)
 
 
 def journal_digest(path: Path) -> str:
-    """The same as `JournalWriter.digest`, up to the last whole record. Raises JournalError as `read_journal`."""
+    """The same as `JournalWriter.digest`, up to the last whole record. Raises JournalError as `_read_journal`."""
     digest = _Digest(_Scan(_parts(path)[0]).header)
     for record in iter_journal(path):
         digest.add(record)

@@ -38,7 +38,7 @@ class LedgerEntry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LedgerFacts:
+class _LedgerFacts:
     """What a ledger shows by itself."""
 
     first_tick: int  # of the first frame, -1 when the client never had one
@@ -105,7 +105,7 @@ class LedgerWriter(Closing):
             self._file.seek(scan.end)
 
 
-def read_ledger(path: Path) -> tuple[LedgerEntry, ...]:
+def _read_ledger(path: Path) -> tuple[LedgerEntry, ...]:
     """All whole entries of a ledger; its client may be writing it.
 
     Raises:
@@ -167,7 +167,7 @@ def _packed(entry: LedgerEntry, seal: int | None) -> tuple[bytes, int | None]:
     return _ENTRY.pack(entry.session, entry.epoch, entry.tick, seal << 1 | entry.stepped), seal
 
 
-def ledger_facts(entries: Iterable[LedgerEntry]) -> LedgerFacts:
+def ledger_facts(entries: Iterable[LedgerEntry]) -> _LedgerFacts:
     """Count what a ledger shows by itself; a session that was taken over goes on with the same life."""
     missing = doubled = ticks = lives = 0
     first: LedgerEntry | None = None
@@ -183,7 +183,7 @@ def ledger_facts(entries: Iterable[LedgerEntry]) -> LedgerFacts:
             doubled += now.tick in seen
             seen.add(now.tick)
         ticks, lives, before = ticks + now.stepped, lives + (not now.stepped), now
-    return LedgerFacts(
+    return _LedgerFacts(
         first_tick=-1 if first is None else first.tick,
         last_tick=-1 if before is None else before.tick,
         ticks=ticks,

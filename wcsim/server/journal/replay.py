@@ -45,7 +45,7 @@ Iterations = Generator[T, None, None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recomputed:
+class _Recomputed:
     """What a journal says, and the world's state after the same was done again."""
 
     record: JournalRecord
@@ -58,7 +58,7 @@ class Recomputed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verified:
+class _Verified:
     """How a comparison of all ticks ended."""
 
     ticks: int = 0  # compared
@@ -68,7 +68,7 @@ class Verified:
 
 def recompute(
     journal: Path, epoch: int | None = None, until_tick: int | None = None, hook: str = ""
-) -> Iterations[Recomputed]:
+) -> Iterations[_Recomputed]:
     """Do again what was done to a world: in one epoch, or in all of them, each in a new world.
 
     Args:
@@ -83,7 +83,7 @@ def recompute(
     """
     with closing(replayed(journal, epoch, until_tick, hook)) as steps:
         for world, record in steps:
-            yield Recomputed(record=record, state_hash=world.snapshot.state_hash)
+            yield _Recomputed(record=record, state_hash=world.snapshot.state_hash)
 
 
 def verify(
@@ -93,9 +93,9 @@ def verify(
     last_tick: int | None,
     progress: Progress = lambda ticks: None,
     hook: str = "",
-) -> Verified:
+) -> _Verified:
     """Compare the ticks from `first_tick` to `last_tick` of one or all epochs; raises what `recompute` raises."""
-    result = Verified()
+    result = _Verified()
     with closing(recompute(journal, epoch, last_tick, hook)) as steps:
         for step in steps:
             record = step.record

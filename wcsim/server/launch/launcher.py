@@ -30,7 +30,7 @@ IDLE_S = 2.0  # ... as in a world that does not tick
 Show = Callable[[LaunchState], None]
 
 
-class LaunchStep(Enum):
+class _LaunchStep(Enum):
     """How far a launch has come."""
 
     RUN = "run"
@@ -77,7 +77,7 @@ class Launcher:
         self._world = SupervisedWorld(
             world, workplace / "world.json", world_log, self._rules, self._selector, spawner, log
         )
-        self._step = LaunchStep.RUN
+        self._step = _LaunchStep.RUN
         self._since_s = 0.0  # of this step
         self._waits_end = self._asked_world = False
         self._given, self._heard = signals, StopSignals() if signals is None else signals
@@ -95,7 +95,7 @@ class Launcher:
                 self._world.start(clock.now_s)
                 for client in self._clients:
                     client.start(clock.now_s)
-                while self._step is not LaunchStep.OVER:
+                while self._step is not _LaunchStep.OVER:
                     self._selector.select(LOOK_S)
                     self._look(clock.look(time.monotonic()))
                     self._show_state(clock.now_s)
@@ -131,11 +131,11 @@ class Launcher:
             client.look(now_s)
         if self._signals > 1:
             self._kill_all()
-        if self._step is LaunchStep.RUN:
+        if self._step is _LaunchStep.RUN:
             self._run_on(now_s)
-        if self._step is LaunchStep.CLIENTS_END:
+        if self._step is _LaunchStep.CLIENTS_END:
             self._await_clients(now_s)
-        if self._step is LaunchStep.WORLD_ENDS:
+        if self._step is _LaunchStep.WORLD_ENDS:
             self._await_world(now_s)
 
     def _run_on(self, now_s: float) -> None:
@@ -150,7 +150,7 @@ class Launcher:
             self._end_clients(now_s, 0, "stopped")
         elif not self._serves and all(client.settled for client in self._clients):
             self._code, self._message = self._verdict()
-            self._go(LaunchStep.WORLD_ENDS, now_s)
+            self._go(_LaunchStep.WORLD_ENDS, now_s)
 
     def _verdict(self) -> tuple[int, str]:
         lost = [client for client in self._clients if client.standing == "given up"]
@@ -162,11 +162,11 @@ class Launcher:
         self._log.add("stop", code=code, reason=message)
         for client in self._clients:
             client.ask_to_end()
-        self._go(LaunchStep.CLIENTS_END, now_s)
+        self._go(_LaunchStep.CLIENTS_END, now_s)
 
     def _await_clients(self, now_s: float) -> None:
         if all(client.settled for client in self._clients):
-            self._go(LaunchStep.WORLD_ENDS, now_s)
+            self._go(_LaunchStep.WORLD_ENDS, now_s)
             return
         waited_s = now_s - self._since_s
         if waited_s > self._rules.saving_s:
@@ -179,7 +179,7 @@ class Launcher:
 
     def _await_world(self, now_s: float) -> None:
         if not self._world.running:
-            self._go(LaunchStep.OVER, now_s)
+            self._go(_LaunchStep.OVER, now_s)
             return
         status, waited_s = self._world.status, now_s - self._since_s
         if not self._asked_world and (status is None or not status.members or waited_s > self._rules.leaving_s):
@@ -188,7 +188,7 @@ class Launcher:
         elif waited_s > self._rules.ending_s:
             self._world.kill()
 
-    def _go(self, step: LaunchStep, now_s: float) -> None:
+    def _go(self, step: _LaunchStep, now_s: float) -> None:
         self._step, self._since_s = step, now_s
 
     def _rescue(self) -> None:
@@ -209,7 +209,7 @@ class Launcher:
     # --- what it shows ---
 
     def _show_state(self, now_s: float) -> None:
-        if self._show is None or (now_s - self._shown_s < SHOW_S and self._step is not LaunchStep.OVER):
+        if self._show is None or (now_s - self._shown_s < SHOW_S and self._step is not _LaunchStep.OVER):
             return
         self._shown_s = now_s
         world = self._world
@@ -221,7 +221,7 @@ class Launcher:
                 world_restarts=world.restarts,
                 world=world.status,
                 clients=self._states(),
-                stopping=self._step is not LaunchStep.RUN,
+                stopping=self._step is not _LaunchStep.RUN,
             )
         )
 

@@ -29,7 +29,7 @@ _END_TIMEOUT_S = 5.0
 _LOOK_S = 0.2
 
 
-class WorldChild:
+class _WorldChild:
     """A world process that belongs to this one, ready for its clients."""
 
     def __init__(self, order: WorldOrder, expected: int = 1) -> None:
@@ -100,7 +100,7 @@ class WorldChild:
 class ChildSeat(SocketSeat):
     """A seat of a world process that belongs to this one; notices when that has ended."""
 
-    def __init__(self, child: WorldChild, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "sole") -> None:
+    def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "sole") -> None:
         self._child = child
         super().__init__(
             SeatRequest(
@@ -130,7 +130,7 @@ class ProcessLink(ChildSeat):
 
     def __init__(self, order: WorldOrder) -> None:
         """Start the world; raises what opening it in this process would raise."""
-        child = WorldChild(order)
+        child = _WorldChild(order)
         try:
             super().__init__(child, order.seat)
         except BaseException:
@@ -165,7 +165,7 @@ class ProcessGroup(SeatGroup):
 
     def _connect(self, seed: int) -> None:
         order = self._order
-        self._child = WorldChild(replace(order, seed=seed), expected=order.seats)
+        self._child = _WorldChild(replace(order, seed=seed), expected=order.seats)
         self.links = [ChildSeat(self._child, order.seat, seat, f"chair-{seat}") for seat in range(order.seats)]
 
 

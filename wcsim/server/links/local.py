@@ -44,18 +44,18 @@ class LocalServer:
     def __init__(self, world: SeatWorld, capacity: int, expected: int = 1) -> None:
         """Host a world with free seats; the first tick waits until `expected` links have joined."""
         self.world = world
-        self._links: dict[Peer, LocalSeat] = {}
+        self._links: dict[Peer, _LocalSeat] = {}
         self._made = 0  # links, ever: no two share a name
         self._inbox: deque[tuple[Peer, m.Reply]] = deque()
         self._rules = local_rules(capacity, expected)
         self._hub = self._new_hub()
 
-    def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> LocalSeat:
+    def link(self, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "") -> _LocalSeat:
         """A link to a seat; it has to join."""
         peer = f"local-{self._made}".encode()
         ask = Ask(claim=peer, name=name or f"client-{self._made}", spec=spec, seat=seat)
         self._made += 1
-        self._links[peer] = LocalSeat(self, peer, ask)
+        self._links[peer] = _LocalSeat(self, peer, ask)
         return self._links[peer]
 
     def begin_again(self, seed: int) -> None:
@@ -106,7 +106,7 @@ class LocalServer:
         return WorldHost(core, self.world, lambda peer, message: inbox.append((peer, message)))
 
 
-class LocalSeat(WorldLink):
+class _LocalSeat(WorldLink):
     """One seat of a `LocalServer`."""
 
     def __init__(self, server: LocalServer, peer: Peer, ask: Ask) -> None:
@@ -131,7 +131,7 @@ class LocalSeat(WorldLink):
         self._server.forget(self._peer)
 
 
-class LocalLink(LocalSeat):
+class LocalLink(_LocalSeat):
     """The only seat of a world of its own in this process; raises WorldInUseError while another one lives here."""
 
     def __init__(self, order: WorldOrder) -> None:

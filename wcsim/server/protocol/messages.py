@@ -190,7 +190,7 @@ Request = Join | Act | Tick | Respawn | Rebuild | Beat | Leave
 Reply = Welcome | BarrierFull | Promote | Demoted | TickDone | Frame | Restarted | Waiting | Failure | Bye
 
 
-class PackedFrame(_Message, frozen=True, tag="Frame"):
+class _PackedFrame(_Message, frozen=True, tag="Frame"):
     """A `Frame` as it travels."""
 
     epoch: b.Count
@@ -227,18 +227,18 @@ def _plain(value: Any) -> Any:
 
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=_plain)
 _REQUESTS: msgspec.msgpack.Decoder[_OtherRequest | PackedJoin] = msgspec.msgpack.Decoder(_OtherRequest | PackedJoin)
-_REPLIES: msgspec.msgpack.Decoder[_OtherReply | PackedFrame] = msgspec.msgpack.Decoder(_OtherReply | PackedFrame)
+_REPLIES: msgspec.msgpack.Decoder[_OtherReply | _PackedFrame] = msgspec.msgpack.Decoder(_OtherReply | _PackedFrame)
 
 
-def travelling() -> tuple[type[msgspec.Struct], ...]:
+def _travelling() -> tuple[type[msgspec.Struct], ...]:
     """Every kind of message as it travels."""
-    return (*_OtherRequest.__args__, PackedJoin, *_OtherReply.__args__, PackedFrame)
+    return (*_OtherRequest.__args__, PackedJoin, *_OtherReply.__args__, _PackedFrame)
 
 
 @cache
 def schema_hash() -> str:
     """A short hash of all fields of all messages: two programs with the same one understand each other."""
-    _, parts = msgspec.json.schema_components(travelling())
+    _, parts = msgspec.json.schema_components(_travelling())
     text = msgspec.json.encode(parts, order="deterministic")
     return hashlib.blake2b(text, digest_size=8).hexdigest()
 
@@ -248,7 +248,7 @@ def encode(message: Request | Reply) -> bytes:
     if isinstance(message, Frame):
         client = message.client
         inside = None if client is None else packed(client, pictures=message.slot < 0)
-        return _ENCODER.encode(PackedFrame(message.epoch, message.tick, message.life, inside, message.slot))
+        return _ENCODER.encode(_PackedFrame(message.epoch, message.tick, message.life, inside, message.slot))
     if isinstance(message, Join):
         return _ENCODER.encode(PackedJoin(**{**_fields(message), "spec": packed_spec(message.spec)}))
     return _ENCODER.encode(message)
@@ -271,8 +271,8 @@ def decode_reply(data: bytes, shared: Pictures | None = None) -> Reply:
 
     Raises OverloadedError when there are too many bytes, ProtocolError for anything else that is no reply.
     """
-    reply: _OtherReply | PackedFrame = _decode(data, _REPLIES, MAX_REPLY_BYTES)
-    if isinstance(reply, PackedFrame):
+    reply: _OtherReply | _PackedFrame = _decode(data, _REPLIES, MAX_REPLY_BYTES)
+    if isinstance(reply, _PackedFrame):
         client = None if reply.client is None else unpacked(reply.client, reply.slot, shared)
         return Frame(reply.epoch, reply.tick, reply.life, client, reply.slot)
     return reply

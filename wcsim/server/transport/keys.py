@@ -33,7 +33,7 @@ _ADDRESS = re.compile(r"tcp://(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]]+):(?P<port>\
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KeyPair:
+class _KeyPair:
     """One party's keys, in ZeroMQ's text form."""
 
     public: bytes
@@ -62,12 +62,12 @@ def make_keys(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
     return new
 
 
-def server_keys(folder: Path) -> KeyPair:
+def server_keys(folder: Path) -> _KeyPair:
     """The server's own keys. Raises ConfigError when they are not there, or others can read them."""
     return _pair(folder / "server.secret")
 
 
-def client_keys(folder: Path, name: str) -> KeyPair:
+def client_keys(folder: Path, name: str) -> _KeyPair:
     """The keys of a client of this name, or of the only one in the folder. Raises ConfigError."""
     own = folder / _CLIENTS / f"{name}.secret"
     if _NAME.fullmatch(name) and own.exists():
@@ -180,14 +180,14 @@ def _make_pair(folder: Path, name: str) -> None:
         shutil.move(public, folder / f"{name}.public")
 
 
-def _pair(path: Path) -> KeyPair:
+def _pair(path: Path) -> _KeyPair:
     public, secret = _load(path)
     if secret is None:
         raise ConfigError(f"{path}: contains no secret key; expected a file made by --make-keys")
     status = path.stat()
     if status.st_mode & 0o077 or status.st_uid not in (0, os.getuid()):
         raise ConfigError(f"{path}: other users can read this secret; run: chmod 600 {path}")
-    return KeyPair(public=public, secret=secret)
+    return _KeyPair(public=public, secret=secret)
 
 
 def _load(path: Path) -> tuple[bytes, bytes | None]:

@@ -169,7 +169,7 @@ class _SwitchLaw:
     wrong_share: float  # of the samples that are not made again
 
 
-def by_switches(series: Sequence[HandSeries]) -> bool:
+def _by_switches(series: Sequence[HandSeries]) -> bool:
     """Whether every sample is a position that four switches stand for."""
     return bool(at_switches(np.concatenate([item.stick for item in series])).all())
 
@@ -296,7 +296,7 @@ def fit_user(drives: Sequence[DriveRecording], base: UserProfile, wanted: bool =
             f"no episode of {SHORTEST_S:g} s or more was recorded; expected minutes of driving: drive longer"
         )
     seconds = sum(len(item.intents) * item.tick_s for item in series)
-    switched = by_switches(series)
+    switched = _by_switches(series)
     found = _of_switches(series, base) if switched else _of_hand(fit_law(series))
     found |= _look_shares(series) if wanted and not switched else {}
     found |= {"speed_share": _usual_speed(drives, series, found, wanted)}

@@ -30,7 +30,7 @@ _FORWARD = 0.5  # the tremor forward, as a share of that to the side
 
 
 @exact_kernel
-def wish_on_its_way(intents: F64, steps: int, dt_s: float, delay_s: float, lag_s: float, filter_s: float) -> F64:
+def _wish_on_its_way(intents: F64, steps: int, dt_s: float, delay_s: float, lag_s: float, filter_s: float) -> F64:
     """The hand (N * steps, 2) without noise: intents (N, 2), one a tick, after delay, lag and the joystick's low-pass.
 
     A wish counts in part around the step in which it arrives, so that the result changes smoothly with the delay.
@@ -55,7 +55,7 @@ def wish_on_its_way(intents: F64, steps: int, dt_s: float, delay_s: float, lag_s
 
 
 @exact_kernel
-def surprises(hand: F64, wish: F64, free: Bool, noise: F64, line: F64, counted: Bool, clear: Bool) -> F64:
+def _surprises(hand: F64, wish: F64, free: Bool, noise: F64, line: F64, counted: Bool, clear: Bool) -> F64:
     """How unlikely each sample (n,) of a hand is after those before it: minus the logarithm of its density.
 
     The noise is an Ornstein-Uhlenbeck process on each axis, and a tremor whose phase wanders; both are followed by a
@@ -63,7 +63,7 @@ def surprises(hand: F64, wish: F64, free: Bool, noise: F64, line: F64, counted: 
 
     Args:
         hand: (n, 2) the samples.
-        wish: (n, 2) what `wish_on_its_way` makes of the intents.
+        wish: (n, 2) what `_wish_on_its_way` makes of the intents.
         free: (n,) which samples the gate did not stop.
         noise: (6,) seconds between samples, standard deviation and rate of the wander, amplitude and turn of the tremor
             from sample to sample, and how much of its phase is left.
@@ -157,7 +157,7 @@ def least(summands: Summands, start: F64, steps: F64) -> F64:
     return here
 
 
-def certainty(summands: Summands, here: F64, steps: F64, together: np.typing.NDArray[np.intp]) -> F64:
+def _certainty(summands: Summands, here: F64, steps: F64, together: np.typing.NDArray[np.intp]) -> F64:
     """The covariance (p, p) of the least place, by White's sandwich.
 
     Args:
@@ -246,7 +246,7 @@ def fit_law(series: Sequence[HandSeries]) -> HandLaw:
     for _ in range(2):  # which samples stay clear of the gate is told by the law itself
         blocks = _Likelihood(series, here)
         here = least(blocks, here, np.array(_STEPS[: len(here)]))
-    spread = certainty(blocks, here, np.array(_STEPS[: len(here)]), blocks.together)
+    spread = _certainty(blocks, here, np.array(_STEPS[: len(here)]), blocks.together)
     values = _values(here, series[0].filter_s)
     sd = dict(zip(NAMES, np.sqrt(np.maximum(np.diag(spread), 0.0)).tolist(), strict=False))
     sd["reaction_s"] = math.hypot(sd["reaction_s"], series[0].tick_s / series[0].steps / math.sqrt(12.0))
@@ -303,7 +303,7 @@ class _Likelihood:
             clear = np.zeros(len(item.at), np.bool_)
             line = np.array([law[name] for name in ("gain_x", "gain_y", "bias_x", "bias_y")])
             noise = _noise(law, item.apart_s)
-            part = surprises(item.hand, wish, item.free, noise, line, counted, clear)
+            part = _surprises(item.hand, wish, item.free, noise, line, counted, clear)
             found.append(part + beyond / len(part))
             self._clear.append(clear)
         return found
@@ -320,11 +320,11 @@ class _Likelihood:
 def _wished(item: HandSeries, delay_s: float, lag_s: float) -> F64:
     """What the hand would do at the samples (n, 2) without noise, gain and bias."""
     dt_s = item.tick_s / item.steps
-    return wish_on_its_way(item.intents, item.steps, dt_s, delay_s, lag_s, item.filter_s)[item.at]
+    return _wish_on_its_way(item.intents, item.steps, dt_s, delay_s, lag_s, item.filter_s)[item.at]
 
 
 def _noise(law: dict[str, float], apart_s: float) -> F64:
-    """What `surprises` takes of the noise."""
+    """What `_surprises` takes of the noise."""
     hz = law.get("tremor_hz", 4.0)
     fades_per_s = 0.5 * (math.tau * hz * TREMOR_WANDER) ** 2 * TREMOR_WANDER_S  # half of what its phase diffuses
     turn_rad = math.tau * hz * apart_s

@@ -107,7 +107,7 @@ def tick_payload(tick: RecordedTick) -> bytes:
     )
     row = _ROW.pack(tick.tick, tick.episode, tick.action, flags, len(tick.sticks), *numbers)
     data = _TICK + row + tick.sticks.astype("<f4").tobytes()
-    tick_of(data)
+    _tick_of(data)
     return data
 
 
@@ -121,7 +121,7 @@ def part_of_drive(payload: bytes, where: str) -> RecordedTick | RecordedEvent:
     """A tick or an event from its record. Raises JournalError, which begins with `where`."""
     try:
         if payload[:1] == _TICK:
-            return tick_of(payload)
+            return _tick_of(payload)
         if payload[:1] == _EVENT:
             return _event_of(parse_json(payload[1:].decode(), where, DRIVE_FILE))
     except (KeyError, TypeError, ValueError, struct.error):
@@ -129,7 +129,7 @@ def part_of_drive(payload: bytes, where: str) -> RecordedTick | RecordedEvent:
     raise JournalError(f"{where}: contains an unknown record; expected {DRIVE_FILE.what}")
 
 
-def tick_of(payload: bytes) -> RecordedTick:
+def _tick_of(payload: bytes) -> RecordedTick:
     """A tick from its record. Raises ValueError or struct.error when it cannot be one."""
     number, episode, action, flags, samples, *numbers = _ROW.unpack_from(payload, 1)
     rest = payload[1 + _ROW.size :]

@@ -105,7 +105,7 @@ def _cell(value: object) -> Cell:
     return value if isinstance(value, int | float | str) else None
 
 
-def waiting_rows(times: PaidTimes) -> tuple[tuple[str, ...], list[list[Cell]]]:
+def _waiting_rows(times: PaidTimes) -> tuple[tuple[str, ...], list[list[Cell]]]:
     """The headings, and a row for each client: what it paid, and for whom it waited."""
     names = list(times.clients)
     rows: list[list[Cell]] = []
@@ -119,7 +119,7 @@ def waiting_rows(times: PaidTimes) -> tuple[tuple[str, ...], list[list[Cell]]]:
 
 
 def _waiting(run: Path, number: int, times: PaidTimes) -> tuple[Section, Exhibit]:
-    headings, rows = waiting_rows(times)
+    headings, rows = _waiting_rows(times)
     exhibit = Exhibit(
         name="waiting" if number == 0 else f"waiting-{number + 1}",
         title=f"{run.resolve().name}: waiting between clients",

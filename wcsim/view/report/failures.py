@@ -91,7 +91,7 @@ def failures_of(result: KeptResult, folder: Path) -> tuple[FailedEpisode, ...]:
                     reason=reason,
                     whose=whose,
                     severity=severity,
-                    speed_mps=last_speed_mps(episode),
+                    speed_mps=_last_speed_mps(episode),
                     unaided="not driven" if twin is None else fate(twin),
                     command=_command_of(result, folder, policy, record),
                 )
@@ -125,7 +125,7 @@ def fate(record: EpisodeRecord) -> str:
     return f"{said}, {counted(record.red_entries, 'red light')}" if record.red_entries else said
 
 
-def last_speed_mps(episode: KeptEpisode) -> float | None:
+def _last_speed_mps(episode: KeptEpisode) -> float | None:
     """Mean speed in about the last second; None where no path was recorded.
 
     A path has the place after each whole second, and the last one (`EpisodeMeter`): at 12.3 s 13 places.

@@ -67,7 +67,7 @@ _NAME: Final = re.compile(r"[\w-]+")
 _LEVEL: Final = re.compile(r"(.+)@([0-9]+(?:\.[0-9]+)?)")
 
 
-def ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> TownPicture | None:
+def _ground_around(town: str, points_m: Sequence[tuple[float, float]]) -> TownPicture | None:
     """The ground of a town around some points; None where there is no such town, or no point."""
     if not points_m:
         return None
@@ -107,7 +107,7 @@ def figures_of(result: KeptResult, folder: Path) -> list[Exhibit]:
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
         _scores(result, places),
-        obedience_figure(result, places),
+        _obedience_figure(result, places),
         *_towns(result, places, folder / TOWNS),
         *_comfort(result, places),
         _statuses(result),
@@ -146,7 +146,7 @@ def _scores(result: KeptResult, places: dict[str, int]) -> Exhibit:
     )
 
 
-def obedience_figure(result: KeptResult, places: dict[str, int]) -> Exhibit:
+def _obedience_figure(result: KeptResult, places: dict[str, int]) -> Exhibit:
     """Obedience over own crashes a kilometre, of those who obey half of the time at least."""
     points, plain = {}, []
     for row in result.pooled:
@@ -172,14 +172,14 @@ def obedience_figure(result: KeptResult, places: dict[str, int]) -> Exhibit:
         "Obedience against crashes",
         says,
         csv_of(columns, plain),
-        obedience_chart(shown, levels_of(shown), places),
+        obedience_chart(shown, _levels_of(shown), places),
     )
 
 
-def levels_of(names: Sequence[str] | dict[str, Any]) -> list[list[str]]:
+def _levels_of(names: Sequence[str] | dict[str, Any]) -> list[list[str]]:
     """Policies NAME@LEVEL of one NAME, sorted by level; a NAME with one level alone is left out.
 
-    >>> levels_of(["a@0.5", "b", "a@0.25"])
+    >>> _levels_of(["a@0.5", "b", "a@0.25"])
     [['a@0.25', 'a@0.5']]
     """
     found: dict[str, list[tuple[float, str]]] = {}
@@ -225,7 +225,7 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     ]
     points = [point for way in ways for point in (*way.points_m, *((way.crash_m,) if way.crash_m else ()))]
     own = made / town
-    ground = ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
+    ground = _ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
     plain = [row for name, e in here for row in _way_rows(name, e)]
     missing = "" if any(way.points_m for way in ways) else " Paths were not recorded; only crashes are shown."
     missing += "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."

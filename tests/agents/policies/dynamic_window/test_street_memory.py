@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.agents.policies.dynamic_window.braking import backs_blindly
+from wcsim.agents.policies.dynamic_window.braking import _backs_blindly
 from wcsim.agents.policies.dynamic_window.street_memory import (
     FORGET_M,
     KEEP_BRIEFLY_S,
@@ -14,7 +14,7 @@ from wcsim.agents.policies.dynamic_window.street_memory import (
     is_ground,
     is_known,
 )
-from wcsim.agents.policies.dynamic_window.surroundings import carry_on
+from wcsim.agents.policies.dynamic_window.surroundings import _carry_on
 from wcsim.agents.policies.elevation_map import CELL_M, COLUMNS, REACH_M, ROWS
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import limits_of
@@ -115,7 +115,7 @@ def test_ground_is_what_was_seen_or_stood_on(memory):
 def blind(memory, *sticks, pose=HERE, speed_mps=0.0):
     found = np.empty(len(sticks), bool)
     start = np.array([0.0, 0.0, 0.0, speed_mps, 0.0, 0.0])
-    backs_blindly(start, 0.5, np.array(sticks), LIMITS, BOX, memory.cells, pose, found)
+    _backs_blindly(start, 0.5, np.array(sticks), LIMITS, BOX, memory.cells, pose, found)
     return found.tolist()
 
 
@@ -142,7 +142,7 @@ def test_backing_up_does_not_make_known_what_is_behind(memory):
 
 def carried(memory, points):
     added = np.empty((96, 2))
-    return added[: carry_on(points, memory.cells, HERE, added)].copy()
+    return added[: _carry_on(points, memory.cells, HERE, added)].copy()
 
 
 def line(begin, end, count=30):

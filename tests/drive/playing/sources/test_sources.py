@@ -33,7 +33,7 @@ from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError, TownError
-from wcsim.server.journal.journal import Ticked, read_journal
+from wcsim.server.journal.journal import Ticked, _read_journal
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
@@ -75,7 +75,7 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> None:
     shown = Filmed(journal_film(run / "journal", None, ""))
-    ticked = [record for record in read_journal(run / "journal").records if isinstance(record, Ticked)]
+    ticked = [record for record in _read_journal(run / "journal").records if isinstance(record, Ticked)]
     frames = shown.frames()
     assert [(frame.epoch, frame.tick) for frame in frames] == [(record.epoch, record.tick) for record in ticked]
     for frame, record in zip(frames, ticked, strict=True):
@@ -97,7 +97,7 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
 
 @pytest.mark.proof
 def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path) -> None:
-    records = read_journal(run / "journal").records
+    records = _read_journal(run / "journal").records
     at = next(i for i, r in enumerate(records) if isinstance(r, Ticked) and (r.epoch, r.tick) == (1, 40))
     other = rewritten(run / "journal", tmp_path / "journal", {at: nudged(records[at])})
     shown = Filmed(journal_film(other, 1, ""))

@@ -78,7 +78,7 @@ def _kept_m(points: F64, margin_m: F64, box: F64) -> F64:
     """(n,) how near each point may come: `margin_m` (n,), or hardly nearer than it is now."""
     kept_m = np.empty(len(points))
     for i in range(len(points)):
-        now_m = box_gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
+        now_m = _box_gap(points[i, 0], points[i, 1], 1.0, 0.0, box)
         kept_m[i] = min(margin_m[i], now_m - CLOSER_M)
     return kept_m
 
@@ -96,7 +96,7 @@ def _arc(
             dx, dy = points[n, 0] + at_s * points[n, 2] - now[0], points[n, 1] + at_s * points[n, 3] - now[1]
             if max(abs(dx), abs(dy)) > box[1] + NEAR_M:
                 continue
-            gap = box_gap(dx, dy, cos, sin, box)
+            gap = _box_gap(dx, dy, cos, sin, box)
             if gap < NEAR_M:
                 least = min(least, gap)
                 if i > 0 and gap <= kept_m[n]:
@@ -135,12 +135,12 @@ def gaps(state: F64, at_s: float, box: F64, points: F64) -> F64:
     gap_m = np.empty(len(points))
     for n in range(len(points)):
         dx, dy = points[n, 0] + at_s * points[n, 2] - state[0], points[n, 1] + at_s * points[n, 3] - state[1]
-        gap_m[n] = box_gap(dx, dy, cos, sin, box)
+        gap_m[n] = _box_gap(dx, dy, cos, sin, box)
     return gap_m
 
 
 @exact_kernel
-def box_gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
+def _box_gap(dx: float, dy: float, cos: float, sin: float, box: F64) -> float:
     """Distance from the chair to a place that far from its axle; below 0 inside it: how deep."""
     ahead = abs(dx * cos + dy * sin - 0.5 * (box[0] + box[1])) - 0.5 * (box[1] - box[0])
     aside = abs(dy * cos - dx * sin) - box[2]

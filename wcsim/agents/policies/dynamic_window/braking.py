@@ -18,7 +18,7 @@ from wcsim.types import F64, I64, Bool
 
 
 @exact_kernel
-def backs_blindly(
+def _backs_blindly(
     start: F64, hold_s: float, commands: F64, limits: F64, box: F64, cells: I64, pose_O: F64, blind: Bool
 ) -> None:
     """Say in `blind` (K,) which commands bring the chair's rear, backwards, onto ground that it does not know.
@@ -62,7 +62,7 @@ def _rear_is_known(now: F64, box: F64, cells: I64, pose: F64) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Caution:
+class _Caution:
     """How early, and how widely, a driver is kept from what is in the way."""
 
     hold_s: float = 0.3  # each joystick position is held for so long before it is braked
@@ -70,18 +70,18 @@ class Caution:
     comfort_m: float = 0.25  # passing closer than this costs up to _COMFORT_COST
 
 
-LAST_MOMENT = Caution(hold_s=0.1, margin_m=0.03, comfort_m=0.1)
-EARLY = Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
+LAST_MOMENT = _Caution(hold_s=0.1, margin_m=0.03, comfort_m=0.1)
+EARLY = _Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
 
 
-def caution(level: float) -> Caution:
+def caution(level: float) -> _Caution:
     """That of a level of assistance from 0 (LAST_MOMENT) over 1 (the usual one) to 2 (EARLY)."""
-    low, high, share = (LAST_MOMENT, Caution(), level) if level < 1.0 else (Caution(), EARLY, level - 1.0)
-    mixed = {key: (1.0 - share) * getattr(low, key) + share * getattr(high, key) for key in Caution.__slots__}
-    return Caution(**mixed)
+    low, high, share = (LAST_MOMENT, _Caution(), level) if level < 1.0 else (_Caution(), EARLY, level - 1.0)
+    mixed = {key: (1.0 - share) * getattr(low, key) + share * getattr(high, key) for key in _Caution.__slots__}
+    return _Caution(**mixed)
 
 
-def brakes_in_time(around: StreetSense, care: Caution, start: F64, later_s: float, points: F64) -> tuple[Bool, F64]:
+def brakes_in_time(around: StreetSense, care: _Caution, start: F64, later_s: float, points: F64) -> tuple[Bool, F64]:
     """Of each action, whether it can be braked in time and does not back into what nobody has seen; how near it passes.
 
     Args:
@@ -97,5 +97,5 @@ def brakes_in_time(around: StreetSense, care: Caution, start: F64, later_s: floa
     commands, limits, box = around.commands, around.limits, around.box_B_m
     gap_m, blind = np.empty(len(commands)), np.empty(len(commands), np.bool_)
     free: Bool = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
-    backs_blindly(start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind)
+    _backs_blindly(start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind)
     return free & ~blind, gap_m

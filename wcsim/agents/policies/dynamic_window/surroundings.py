@@ -34,7 +34,7 @@ _FEWEST, _MOST = 8, 48
 
 
 @exact_kernel
-def carry_on(points: F64, cells: I64, pose_O: F64, added: F64) -> int:
+def _carry_on(points: F64, cells: I64, pose_O: F64, added: F64) -> int:
     """Carry on the longest straight edge on either side, over what was never seen.
 
     Args:
@@ -186,7 +186,7 @@ class StreetSense:
         """What is known to be in the way, (n, 5): place in B, speed over the ground, distance to keep."""
         pose = self.ego.pose_O
         seen = self.memory.points_B_m(pose, self.ego.way_m)
-        more = self._carried_B_m[: carry_on(seen, self.memory.cells, pose, self._carried_B_m)]
+        more = self._carried_B_m[: _carry_on(seen, self.memory.cells, pose, self._carried_B_m)]
         others = np.concatenate([np.zeros((0, 2)), *(in_body(who.cells_O_m, pose) for who in self._others())])
         still = np.zeros((len(seen) + len(more), 5))
         still[:, :2] = np.concatenate([seen, more])
@@ -214,7 +214,7 @@ class StreetSense:
         """Take in what is seen now: who could move, and what is in the way."""
         image = depth_metres(observation[DEPTH_KEY], self._range_m)
         self.depth_m = depth_m = self._looked_at(image)
-        up, pose = up_in_body(observation[IMU_KEY]), self.ego.pose_O
+        up, pose = _up_in_body(observation[IMU_KEY]), self.ego.pose_O
         walkers = self._watch(observation, depth_m, up)
         span_m = (1.02 * self._near_m, self.far_m)
         now = self._map.obstacles(depth_m, self.rays, self.eye_B_m, span_m, up)
@@ -260,7 +260,7 @@ def box_of(outline: Outline) -> F64:
     return np.array([outline.middle_x_m - half_m, outline.middle_x_m + half_m, 0.5 * outline.width_m])
 
 
-def up_in_body(imu: F32) -> F64:
+def _up_in_body(imu: F32) -> F64:
     """The direction up in B, (3,), from the tilt in an observation's IMU vector."""
     roll, pitch = np.pi * float(imu[3]), 0.5 * np.pi * float(imu[4])
     return np.array([np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])

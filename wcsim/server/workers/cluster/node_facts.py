@@ -24,7 +24,7 @@ _SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NodeFacts:
+class _NodeFacts:
     """A machine, as a process of it sees it."""
 
     host: str
@@ -35,9 +35,9 @@ class NodeFacts:
     shm_bytes: int
 
 
-def facts_here() -> NodeFacts:
+def facts_here() -> _NodeFacts:
     """Those of this machine."""
-    return NodeFacts(
+    return _NodeFacts(
         host=socket.gethostname(),
         python=platform.python_version(),
         versions=tuple(sorted((name, _version(name)) for name in (*_PACKAGES, *_EXTRAS))),
@@ -47,17 +47,17 @@ def facts_here() -> NodeFacts:
     )
 
 
-def facts_of(found: Any) -> NodeFacts:
+def facts_of(found: Any) -> _NodeFacts:
     """What a node has said of itself, in a shape that no version need share. Raises ConfigError for anything else."""
     if isinstance(found, str):
         raise ConfigError(found)
     try:
-        return NodeFacts(**found)
+        return _NodeFacts(**found)
     except TypeError:
         raise ConfigError("it has another version of wcsim; install the same one as here") from None
 
 
-def why_refused(node: NodeFacts, here: NodeFacts) -> str:
+def why_refused(node: _NodeFacts, here: _NodeFacts) -> str:
     """What a node has other than this machine and must not, "" for nothing."""
     there, ours = dict(node.versions), dict(here.versions)
     if there.get("wcsim") != ours["wcsim"] or node.code != here.code:
@@ -75,7 +75,7 @@ def why_refused(node: NodeFacts, here: NodeFacts) -> str:
     return ""
 
 
-def notes_on(node: NodeFacts, here: NodeFacts) -> tuple[str, ...]:
+def notes_on(node: _NodeFacts, here: _NodeFacts) -> tuple[str, ...]:
     """What is worth a line, and no reason to refuse a node."""
     notes = []
     if node.shm_bytes < LEAST_SHM_BYTES:
