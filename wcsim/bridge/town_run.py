@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of, state_hash
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RewardConfig, RunConfig

@@ -125,7 +125,8 @@ def _row(client: ClientState, world: WorldStatus | None) -> tuple[str, ...]:
 def _pays_of(status: ClientStatus) -> str:
     """What share of its time a client spends on acting, learning and waiting, in percent.
 
-    >>> pays_of(ClientStatus(name="a", inference_s=1.0, learning_s=6.0, simulation_s=2.0, barrier_s=2.0, overlap_s=1.0))
+    >>> client = ClientStatus(name="a", inference_s=1.0, learning_s=6.0, simulation_s=2.0, barrier_s=2.0, overlap_s=1.0)
+    >>> _pays_of(client)
     '10/60/30'
     """
     waits_s = max(0.0, status.simulation_s + status.barrier_s - status.overlap_s)

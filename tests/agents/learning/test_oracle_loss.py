@@ -243,6 +243,12 @@ def choice_before(model, wall):
     return POINTS[int(action)]
 
 
+@pytest.fixture
+def alternating(monkeypatch):
+    """Walls and ways take turns, so no action leads from a way to the wall after it."""
+    monkeypatch.setattr(seqdqn, "AID_AHEAD", 0)
+
+
 def taught():
     """A learner after 60 updates on walls and ways, with no reward and no crash that could have told it."""
     model = learner(phase1_steps=0, total_steps=100, aid_weight=5.0, learning_rate=1e-3)
@@ -260,7 +266,7 @@ def taught():
     return model
 
 
-def test_the_aid_teaches_to_stop_before_a_wall_and_to_go_on_where_the_way_is_free():
+def test_the_aid_teaches_to_stop_before_a_wall_and_to_go_on_where_the_way_is_free(alternating):
     model = taught()
     assert choice_before(model, wall=True)[1] <= 0.3
     assert choice_before(model, wall=False).tolist() == [0.0, 1.0]
@@ -275,7 +281,7 @@ def _no_loss(values, *arguments, **more):
 
 
 @pytest.mark.parametrize("fault", [_wrong_sign, _no_loss])
-def test_an_aid_with_a_planted_fault_teaches_nothing(fault, monkeypatch):
+def test_an_aid_with_a_planted_fault_teaches_nothing(fault, monkeypatch, alternating):
     monkeypatch.setattr(seqdqn, "aid_loss", fault)
     model = taught()
     assert choice_before(model, wall=True)[1] > 0.3

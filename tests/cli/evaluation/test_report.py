@@ -93,7 +93,7 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
         assert told.code == 2 and "nothing to report" in told.err
     write_result(folder / "out")
     assert wcsim("report", "out", "--jobs", "0").code == 2
-    monkeypatch.setattr("wcsim.cli.evaluation.report.find_spec", lambda name: None)
+    monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
     told = wcsim("report", "out")
     assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
 

@@ -11,7 +11,7 @@ import os
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
@@ -22,16 +22,6 @@ from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import Scenario, stage_scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, ToolRun, run_child, run_tool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunPlace:
-    """Where the outputs of a world go, and what else its user asks of SUMO."""
-
-    folder: Path | None = None  # a run folder; without one everything SUMO writes goes when the world closes
-    outputs: tuple[str, ...] = ()  # more outputs than the scenario's own: "fcd", "tripinfo", ...
-    hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
-
 
 log = logging.getLogger("wcsim.bridge.sumo.open_scenario")
 

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 from wcsim.bridge.recording.fcd import write_steps
 from wcsim.bridge.recording.trace import TickRecord, TraceHeader, chair_box_m, record_of
-from wcsim.bridge.sumo.open_scenario import RunPlace
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.town_run import as_recorded
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse

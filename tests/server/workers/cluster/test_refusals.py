@@ -35,7 +35,7 @@ def test_nobody_at_an_address_is_told_within_seconds(monkeypatch):
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):
-    monkeypatch.setattr(ray_workers, "find_spec", lambda name: None)
+    monkeypatch.setattr("wcsim.errors.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install 'wcsim\[cluster\]'"):
         machines_of("local", 1, "--jobs")
 

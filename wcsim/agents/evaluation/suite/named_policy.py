@@ -13,7 +13,6 @@ from wcsim.agents.export.guard_file import guard_of
 from wcsim.agents.export.guarded_policy import GuardedPolicy
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
-from wcsim.agents.policies.veto import Veto
 from wcsim.agents.policy_api import VETO, Policy, is_baseline, without_veto
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.agents.runs.shipped import SHIPPED
@@ -93,6 +92,8 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
     actions = action_set(config.env.actions)
     if name.startswith(VETO):
+        from wcsim.agents.policies.veto import Veto  # and with it kernels, which the checks of names must not load
+
         return Veto(name, open_named(without_veto(name), config, seed, network), config)
     if is_served(name):
         return ServedPolicy(name, actions.points)
