@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.scenario.overrides import Settings
