@@ -76,9 +76,9 @@ def try_town(town: Town) -> None:
     Raises TownError with SUMO's own words when it cannot.
     """
     from wcsim.bridge.sumo.open_scenario import (
-        RunPlace,
         open_scenario,  # loads libsumo, which --help must not
     )
+    from wcsim.bridge.sumo.run_place import RunPlace
 
     with ExitStack() as held:
         open_scenario(town, settings_of(load_run_config("quick"), 1), RunPlace(), held)
