@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ import torch
 
 from wcsim.agents.collecting.labels import unsafe_ahead
 from wcsim.agents.collecting.segment import Segment
-from wcsim.agents.danger.features import MIRRORED, FeatureExtractor, Features
+from wcsim.agents.danger.features import MIRRORED, FeatureExtractor
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
 from wcsim.agents.danger.street_map import PLANES, SIDE
@@ -25,7 +25,6 @@ from wcsim.types import F32, F64, I64, U8, Bool
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
-_NO_PICTURE = np.zeros(0, np.uint8)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,9 +50,8 @@ def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
         labels = segment.truth.shape[1]
         raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
     spec = spec_of(config)
-    found: list[Features] = []
     extractors: dict[int, FeatureExtractor] = {}
-    pictures, frames = list[bytes](), list[bytes]()
+    pictures, frames, vectors, starts = list[bytes](), list[bytes](), list[F32](), list[F32]()
     begins = True
     for row in range(len(segment)):
         delay = int(segment.delay[row])
@@ -75,15 +73,16 @@ def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
         # Packed at once: the pictures of a whole segment would take a hundred times the memory.
         pictures += pack_each(features.picture.reshape(1, -1))
         frames += pack_each(features.frames[-1:].reshape(1, -1)) if spec.pictures else []
-        found.append(replace(features, picture=_NO_PICTURE, frames=_NO_PICTURE))
+        vectors.append(features.vector)
+        starts.append(features.start)
         begins = bool(segment.ended[row])
     codes = segment.truth if config.danger.teacher == "truth" else segment.visible
     return LabelledSteps(
         pictures=pictures,
         frames=frames,
         windows=_frame_windows(segment.ended, spec.pictures),
-        vectors=np.stack([features.vector for features in found]),
-        starts=np.stack([features.start for features in found]),
+        vectors=np.stack(vectors),
+        starts=np.stack(starts),
         unsafe=unsafe_ahead(codes, segment.ended, config.danger.ahead),
     )
 

@@ -21,6 +21,7 @@ from wcsim.agents.envs.senses import senses_of
 from wcsim.agents.evaluation.evaluate import EvalRow, evaluate
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
+from wcsim.agents.policies.veto import Veto
 from wcsim.agents.policy_api import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, Policy, is_baseline
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
 from wcsim.agents.runs.run_folder import policy_path, split_level
@@ -245,7 +246,7 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
 
 def window_for(policies: Sequence[Policy]) -> int:
     """Images that an observation must hold so that each of the policies sees enough; the others see the newest."""
-    own = [getattr(policy, "inner", policy) for policy in policies]  # a wrapper sees what the policy in it needs
+    own = [policy.inner if isinstance(policy, Veto) else policy for policy in policies]
     return max((policy.file.window for policy in own if isinstance(policy, NetPolicy)), default=1)
 
 

@@ -75,9 +75,7 @@ def try_town(town: Town) -> None:
 
     Raises TownError with SUMO's own words when it cannot.
     """
-    from wcsim.bridge.sumo.open_scenario import (
-        open_scenario,  # loads libsumo, which --help must not
-    )
+    from wcsim.bridge.sumo.open_scenario import open_scenario  # loads libsumo, which --help must not
     from wcsim.bridge.sumo.run_place import RunPlace
 
     with ExitStack() as held:

@@ -216,7 +216,8 @@ def needs_of(piece: Piece) -> tuple[Parcel, ...]:
     if is_baseline(piece.policy):
         return towns
     if is_onnx(piece.policy):
-        return (*towns, folder_parcel(Path(without_veto(piece.policy)), without_veto(piece.policy)))
+        name = without_veto(piece.policy)
+        return (*towns, folder_parcel(Path(name), name))
     return (*towns, policy_parcel(split_level(piece.policy)[0]))
 
 
