@@ -18,7 +18,7 @@ from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.errors import ConfigError
+from wcsim.errors import DiskFullError
 
 
 def told(*rows: faults.Row) -> None:
@@ -56,7 +56,7 @@ def test_a_disk_that_is_full_while_a_test_is_written_leaves_the_earlier_result_w
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room_kb << 10, limits[1]))
     try:
-        with pytest.raises(ConfigError, match="cannot be written"):
+        with pytest.raises(DiskFullError, match="could not be written"):
             keep_result(order, "dev", {UNAIDED: records_of("follow") * 9, "mine": records_of("net@0.25") * 9})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

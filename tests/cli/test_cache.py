@@ -16,6 +16,7 @@ from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
 KEY = "0123456789abcdef" * 2
+OLD, NEW = (f".street-{KEY}.npz.{number}-0123abcd.tmp" for number in (1, 2))  # begun, and left or not
 DRIVEN = ("drive-scenes/car-door-0-0123456789abcdef", "drive-towns/made-7")
 
 
@@ -27,14 +28,17 @@ def cache(tmp_path, monkeypatch) -> Path:
     place.mkdir(parents=True)
     (place / f"street-{KEY}.npz").write_bytes(b"x" * 3_000_000)
     (place / f"net-{KEY}.ok").write_text("ok\n")
-    for name in ("tmpabcdefgh.npz", "tmphgfedcba.npz", KEY_FILE, "thesis.tex", "street-mine.npz", f"net-{KEY}.ok.bak"):
+    for name in (OLD, NEW):
+        (place / name).mkdir()
+        (place / name / "part").write_text("12345")
+    for name in (KEY_FILE, "thesis.tex", "street-mine.npz", f"net-{KEY}.ok.bak"):
         (place / name).write_text("12345")
     code = place / KERNELS / "core_0123"
     code.mkdir(parents=True)
     for name in ("boxes.f-0123.py311.nbi", "boxes.f-0123.py311.1.nbc", "notes.txt"):
         (code / name).write_text("12345")
     past_s = time.time() - 2 * WRITTEN_S
-    os.utime(place / "tmpabcdefgh.npz", (past_s, past_s))
+    os.utime(place / OLD, (past_s, past_s))
     (tmp_path / "elsewhere").write_text("irreplaceable")
     (place / f"scenario-{KEY}.ok").symlink_to(tmp_path / "elsewhere")
     (place / f"street-{KEY[::-1]}.npz").mkdir()
@@ -64,7 +68,7 @@ def test_clearing_removes_what_is_ours_and_nothing_else(wcsim, cache, tmp_path):
     gone = before - {str(path.relative_to(cache)) for path in cache.rglob("*")}
     code = {f"{KERNELS}/core_0123/boxes.f-0123.py311.{end}" for end in ("nbi", "1.nbc")}
     driven = {f"{place}{file}" for place in DRIVEN for file in ("", "/sumo", "/sumo/net.xml")}
-    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", "tmpabcdefgh.npz", *code, *driven}
+    assert gone == {f"street-{KEY}.npz", f"net-{KEY}.ok", OLD, f"{OLD}/part", *code, *driven}
     assert (tmp_path / "elsewhere").read_text() == "irreplaceable"
     assert json.loads(Path("c.json").read_text())["left_bytes"] == 0
     assert "removed 0.0 MB" in wcsim("cache", "--clear").out

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.support.samples import USUAL_OUTLINE, straight_route
 from tests.users.kinematics import Chair, Sim
 from tests.users.recording.drives import tick, write_drive
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, DiskFullError
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
 from wcsim.users.recorded import (
@@ -100,7 +100,7 @@ def test_a_missing_file_and_a_place_that_cannot_be_written_are_named(tmp_path):
     with pytest.raises(ConfigError, match=r"none.csv: cannot be read \(No such file"):
         find_user(f"recorded:{tmp_path}/none.csv")
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="choose another place"):
+    with pytest.raises(DiskFullError, match="choose another place"):
         _write_recording(tmp_path / "file" / "stick.csv", np.array([0.0, 0.1]), np.zeros((2, 2)))
 
 

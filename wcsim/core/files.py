@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import glob
 import hashlib
 import json
 import os
+import re
+import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -23,6 +26,7 @@ from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _SEAL = "seal"
+_WORK, _OLD = ".tmp", ".old"  # end the names of what is being written, and of what it replaces
 _DAMAGED = ".damaged"  # added to the name of what was passed over
 WORK_PREFIX = "wcsim-work-"  # of folders of workers, in which a killed one leaves all that is temporary
 _FILE_MODE = 0o644  # safetensors writes files that only their owner can read; runs are for sharing
@@ -49,22 +53,92 @@ def _gone(lock: Path) -> None:
         lock.unlink()
 
 
-def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
-    """Replace a file in one step: written beside it, flushed to disk, renamed. Raises DiskFullError; it stays then."""
-    beside = path.with_name(f".{path.name}.tmp")
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Where to write a file that appears at `path` when the block ends: flushed to disk, then renamed.
+
+    After an error, or where the block writes nothing, an older file is as it was. Several processes may write the
+    same one: the last to end wins.
+
+    Raises:
+        DiskFullError: There is no room, or the place cannot be written.
+    """
+    with _work_beside(path) as part:
+        yield part
+        if part.exists():
+            _sync(part, os.O_RDONLY)
+            part.replace(path)
+            _sync_folder(path.parent)
+
+
+@contextmanager
+def whole_folder(path: Path, *, flush: bool = True) -> Iterator[Path]:
+    """A new folder that appears at `path` when the block ends, with all that it wrote, and replaces an older one.
+
+    After an error the older one is as it was. What dead processes left of the same folder is removed first; one that
+    they had just moved aside goes back.
+
+    Args:
+        path: Of the folder.
+        flush: Wait until all is on the disk; False for what can be made again.
+
+    Raises:
+        DiskFullError: There is no room, or the place cannot be written.
+    """
+    _clear_stale(path)
+    with _work_beside(path) as part:
+        part.mkdir()
+        yield part
+        part.chmod(_FOLDER_MODE)
+        for entry in part.rglob("*"):
+            entry.chmod(_FOLDER_MODE if entry.is_dir() else _FILE_MODE)
+            if flush:
+                _sync(entry, os.O_RDONLY)
+        _put_in_place(part, path)
+
+
+@contextmanager
+def _work_beside(path: Path) -> Iterator[Path]:
+    """A name like that of `path` in a fresh folder beside it, which is gone at the end.
+
+    It is named before it is made: a signal that comes right after its making removes it, too.
+    """
+    work = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_WORK}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.unlink(missing_ok=True)
-        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-        _sync_folder(path.parent)
+        work.mkdir(mode=0o700)
+        yield work / path.name
     except OSError as error:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
         raise _not_written(path, error) from None
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _clear_stale(path: Path) -> None:
+    for place in sorted(path.parent.glob(f".{glob.escape(path.name)}.*")):
+        match = re.fullmatch(rf"\.{re.escape(path.name)}\.(\d+)-\w+({_WORK}|{_OLD})", place.name)
+        if match is None or place.is_symlink() or not place.is_dir() or _runs(int(match[1])):
+            continue
+        if match[2] == _OLD and not path.exists():
+            place.rename(path)
+        else:
+            shutil.rmtree(place, ignore_errors=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def write_bytes(path: Path, data: bytes, mode: int = _FILE_MODE) -> None:
+    """Replace a file in one step, see `whole_file`. Raises DiskFullError."""
+    with whole_file(path) as part, os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        file.write(data)
 
 
 def write_json(path: Path, data: Any) -> None:
@@ -93,29 +167,9 @@ def _seal_of(data: Mapping[str, Any]) -> str:
     return sha256_text(json.dumps(data, sort_keys=True, allow_nan=False))
 
 
-def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
-    """Make a folder with all that `fill` writes in it, or nothing; an older one is replaced. Raises DiskFullError."""
-    beside = path.with_name(f".{path.name}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(beside, ignore_errors=True)
-        beside.mkdir()
-        fill(beside)
-        for entry in beside.rglob("*"):
-            entry.chmod(_FOLDER_MODE if entry.is_dir() else _FILE_MODE)
-            _sync(entry, os.O_RDONLY)
-        _sync_folder(beside)
-        _put_in_place(beside, path)
-    except BaseException as error:
-        shutil.rmtree(beside, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise _not_written(path, error) from None
-        raise
-
-
 def is_begun(path: Path) -> bool:
     """Whether this is what a process that died on the way has left of a file or folder that it wrote."""
-    return path.name.startswith(".") and path.name.endswith((".tmp", ".old"))
+    return path.name.startswith(".") and path.name.endswith((_WORK, _OLD))
 
 
 def set_aside(path: Path) -> Path:
@@ -125,20 +179,19 @@ def set_aside(path: Path) -> Path:
     return path.rename(free)
 
 
-def _put_in_place(beside: Path, path: Path) -> None:
+def _put_in_place(made: Path, path: Path) -> None:
     if path.exists():
         # A folder cannot replace a full one: the old one steps aside and goes when the new one is in place.
-        old = path.with_name(f".{path.name}.old")
-        shutil.rmtree(old, ignore_errors=True)
+        old = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_OLD}")
         path.replace(old)
         try:
-            beside.replace(path)
+            made.replace(path)
         except BaseException:
             old.replace(path)
             raise
         shutil.rmtree(old, ignore_errors=True)
     else:
-        beside.replace(path)
+        made.replace(path)
     _sync_folder(path.parent)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from pathlib import Path
 
+from wcsim.core.files import whole_folder
 from wcsim.errors import TownError
 
 _FILES = {
@@ -79,20 +79,18 @@ went_on = [1, 1]
 
 
 def write_scene(home: Path, name: str) -> Path:
-    """Write the template as the folder `name` in `home`, whole or not at all, and return it. Raises TownError."""
+    """Write the template as the folder `name` in `home`, whole or not at all, and return it.
+
+    Raises:
+        TownError: It has no such name, or is there already.
+        DiskFullError: It cannot be written.
+    """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
         raise TownError(f"a scene cannot be named {name!r}; expected up to 64 letters, digits, - and _")
     folder = home / name
     if folder.exists():
         raise TownError(f"{folder} already exists; choose another name, or remove it first")
-    try:
-        home.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=home, prefix=".new-") as work:
-            part = Path(work) / name
-            part.mkdir()
-            for file, text in _FILES.items():
-                (part / file).write_text(text.replace("{name}", name), encoding="utf-8")
-            part.rename(folder)
-    except OSError as error:
-        raise TownError(f"{folder}: cannot be written ({error.strerror}); choose another folder (--out)") from None
+    with whole_folder(folder) as part:
+        for file, text in _FILES.items():
+            (part / file).write_text(text.replace("{name}", name), encoding="utf-8")
     return folder

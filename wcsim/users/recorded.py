@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import tempfile
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from wcsim.core.constants import RECORDED
+from wcsim.core.files import whole_file
 from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, JournalError
 from wcsim.types import F64, Joystick, Outline, Route, UserView
@@ -235,18 +235,13 @@ def _write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
         sticks: (n, 2) x right, y forward, each in -1..1.
 
     Raises:
-        ConfigError: It could not be read again, or the place cannot be written.
+        ConfigError: It could not be read again.
+        DiskFullError: The place cannot be written.
     """
     lines = [f"{t!r},{x!r},{y!r}" for t, (x, y) in zip(time_s.round(6).tolist(), sticks.tolist(), strict=True)]
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
-            part = FilePath(work) / path.name
-            part.write_text("\n".join([",".join(COLUMNS), *lines, ""]), encoding="utf-8")
-            read_recording(part)
-            part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    with whole_file(path) as part:
+        part.write_text("\n".join([",".join(COLUMNS), *lines, ""]), encoding="utf-8")
+        read_recording(part)
 
 
 def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:

@@ -5,13 +5,14 @@ Videos are WebM files with VP8, written through OpenCV, which a browser plays.
 
 from __future__ import annotations
 
-import os
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
 import cv2
 import numpy as np
 
+from wcsim.core.files import whole_file, write_bytes
 from wcsim.core.native_output import without_line
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import palette
@@ -79,20 +80,10 @@ def triptych(rgb: U8 | None, class_id: U8, depth_m: F32, range_m: float | None =
 
 
 def write_png(path: Path, image: U8) -> None:
-    """Write an image (H, W, 3), RGB, or (H, W); the file appears whole or not at all.
-
-    Raises:
-        ConfigError: when the folder cannot be written.
-    """
+    """Write an image (H, W, 3), RGB, or (H, W); the file appears whole or not at all. Raises DiskFullError."""
     bgr = image[..., ::-1] if image.ndim == 3 else image
     _, data = cv2.imencode(".png", np.ascontiguousarray(bgr))
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_bytes(data.tobytes())
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose a folder that exists") from None
+    write_bytes(path, data.tobytes())
 
 
 class VideoWriter:
@@ -119,16 +110,19 @@ class VideoWriter:
         self.path = path
         self.size = size
         self.frames = 0
-        self._part = path.with_name(f".{path.stem}.part.webm")
+        self._held = ExitStack()
         # FFmpeg's VP8 wants even sides; an odd one is padded by repeating the last row or column.
         self._padded = (size[0] + size[0] % 2, size[1] + size[1] % 2)
-        self._writer: cv2.VideoWriter | None = None
-        if path.parent.is_dir() and os.access(path.parent, os.W_OK):
-            # OpenCV says of every WebM file that its tag is not supported, and writes a sound one.
-            with without_line(b"OpenCV: FFMPEG: tag"):
-                self._writer = cv2.VideoWriter(str(self._part), cv2.VideoWriter.fourcc(*"VP80"), fps, self._padded)
-        if self._writer is None or not self._writer.isOpened():
-            self._drop()
+        if not path.parent.is_dir():
+            raise ConfigError(f"{path}: cannot be written; choose a folder that exists and is writable")
+        self._part = self._held.enter_context(whole_file(path))
+        # OpenCV says of every WebM file that its tag is not supported, and writes a sound one.
+        with without_line(b"OpenCV: FFMPEG: tag"):
+            self._writer: cv2.VideoWriter | None = cv2.VideoWriter(
+                str(self._part), cv2.VideoWriter.fourcc(*"VP80"), fps, self._padded
+            )
+        if not self._writer.isOpened():
+            self._end(keep=False)
             raise ConfigError(f"{path}: cannot be written; choose a folder that exists and is writable")
 
     def __enter__(self) -> VideoWriter:
@@ -137,10 +131,7 @@ class VideoWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
-            self.close()
-        else:
-            self._drop()
+        self._end(keep=error is None and self.frames > 0)
 
     def write(self, image: U8) -> None:
         """Add a frame (H, W, 3), RGB. Raises ConfigError when it has another size or the video is closed."""
@@ -155,20 +146,15 @@ class VideoWriter:
 
     def close(self) -> None:
         """Finish the file and put it under its name; a second call does nothing. A video without frames is dropped."""
-        if self._writer is None:
-            return
-        self._writer.release()
-        self._writer = None
-        if self.frames:
-            self._part.replace(self.path)
-        else:
-            self._part.unlink(missing_ok=True)
+        self._end(keep=self.frames > 0)
 
-    def _drop(self) -> None:
+    def _end(self, *, keep: bool) -> None:
         if self._writer is not None:
             self._writer.release()
             self._writer = None
-        self._part.unlink(missing_ok=True)
+        if not keep:
+            self._part.unlink(missing_ok=True)
+        self._held.close()
 
 
 def side_by_side(*images: U8) -> U8:

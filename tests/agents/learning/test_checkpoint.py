@@ -74,14 +74,18 @@ def test_names_that_are_none_are_neither_used_nor_deleted(bench, folder):
 
 def test_what_a_killed_process_left_of_one_goes_with_the_next_and_nothing_else_does(bench, folder):
     load_checkpoint(folder, bench.model)
-    for name in (".step-00000007.tmp", ".step-00000040.old", ".step-7.tmp", ".step-00000007.mine", ".mine.tmp"):
+    ours, others = (
+        (".step-00000007.9-a.tmp", ".step-00000040.9-a.old"),
+        (".step-7.tmp", ".step-00000007.mine", ".a.tmp"),
+    )
+    for name in (*ours, *others):
         (folder / name).mkdir()
         (folder / name / MODEL).write_bytes(b"begun")
     (folder / ".step-00000008.tmp").symlink_to("step-00000040")
     bench.model.num_timesteps = 160
     save_checkpoint(folder, bench.model, {})
     begun = {path.name for path in folder.iterdir() if path.name.startswith(".")}
-    assert begun == {".step-7.tmp", ".step-00000007.mine", ".mine.tmp", ".step-00000008.tmp"}
+    assert begun == {*others, ".step-00000008.tmp"}
 
 
 BAD = {

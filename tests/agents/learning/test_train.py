@@ -380,18 +380,16 @@ def test_metrics_drop_lost_rows_and_torn_lines(tmp_path):
 
 def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
     target = tmp_path / "x"
-    files.write_folder(target, lambda folder: (folder / "a").write_text("1") and None)
-
-    def fail(folder):
+    with files.whole_folder(target) as folder:
+        (folder / "a").write_text("1")
+    with pytest.raises(RuntimeError), files.whole_folder(target) as folder:
         (folder / "a").write_text("2")
         raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        files.write_folder(target, fail)
     assert (target / "a").read_text() == "1"
-    files.write_folder(target, lambda folder: (folder / "b").write_text("3") and None)
+    with files.whole_folder(target) as folder:
+        (folder / "b").write_text("3")
     assert [p.name for p in target.iterdir()] == ["b"]
-    assert not list(tmp_path.glob(".x.old"))
+    assert [p.name for p in tmp_path.iterdir()] == ["x"]
 
 
 def test_a_manifest_says_its_status_and_keeps_its_digest(tmp_path):

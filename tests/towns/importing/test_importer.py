@@ -13,13 +13,13 @@ import pytest
 
 from tests.cli.towns import tiny_osm
 from wcsim.cli.main import main
+from wcsim.core.files import whole_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.check import _unroutable_trips, check_town
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.importing import demand
 from wcsim.towns.importing.elevation import Heights
-from wcsim.towns.importing.folder_texts import _clear_stale, workplace
 from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.scenario.manifest import own_work
@@ -46,11 +46,11 @@ def test_an_import_that_is_ended_as_soon_as_its_folder_is_made_leaves_none(
 
     def ended(self: Path, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
         made(self, mode, parents, exist_ok)
-        if self.name.startswith(".small-"):
+        if self.name.startswith(".small."):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Path, "mkdir", ended)
-    with pytest.raises(KeyboardInterrupt), workplace("small", tmp_path / "towns" / "small"):
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "towns" / "small"):
         raise AssertionError("the signal came before")
     assert not list((tmp_path / "towns").iterdir())
 
@@ -115,11 +115,13 @@ def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
 def test_what_a_killed_import_left_is_cleared_and_a_town_moved_aside_comes_back(order: ImportOrder) -> None:
     dead, alive = "99999999", str(os.getpid())
     towns = order.out.parent
-    for name in (f".small-{dead}-abc", f".small-{alive}-abc", f".small-{dead}-xyz-old", f".other-{dead}-abc"):
-        (towns / name).mkdir(parents=True)
-        (towns / name / "town.toml").touch()
-    _clear_stale("small", order.out)
-    assert {path.name for path in towns.iterdir()} == {"small", f".small-{alive}-abc", f".other-{dead}-abc"}
+    for name in (f"small.{dead}-a.tmp", f"small.{alive}-a.tmp", f"small.{dead}-b.old", f"other.{dead}-a.tmp"):
+        (towns / f".{name}").mkdir(parents=True)
+        (towns / f".{name}" / "town.toml").touch()
+    with pytest.raises(ZeroDivisionError), whole_folder(order.out):
+        raise ZeroDivisionError
+    assert {path.name for path in towns.iterdir()} == {"small", f".small.{alive}-a.tmp", f".other.{dead}-a.tmp"}
+    assert (order.out / "town.toml").is_file()
 
 
 def test_filter_takes_out_what_crashes_netconvert_or_lies_under_ground() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from wcsim.core import seeding
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, DiskFullError
 from wcsim.scenes.run import _open_scene, play
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
@@ -107,6 +107,6 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="already exists"):
         write_scene("car-door", 1, tmp_path / "a")
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="cannot be written"):
+    with pytest.raises(DiskFullError, match="could not be written"):
         write_scene("car-door", 1, tmp_path / "file" / "a")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "file"]

@@ -28,7 +28,7 @@ def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfi
     """Write a policy folder in one step, replacing an older one; returns the folder. Raises DiskFullError."""
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
 
-    def fill(target: Path) -> None:
+    with files.whole_folder(folder) as target:
         save_file(tensors, target / WEIGHTS)
         data = {
             "schema_version": 1,
@@ -44,7 +44,6 @@ def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfi
         }
         files.write_json(target / POLICY_JSON, data)
 
-    files.write_folder(folder, fill)
     return folder
 
 

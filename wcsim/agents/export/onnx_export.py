@@ -100,23 +100,19 @@ def export_policy(
     states = tuple(torch.zeros(shape) for shape in shapes.values())
     outputs = (*graph.outputs, *(f"next_{name}" for name in shapes))
     model = exported(graph, (*given, *states), (*graph.inputs, *shapes), outputs)
-    facts: list[ExportFacts] = []
-
-    def fill(target: Path) -> None:
+    with files.whole_folder(out) as target:
         (target / MODEL_FILE).write_bytes(model)
-        facts.append(_write_reference(target, graph, ride, chosen, action_set(config.env.actions), recorded))
-        if facts[0].cost.p99_ms > limit_ms:
+        facts = _write_reference(target, graph, ride, chosen, action_set(config.env.actions), recorded)
+        if facts.cost.p99_ms > limit_ms:
             raise PolicyError(
-                f"a decision takes {facts[0].cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
+                f"a decision takes {facts.cost.p99_ms:.0f} ms (99th percentile); expected at most {limit_ms:g} ms: "
                 "export it anyway with --force"
             )
         (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
         shutil.copyfile(loop_place(), target / LOOP)
-        measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts[0])}
+        measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts)}
         files.write_json(target / MEANING, {**meaning_of(graph, config), **measured})
-
-    files.write_folder(out, fill)
-    return facts[0]
+    return facts
 
 
 def _run_model(

@@ -85,7 +85,7 @@ def save_checkpoint(
     target = folder / step_name(model.num_timesteps)
     held = None if replay else _newest_replay(folder)
 
-    def fill(work: Path) -> None:
+    with files.whole_folder(target) as work:
         save_file(_model_arrays(model), work / MODEL)
         if held is None:
             save_file(replay_arrays(_replay(model), alive), work / REPLAY)
@@ -102,7 +102,6 @@ def save_checkpoint(
         }
         write_state(work, values, "" if held is None else held[1])
 
-    files.write_folder(target, fill)
     files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
     _drop_old(folder, target)
     return target

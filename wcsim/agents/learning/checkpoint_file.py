@@ -64,7 +64,9 @@ def step_folders(folder: Path) -> list[Path]:
 
 def left_behind(folder: Path) -> list[Path]:
     """What processes that were killed while they wrote a checkpoint have left of it; only who holds the run may ask."""
-    begun = (path for path in folder.iterdir() if files.is_begun(path) and _STEP.fullmatch(path.name[1:-4]))
+    begun = (
+        path for path in folder.iterdir() if files.is_begun(path) and _STEP.fullmatch(path.name[1:].partition(".")[0])
+    )
     return [path for path in begun if path.is_dir() and not path.is_symlink()]
 
 

@@ -102,12 +102,11 @@ def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha2
     net = model.q_net
     tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
 
-    def fill(target: Path) -> None:
+    with files.whole_folder(folder) as target:
         save_file(tensors, target / WEIGHTS)
         digest = files.sha256(target / WEIGHTS)
         files.write_json(target / POLICY_JSON, _describe(model, camera, manifest_sha256, digest))
 
-    files.write_folder(folder, fill)
     return folder
 
 

@@ -28,8 +28,7 @@ def _checkpoint_path(folder: Path, number: int) -> Path:
 
 def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
     """Keep a learner after a round, whole or not at all, and drop all but the newest three. Raises DiskFullError."""
-
-    def fill(target: Path) -> None:
+    with files.whole_folder(_checkpoint_path(folder, number)) as target:
         sha256 = write_learner(target, learner)
         state = {
             "updates": learner.updates,
@@ -39,7 +38,6 @@ def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict
         }
         files.write_sealed_json(target / STATE, state)
 
-    files.write_folder(_checkpoint_path(folder, number), fill)
     for old in _numbers(folder)[:-KEPT_ROUNDS]:
         shutil.rmtree(_checkpoint_path(folder, old), ignore_errors=True)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from shutil import copytree
 
 import torch
@@ -123,11 +122,9 @@ def keep_newest(folder: RunFolder) -> bool:
     done = [folder.policy(f"round-{number:03d}") for number in range(newest_round(folder.checkpoints) + 1)]
     done = [path for path in done if path.is_dir()]
 
-    def fill(target: Path) -> None:
-        copytree(done[-1], target, dirs_exist_ok=True)
-
     if done:
-        files.write_folder(folder.policy("final"), fill)
+        with files.whole_folder(folder.policy("final")) as target:
+            copytree(done[-1], target, dirs_exist_ok=True)
     return bool(done)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,8 +23,8 @@ from wcsim.cli.shared.common import (
     in_bounds,
     json_text,
     parse,
+    result_file,
     write_json,
-    write_whole,
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
@@ -230,11 +231,8 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     episodes = {policy: [record.to_json() for record in found] for policy, found in records.items()}
     asked = {"suite": name, "preset": order.preset, "network": order.network, "out": str(order.out)}
 
-    def fill(part: Path) -> None:  # all of it first: a full disk leaves what an earlier test wrote as it was
+    with ExitStack() as held:  # all of it first: a full disk leaves what an earlier test wrote as it was
         for file, said in ((RESULT, result), (EPISODES, episodes), (ASKED, asked)):
-            part.with_name(file).write_text(json_text(order.out / file, said), encoding="utf-8")
-        for file in (EPISODES, ASKED):
-            part.with_name(file).replace(order.out / file)
-
-    write_whole(order.out / RESULT, fill)
+            part = held.enter_context(result_file(order.out / file))
+            part.write_text(json_text(order.out / file, said), encoding="utf-8")
     return result

@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.pictures.snapshot import OF_VIDEO, keep_shot
 from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
-from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made, write_whole
+from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, result_file, tell_made
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
@@ -56,7 +56,8 @@ def run(words: list[str]) -> int:
         stills = StillPictures(stage.world)
         busiest = BusiestMoment(stage, stills.on_way)
         seen, frames = stills.draw(), round(options.seconds / film.tick_s)
-        write_whole(street, lambda part: write_png(part, seen))  # something to look at while it is filmed
+        with result_file(street) as part:
+            write_png(part, seen)  # something to look at while it is filmed
         for done in range(1, frames + 1):
             film.add()
             if busiest.look(done * film.tick_s, stills.on_way):
@@ -64,7 +65,8 @@ def run(words: list[str]) -> int:
             bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
     tell_made(missing)
     place = f"{options.town}, seed {options.seed}"
-    write_whole(street, lambda part: write_png(part, seen))
+    with result_file(street) as part:
+        write_png(part, seen)
     print(f"{street}: {place}, the chair from behind")
     keep_shot(picture, busiest.shot, place)
     print(f"{video}: the chair's camera and a map, {options.seconds:g} s; a browser plays it")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Repeated, check_output, in_bounds, parse, write_whole
+from wcsim.cli.shared.common import Repeated, check_output, in_bounds, parse, result_file
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.towns.scenario.town import find_town
 
@@ -58,5 +58,6 @@ def keep_shot(out: Path, shot: Shot, place: str) -> None:
     from wcsim.view.pictures import triptych, write_png
 
     picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
-    write_whole(out, lambda part: write_png(part, picture))
+    with result_file(out) as part:
+        write_png(part, picture)
     print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view")

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal
 import tyro
 
 from wcsim.cli.recordings.film_page import FilmOrder, play_start, result_folder, serve_film
-from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, write_json, write_whole
+from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, result_file, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, WcsimError, check_installed
 
@@ -208,10 +208,7 @@ def _fcd(options: Options) -> int:
         raise ConfigError(f"{found.path}: is a drive, which holds no traffic; expected a trace or a journal")
     _require_heard(found, options)
     fcd = options.fcd or Path()
-    steps = 0
-
-    def fill(part: Path) -> None:
-        nonlocal steps
+    with result_file(fcd) as part:
         if found.kind == TRACE:
             from wcsim.bridge.recording.fcd import write_fcd  # the simulators are loaded here, not for --help
 
@@ -220,8 +217,6 @@ def _fcd(options: Options) -> int:
             from wcsim.server.journal.replay import recompute_fcd
 
             steps = recompute_fcd(found.path, part, options.epoch or 0, options.hook)
-
-    write_whole(fcd, fill)
     print(f"wrote {fcd}: {steps} time steps")
     if options.json is not None:
         write_json(options.json, {"run": str(options.runs[0]), "fcd": str(fcd), "steps": steps})
@@ -233,12 +228,8 @@ def _mcap(options: Options, mcap: Path) -> int:
     found = _find(options.runs[0], JOURNAL, "a run folder of a server or of `wcsim town run`, or a recorded drive")
     _require_heard(found, options)
     check_installed("--mcap needs rosbags", "bag", "rosbags")
-    counts: dict[str, int] = {}
-
-    def fill(part: Path) -> None:
-        counts.update(_bagged(found, part, options))
-
-    write_whole(mcap, fill)
+    with result_file(mcap) as part:
+        counts = _bagged(found, part, options)
     print(f"wrote {mcap}: {sum(counts.values())} messages on {', '.join(sorted(counts))}")
     if options.json is not None:
         write_json(options.json, {"run": str(options.runs[0]), "mcap": str(mcap), "messages": counts})

@@ -12,7 +12,7 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, check_output, write_json, write_whole
+from wcsim.cli.shared.common import OutFile, check_output, result_file, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
@@ -57,7 +57,8 @@ def run(options: UserFitOptions) -> int:
     fit = replace(fit, profile=replace(fit.profile, name=_base_name(options.out)))
     head = f"fitted to {fit.seconds:.0f} s of driving; values without an interval are those of {base.name}\n"
     text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
-    write_whole(options.out, lambda part: part.write_text(text, encoding="utf-8"))
+    with result_file(options.out) as part:
+        part.write_text(text, encoding="utf-8")
     _print(fit)
     print(f"wrote {options.out}; try it: {_trial(options.out)}")
     if options.json is not None:

@@ -7,13 +7,14 @@ import math
 import os
 import re
 import sys
-import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 
+from wcsim.core.files import whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 
@@ -195,7 +196,8 @@ def check_folder(option: str, folder: Path) -> None:
 def write_json(path: Path, data: Any) -> None:
     """Write a result file at once or not at all; NaN and infinity never appear in it."""
     text = json_text(path, data)
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+    with result_file(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def json_text(path: Path, data: Any) -> str:
@@ -206,20 +208,12 @@ def json_text(path: Path, data: Any) -> str:
         raise ConfigError(f"{path}: a result contains a number that is not finite ({error})") from None
 
 
-def write_whole(path: Path, fill: Callable[[Path], object]) -> None:
-    """Let `fill` write a file beside `path` and rename it, so that the file appears whole or not at all.
-
-    Raises ConfigError when the place cannot be written.
-    """
+@contextmanager
+def result_file(path: Path) -> Iterator[Path]:
+    """As `whole_file`, and says that it made a folder for it. Raises DiskFullError."""
     missing = missing_folder(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as work:
-            part = Path(work) / path.name
-            fill(part)
-            part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    with whole_file(path) as part:
+        yield part
     tell_made(missing)
 
 

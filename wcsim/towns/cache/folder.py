@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import stat
-import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from wcsim.core.files import KERNELS, folder_bytes, home, user_cache
+from wcsim.core.files import KERNELS, folder_bytes, home, user_cache, write_bytes
 from wcsim.core.reading import escaped
+from wcsim.errors import DiskFullError
 
 MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
 WRITTEN_S = 3600.0  # a file that is being written is not older
@@ -26,7 +25,8 @@ _KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc|lock)")  # machine code, with the list 
 # Folders: generated scenes of the driving page, and generated towns of suites; see `bridge/drives/made_scene.py` and
 # `drive/starting.py`.
 _DRIVEN = {"drive-scenes": re.compile(r"[a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8}"), "drive-towns": re.compile(r"made-\d+")}
-_BEGUN = re.compile(rf"tmp[a-z0-9_]{{8}}\.(npz|ok)|street-{_KEY}\.lock")
+_LOCK = re.compile(rf"street-{_KEY}\.lock")
+_BEGUN = re.compile(rf"\.(street|scenario|net)-{_KEY}\.(npz|ok)\.\d+-\w+\.tmp")  # see `files.whole_file`
 
 
 def cache_folder() -> Path:
@@ -42,29 +42,14 @@ def shown_cache() -> str:
 
 def write_verdict(path: Path) -> None:
     """Save that a check passed, as a small file under its hash; of each kind the newest ones stay."""
-    write_whole(path, lambda temporary: temporary.write_text("ok\n", encoding="utf-8"))
+    with suppress(DiskFullError):  # a cache that cannot be written is no error
+        write_bytes(path, b"ok\n")
     verdicts = list(path.parent.glob(f"{path.name.partition('-')[0]}-*{path.suffix}"))
     if len(verdicts) > MOST_VERDICTS:
         with suppress(OSError):
             verdicts.sort(key=lambda each: each.stat().st_mtime_ns)
             for old in verdicts[: len(verdicts) - MOST_VERDICTS // 2]:
                 old.unlink(missing_ok=True)
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a cache file under another name and move it into place; a cache that cannot be written is no error."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=path.suffix)
-        os.close(handle)
-        temporary = Path(name)
-        try:
-            write(temporary)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError:
-        return
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,15 +67,15 @@ class _CacheFacts:
 
 def cache_facts() -> _CacheFacts:
     """Look through the cache; a folder that is not there or cannot be read is empty."""
-    found, folders = _files(), _folders()
+    found, driven, begun = _files(), _driven(), _begun()
     return _CacheFacts(
         folder=cache_folder(),
         streets=sum(_STREET.fullmatch(path.name) is not None for path in found),
         verdicts=sum(_VERDICT.fullmatch(path.name) is not None for path in found),
         kernels=sum(path.suffix == ".nbi" for path in found),
-        driven=len(folders),
-        unfinished=sum(_BEGUN.fullmatch(path.name) is not None for path in found),
-        size_bytes=sum(found.values()) + sum(map(folder_bytes, folders)),
+        driven=len(driven),
+        unfinished=len(begun) + sum(_LOCK.fullmatch(path.name) is not None for path in found),
+        size_bytes=sum(found.values()) + sum(map(folder_bytes, (*driven, *begun))),
     )
 
 
@@ -101,7 +86,7 @@ def clear_cache() -> _CacheFacts:
     another name until it is whole, and is left alone, as is every file that wcsim has not named. Who drives in a
     generated scene or town drives on, and has to begin anew for another place in it.
     """
-    for folder in _folders():
+    for folder in (*_driven(), *_begun()):
         shutil.rmtree(folder, ignore_errors=True)
     for path in _files():
         with suppress(OSError):  # of another user, or gone already
@@ -116,13 +101,18 @@ def _files() -> dict[Path, int]:
         known = any(kind.fullmatch(path.name) for kind in kinds)
         with suppress(OSError):
             status = path.lstat()
-            being_written = _BEGUN.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
+            being_written = _LOCK.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
             if known and stat.S_ISREG(status.st_mode) and not being_written:
                 found[path] = status.st_size
     return found
 
 
-def _folders() -> list[Path]:
+def _begun() -> list[Path]:
+    """The folders in which files were written by who died meanwhile."""
+    return [path for path in _entries(cache_folder()) if _BEGUN.fullmatch(path.name) and _is_left(path)]
+
+
+def _driven() -> list[Path]:
     """The folders of scenes and towns that were generated to be driven in."""
     places = [(path, form) for name, form in _DRIVEN.items() for path in _entries(cache_folder() / name)]
     return [path for path, form in places if form.fullmatch(path.name) and _is_left(path)]
@@ -146,5 +136,5 @@ def _entries(folder: Path) -> list[Path]:
 def _places() -> Iterator[tuple[Path, tuple[re.Pattern[str], ...]]]:
     """All that lies where files of wcsim may, with the forms that their names have there."""
     folder = cache_folder()
-    yield from ((path, (_STREET, _VERDICT, _BEGUN)) for path in _entries(folder))
+    yield from ((path, (_STREET, _VERDICT, _LOCK)) for path in _entries(folder))
     yield from ((path, (_KERNEL,)) for path in sorted(folder.glob(f"{KERNELS}/*/*")))

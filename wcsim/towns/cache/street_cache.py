@@ -10,12 +10,14 @@ import io
 import os
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from wcsim.core.files import alone
-from wcsim.towns.cache.folder import cache_folder, write_whole
+from wcsim.core.files import alone, whole_file
+from wcsim.errors import DiskFullError
+from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.ground.tiles import Packed, TileStore
 from wcsim.types import F64, Relief, SignalHead, Street, WalkEdge, WalkGraph, WayKind
 from wcsim.types.street import FLAT
@@ -146,15 +148,11 @@ def cached_street(key: str, build: Callable[[], Packed]) -> Street:
         if found is not None:
             return found
         packed = build()
-        write_whole(path, lambda file: _save(file, packed))
+        with suppress(DiskFullError), whole_file(path) as part:
+            np.savez(part, allow_pickle=False, **packed)
     return _read(path) or unpack_street(
         packed
     )  # from the file, if there is one, so that only what is used is in memory
-
-
-def _save(path: Path, packed: Packed) -> None:
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **packed)
 
 
 def _read(path: Path) -> Street | None:

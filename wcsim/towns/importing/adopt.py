@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from wcsim.core.files import whole_folder
 from wcsim.core.reading import FileKind, is_file, opened, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
@@ -83,17 +84,12 @@ def adopt_scenario(
     check_inside(start, border, start)
     _files_of(config, border)  # missing files are reported before SUMO opens a large net
     validate_net(_net_of(config, border), border=border)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
-        work = Path(folder) / out.name
+    with whole_folder(out) as work:
         base, files = copy_scenario(config, border, work)
         names = [path.relative_to(base) for path in files]
         hashes = {str(place): content_digest(work / place) for place in names}
         toml = _town_toml(config, name, (split, source), config.path.relative_to(base), hashes, cycle_paths)
         (work / "town.toml").write_text(toml, encoding="utf-8")
-        if out.is_dir():
-            out.rmdir()
-        work.replace(out)
     return open_town(out)
 
 

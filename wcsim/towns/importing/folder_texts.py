@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import secrets
-import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 from wcsim.errors import TownError
@@ -65,7 +61,6 @@ _FOREIGN = """\
 The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
 author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
 """
-_OLD = "-old"
 
 
 def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...]) -> str:
@@ -145,57 +140,3 @@ def check_place(out: Path, *, overwrite: bool) -> None:
             f"{out} contains files that were changed or added later: {', '.join(work[:5])}"
             f"{' and more' * (len(work) > 5)}; choose another name or --out, or use --replace, which discards them"
         )
-
-
-@contextmanager
-def workplace(name: str, out: Path) -> Iterator[Path]:
-    """A fresh folder beside `out`, gone at the end unless it was moved; first what killed imports of that name left.
-
-    It is named before it is made: a signal that comes right after its making ends the import, and the folder with it.
-    """
-    out.parent.mkdir(parents=True, exist_ok=True)
-    _clear_stale(name, out)
-    work = out.parent / f".{name}-{os.getpid()}-{secrets.token_hex(8)}"
-    try:
-        work.mkdir(mode=0o700)
-        yield work
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-
-
-def _clear_stale(name: str, out: Path) -> None:
-    """Remove what dead imports left; a town that one had just moved aside goes back to its place."""
-    for place in sorted(out.parent.glob(f".{name}-*")):
-        match = re.fullmatch(rf"\.{re.escape(name)}-(\d+)-\w+({_OLD})?", place.name)
-        if match is None or not place.is_dir() or _runs(int(match[1])):
-            continue
-        if match[2] and not out.exists():
-            place.rename(out)
-        else:
-            shutil.rmtree(place, ignore_errors=True)
-
-
-def move_in_place(work: Path, out: Path) -> None:
-    """Put a finished town where it belongs, instead of one that is there."""
-    work.chmod(0o755)
-    if not out.exists():
-        work.rename(out)
-        return
-    aside = work.with_name(work.name + _OLD)
-    out.rename(aside)
-    try:
-        work.rename(out)
-    except BaseException:
-        aside.rename(out)
-        raise
-    shutil.rmtree(aside)
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):
-        return True
-    return True

@@ -17,6 +17,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from wcsim.core.files import whole_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.demand import (
     Way,
@@ -32,10 +33,8 @@ from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
     license_text,
-    move_in_place,
     sumocfg_text,
     town_toml_text,
-    workplace,
 )
 from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
 from wcsim.towns.importing.netconvert import NetOrder, convert_net, convert_polygons
@@ -224,9 +223,8 @@ def import_town(
     extract = read_extract(order.osm, order.bbox)
     side = _side(order, extract.box)
     try:
-        with workplace(order.name, order.out) as work:
+        with whole_folder(order.out) as work:
             made = _build(order, extract, side, work, meanwhile, stage)
-            move_in_place(work, order.out)
     except (TownError, SumoError) as error:
         raise type(error)(f"town {order.name}, made of {order.osm}: {error}") from None
     place = given if (given / f"{order.name}.sumocfg").is_file() else order.out  # it may have been this very folder

@@ -17,6 +17,7 @@ import networkx
 import numpy as np
 from shapely.errors import GEOSException
 
+from wcsim.core.files import whole_folder
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
@@ -25,10 +26,8 @@ from wcsim.towns.importing.elevation import Heights, hill_over, lift_net
 from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
-    move_in_place,
     sumocfg_text,
     town_toml_text,
-    workplace,
 )
 from wcsim.towns.importing.map_marks import Parking, find_parking, map_marks
 from wcsim.towns.making.drawn_map import draw_map
@@ -369,12 +368,11 @@ def make_town(
     check_place(out, overwrite=overwrite)
     if not overwrite:
         _check_made(out)
-    with workplace(name, out) as work:
+    with whole_folder(out) as work:
         stage("drawing the streets")
         ground = _ground(name, seed, wishes, work)
         stage("adding buildings, furniture, parked cars and routes")
         _fill(name, seed, wishes, ground, work, stage)
-        move_in_place(work, out)
     return open_town(folder if (folder / f"{name}.sumocfg").is_file() else out)
 
 

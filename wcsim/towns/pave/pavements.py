@@ -19,6 +19,7 @@ from xml.etree.ElementTree import Element
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
+from wcsim.core.files import whole_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import (
     FASTEST_MPS,
@@ -153,9 +154,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
             f"{netedit_cure(town)}"
         )
     config = read_configuration(town.sumocfg)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as folder:
-        work = Path(folder) / out.name
+    with whole_folder(out) as work:
         declared = town.folder if town.declared else None
         base, files = copy_scenario(config, town.border, work, declared)
         _copy_town_toml(town, work, base)
@@ -172,9 +171,6 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         crossings = _count(after, "crossing")
         if not crossings and not any(shifts.values()):
             raise TownError(_why_none(town, net, out, fastest_mps))
-        if out.is_dir():
-            out.rmdir()
-        work.replace(out)
     return Paved(
         sumocfg=out / Path(os.path.normpath(config.path.absolute())).relative_to(base),
         streets=sum(shifts.values()),

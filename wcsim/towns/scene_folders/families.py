@@ -11,7 +11,6 @@ Kerbs and walls: what the chair itself drives over or into, without other road u
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +18,7 @@ from types import MappingProxyType
 import numpy as np
 
 from wcsim.core import seeding
+from wcsim.core.files import whole_folder
 from wcsim.errors import ConfigError, meant
 from wcsim.towns.scene_folders.draft import (
     AFT_M,
@@ -455,7 +455,8 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
         The folder.
 
     Raises:
-        ConfigError: There is no such family, the seed is negative, or the folder is there already or cannot be made.
+        ConfigError: There is no such family, the seed is negative, or the folder is there already.
+        DiskFullError: It cannot be written.
     """
     if family not in FAMILIES:
         known = ", ".join(FAMILIES)
@@ -468,14 +469,7 @@ def write_scene(family: str, seed: int, folder: Path) -> Path:
     flipped = bool(rng.integers(2))
     draft = _DRAWN[family](rng)
     files = files_of(mirrored(draft) if flipped else draft, f"{family}-{seed}", seeding.derive(seed, "scene", family))
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".new-") as work:
-            part = Path(work) / "scene"
-            part.mkdir()
-            for name, text in files.items():
-                (part / name).write_text(text, encoding="utf-8")
-            part.rename(folder)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another folder") from None
+    with whole_folder(folder, flush=False) as part:
+        for name, text in files.items():
+            (part / name).write_text(text, encoding="utf-8")
     return folder
