@@ -18,7 +18,7 @@ from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_
 from benchmarks.soak.planned import FaultOrder, PlannedFaults, Recovered
 from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
-from wcsim.agents.learning.checkpoint_file import KEEP
+from wcsim.agents.runs.checkpoint import KEEP
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
 from wcsim.server.launch.states import ClientState, LaunchState

@@ -12,6 +12,7 @@ import importlib
 import math
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,10 +23,13 @@ from stable_baselines3.common.logger import configure
 
 from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
 from wcsim.agents.learning.callbacks import TrainingLogs
+from wcsim.agents.learning.checkpoint import restoring
 from wcsim.agents.learning.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.seqdqn import SeqDQN
+from wcsim.agents.runs.checkpoint import Restored, restore_newest
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, RunConfig
+from wcsim.config.run_file import SittingFile
 from wcsim.errors import ServerGoneError
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.server.specs import RunInfo
@@ -272,3 +276,8 @@ class WindowedStreet(gym.Wrapper):
     def step(self, action):
         observation, *rest = self.env.step(action)
         return self.window.add(observation), *rest
+
+
+def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Restored[SittingFile]:
+    """Bring a learner to the newest sound checkpoint."""
+    return restore_newest(folder, restoring(model, alive))

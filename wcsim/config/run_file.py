@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, StrictBool, model_validator
 
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
@@ -184,6 +184,48 @@ class LearnedFile(Model):
 
     schema_version: Literal[1]
     folders: Annotated[dict[Text, Segments], Field(max_length=64)]
+
+
+Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the like
+_Bits64 = Annotated[int, Field(strict=True, ge=0, lt=1 << 64)]
+
+
+class GeneratorFile(Model):
+    """The state of a Philox generator."""
+
+    counter: tuple[_Bits64, _Bits64, _Bits64, _Bits64]
+    key: tuple[_Bits64, _Bits64]
+    buffer: tuple[_Bits64, _Bits64, _Bits64, _Bits64]
+    buffer_pos: Annotated[int, Field(strict=True, ge=0, le=4)]
+    has_uint32: Annotated[int, Field(strict=True, ge=0, le=1)]
+    uinteger: Annotated[int, Field(strict=True, ge=0, lt=1 << 32)]
+
+
+class SittingFile(Model):
+    """What a run of Q-learning has met so far, beside its learner."""
+
+    crashes: Count = 0
+    phase1_done: StrictBool = False
+    q_alarm: StrictBool = False
+    owes_updates: StrictBool = False
+
+
+class SeqFile(Model):
+    """`state.json` in a checkpoint of Q-learning."""
+
+    n_updates: Count
+    episodes: Count
+    explore_rng: GeneratorFile
+    replay_rng: GeneratorFile
+    extra: SittingFile
+
+
+class RoundFile(Model):
+    """`state.json` in a checkpoint of a danger network."""
+
+    updates: Count
+    loss: Annotated[float, Field(strict=True, allow_inf_nan=False)]  # smoothed
+    segments: Segments  # that it has learned from
 
 
 class GuardFile(Model):

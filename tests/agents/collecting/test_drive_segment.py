@@ -20,7 +20,7 @@ from wcsim.agents.collecting.segment_places import (
     orders_of,
     places_of,
 )
-from wcsim.agents.collecting.work import collect
+from wcsim.agents.rounds.workers import collect
 from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError

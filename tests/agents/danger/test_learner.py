@@ -57,7 +57,7 @@ def test_a_learner_that_is_restored_goes_on_to_the_same_weights():
     before.learn(lessons, 3)
     after = DangerLearner(config, 2, 6)
     after.net.load_state_dict(before.net.state_dict())
-    after.restore(before.moments(), before.updates, before.loss)
+    after.restore(before.arrays(), before.updates, before.loss)
     straight.learn(lectures(config, 30, seed=1), 3)
     after.learn(lectures(config, 30, seed=1), 3)
     for one, other in zip(straight.net.parameters(), after.net.parameters(), strict=True):

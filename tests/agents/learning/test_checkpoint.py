@@ -11,14 +11,15 @@ import pytest
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.agents.toy import a_run
+from tests.agents.toy import a_run, load_checkpoint
 from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
-from wcsim.agents.learning.checkpoint_file import MODEL, STATE, step_folders
+from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.train import train
+from wcsim.agents.runs.checkpoint import STATE, checkpoints
 from wcsim.agents.runs.run_folder import open_run
+from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError
 
 
@@ -34,7 +35,7 @@ def folder(bench, tmp_path):
 
 
 def names(folder):
-    return [path.name for path in step_folders(folder)]
+    return [path.name for path in checkpoints(folder)]
 
 
 def test_the_newest_is_that_of_the_largest_number(bench, folder):
@@ -43,7 +44,6 @@ def test_the_newest_is_that_of_the_largest_number(bench, folder):
         bench.model.num_timesteps = step
         assert save_checkpoint(folder, bench.model, {}).is_dir()
     assert names(folder) == ["step-99999000", "step-100000000", "step-100000001"]
-    assert (folder / "LATEST").read_text() == "step-100000001\n"
     assert load_checkpoint(folder, bench.model).path.name == "step-100000001"
 
 
@@ -88,47 +88,45 @@ def test_what_a_killed_process_left_of_one_goes_with_the_next_and_nothing_else_d
     assert begun == {*others, ".step-00000008.tmp"}
 
 
+MODEL = "model.safetensors"
 BAD = {
-    "num_timesteps": 10**9, "n_updates": -5, "episodes": None, "extra": [1], "sha256": {}, "replay_rng": None,
-    "explore_rng": {}, "schema_version": 1,
+    "name": "step-00000080", "n_updates": -5, "episodes": None, "extra": [1], "sha256": {}, "replay_rng": None,
+    "explore_rng": {}, "schema_version": 2,
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("sealed", [False, True])
 @pytest.mark.parametrize("key", BAD)
-def test_a_state_with_another_value_is_passed_over(bench, folder, key):
+def test_a_state_with_another_value_is_passed_over(bench, folder, key, sealed):
     file = folder / "step-00000120" / STATE
     data = json.loads(file.read_text())
     file.write_text(json.dumps({**data, key: BAD[key]}))
+    if sealed:
+        del data["seal"]
+        files.write_sealed_json(file, {**data, key: BAD[key]})
     loaded = load_checkpoint(folder, bench.model)
     assert loaded.path.name == "step-00000080"
     assert [item.path.name for item in loaded.passed_over] == ["step-00000120"]
-    assert content(bench.model, loaded.extra) == bench.known[80]
+    assert content(bench.model, loaded.value.model_dump()) == bench.known[80]
 
 
-@pytest.mark.parametrize("seal", [True, False])
-def test_a_checkpoint_of_the_version_before_has_no_seal(bench, folder, seal):
-    """Its files have hashes; its counters are held against their bounds alone."""
-    file = folder / "step-00000120" / STATE
-    data = json.loads(file.read_text())
-    if not seal:
-        del data["seal"]
-    file.write_text(json.dumps({**data, "schema_version": 1}))
-    loaded = load_checkpoint(folder, bench.model)
-    assert (loaded.path.name, loaded.sealed) == (("step-00000080", True) if seal else ("step-00000120", False))
-    if not seal:
-        assert content(bench.model, loaded.extra) == bench.known[120]
-        for key in BAD.keys() - {"schema_version"}:
-            file.write_text(json.dumps({**data, "schema_version": 1, key: BAD[key]}))
-            bench.fresh()
-            assert load_checkpoint(folder, bench.model).path.name == "step-00000080"
+@pytest.mark.parametrize("version", [{}, {"schema_version": 1}, {"schema_version": 2}])
+def test_checkpoints_of_an_older_version_are_refused_with_what_to_do(bench, folder, version):
+    for path in checkpoints(folder):
+        data = json.loads((path / STATE).read_text())
+        del data["schema_version"], data["seal"]
+        (path / STATE).write_text(json.dumps({**data, **version}))
+    told = f"is of version {version.get('schema_version')}, expected 3: finish the run with the wcsim that began it"
+    with pytest.raises(PolicyError, match=told):
+        load_checkpoint(folder, bench.model)
 
 
 def test_a_learner_is_what_it_was_when_all_are_refused(bench, folder):
-    for path in step_folders(folder):
+    for path in checkpoints(folder):
         (path / MODEL).write_bytes(b"")
     with pytest.raises(PolicyError, match="no intact checkpoint that fits") as told:
         load_checkpoint(folder, bench.model)
-    assert all(path.name in str(told.value) for path in step_folders(folder))
+    assert all(path.name in str(told.value) for path in checkpoints(folder))
     assert content(bench.model, {}) == bench.blank
 
 
@@ -142,7 +140,7 @@ def test_what_was_passed_over_is_said_and_set_aside(tmp_path):
 
     with pytest.raises(InterruptedRunError):
         train(a_run(config(), out, 5), street, stop, progress_every=10)
-    newest = step_folders(out / "checkpoints")[-1]
+    newest = checkpoints(out / "checkpoints")[-1]
     (newest / STATE).write_text("[" * 100_000)
     train(a_run(config(), out, 5, resume=True), street, log=told.append)
     assert open_run(out).manifest.status == "done"

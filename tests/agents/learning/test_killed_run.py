@@ -7,11 +7,11 @@ import sys
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from tests.agents.toy import ToyStreet, a_run, same_from_here_on, toy_camera
+from tests.agents.toy import ToyStreet, a_run, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
-from wcsim.agents.learning.checkpoint_file import step_folders
+from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.learning.train import train
+from wcsim.agents.runs.checkpoint import checkpoints
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.config import LearnConfig, RunConfig
 
@@ -50,7 +50,7 @@ def weights(path):
 
 def drive(out, epsilon, resume=False, at=None):
     """Train to the end, or be killed a few steps after step `at`; the resumed sitting meets the same street."""
-    done = int(step_folders(out / "checkpoints")[-1].name[5:]) if resume else 0
+    done = int(checkpoints(out / "checkpoints")[-1].name[5:]) if resume else 0
 
     class Killed(Fixed):
         steps = 0
@@ -74,7 +74,7 @@ def test_killed_with_groups_it_learns_what_it_would_have_learned(tmp_path, epsil
     code = f"from pathlib import Path; from {__name__} import drive; drive({killed}, {epsilon}, at={HALF})"
     killed = subprocess.run([sys.executable, "-c", f"import torch; torch.set_num_threads(1); {code}"], check=False)
     assert killed.returncode == -signal.SIGKILL
-    assert step_folders(tmp_path / "killed" / "checkpoints")[-1].name == f"step-{HALF:08d}"
+    assert checkpoints(tmp_path / "killed" / "checkpoints")[-1].name == f"step-{HALF:08d}"
     again = drive(tmp_path / "killed", epsilon, resume=True)
     assert open_run(again).manifest.steps == STEPS
     assert weights(again) == weights(straight)

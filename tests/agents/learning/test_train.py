@@ -19,12 +19,12 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
-from tests.agents.toy import ToyStreet, a_run, full_once, same_from_here_on, toy_camera
+from tests.agents.toy import ToyStreet, a_run, full_once, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.evaluation.matrix import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EverySeconds
-from wcsim.agents.learning.checkpoint import _restored_generator, generator_state, load_checkpoint, save_checkpoint
+from wcsim.agents.learning.checkpoint import _restored_generator, generator_state, save_checkpoint
 from wcsim.agents.learning.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -178,7 +178,11 @@ def test_equal_seeds_give_equal_runs_and_other_seeds_do_not(run, tmp_path):
 
 def test_a_checkpoint_is_heard_of_while_it_is_written(tmp_path):
     heard = []
-    train(a_run(config(), tmp_path / "run", 5), street, alive=lambda: heard.append(len(list(tmp_path.rglob("LATEST")))))
+    train(
+        a_run(config(), tmp_path / "run", 5),
+        street,
+        alive=lambda: heard.append(len(list(tmp_path.rglob("step-*")))),
+    )
     written = config().learn.total_steps // config().learn.checkpoint_every
     assert len(heard) >= 2 * written
     assert heard[0] == 0, "before the first one was whole"

@@ -15,12 +15,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from tests.agents.toy import ToyStreet, WindowedStreet, a_run, same_from_here_on, toy_camera
+from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.matrix import open_policy, window_for
 from wcsim.agents.learning.build import build_model, with_window
-from wcsim.agents.learning.checkpoint import load_checkpoint, save_checkpoint
+from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.learning.train import train

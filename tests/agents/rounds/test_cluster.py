@@ -16,8 +16,7 @@ import pytest
 
 from tests.agents.rounds.small_runs import outcome, run_in
 from tests.support.cluster.ray_nodes import RayNode, quiet_environment
-from wcsim.agents.rounds.run_of_rounds import train_danger
-from wcsim.agents.rounds.train_rounds import DATA, RoundProgress
+from wcsim.agents.rounds.train_rounds import DATA, RoundProgress, train_danger
 from wcsim.errors import ConfigError, WorkersError
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import find_town
@@ -105,9 +104,7 @@ def test_a_node_that_joins_works_and_a_town_comes_to_each_node_once(by_processes
         assert len([p for p in (tmp_path / cache / "wcsim" / "parcels").iterdir() if p.is_dir()]) == 1
 
 
-def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(
-    by_processes, corner, tmp_path, monkeypatch
-):
+def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(by_processes, corner, tmp_path, monkeypatch):
     token, other = tmp_path / "token", tmp_path / "other"
     token.write_text("ab" * 32)
     other.write_text("cd" * 32)

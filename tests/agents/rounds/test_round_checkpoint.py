@@ -21,12 +21,11 @@ from wcsim.agents.collecting.data_folder import _write_segment, segment_path, wr
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.rounds import run_of_rounds, train_rounds
-from wcsim.agents.rounds.round_checkpoint import _checkpoint_path, load_round, newest_round, save_round
+from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.round_log import read_rounds
-from wcsim.agents.rounds.run_of_rounds import _tell_damaged, train_danger
-from wcsim.agents.rounds.train_rounds import RoundProgress
+from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, save_round, train_danger
 from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
 from wcsim.config import RunConfig
@@ -114,7 +113,7 @@ def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
 def test_a_run_that_nobody_drives_for_or_nobody_could_is_refused_before_towns_are_made(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_of_rounds, "towns_of", None)
+    monkeypatch.setattr(train_rounds, "towns_of", None)
     run, told = tmp_path / "run", r"no data to learn from; expected --data FOLDER, or collect\.segments of 1"
     with pytest.raises(ConfigError, match=told):
         train_danger(run_in(corner, run, "collect.segments=0"), find_town(str(corner)))
@@ -149,6 +148,16 @@ def a_learner() -> DangerLearner:
     return learner
 
 
+def load_round(folder: Path) -> tuple[int, dict[str, str]]:
+    """The round that a run goes on from, and the segments that it had learned from."""
+    found = restore_newest(folder, _restoring(a_learner()))
+    return number_of(found.path), found.value
+
+
+def _checkpoint_path(folder: Path, number: int) -> Path:
+    return folder / tag("round", number)
+
+
 @pytest.mark.parametrize("step", ["_save", "note_round", "save_round"])
 def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
@@ -172,8 +181,7 @@ def test_a_round_with_very_many_segments_is_kept_and_found(tmp_path: Path) -> No
     learner = a_learner()
     segments = {f"3-{number // 4000:03d}-{number % 4000:04d}.npz.zst": "a" * 64 for number in range(12_000)}
     save_round(tmp_path, 0, learner, segments)
-    assert newest_round(tmp_path) == 0
-    assert load_round(tmp_path, 0, learner) == segments
+    assert load_round(tmp_path) == (0, segments)
 
 
 @pytest.mark.parametrize("name", ["../../3-000-0000.npz.zst", "3-000.npz.zst", "a-b-c.npz.zst"])
@@ -181,11 +189,9 @@ def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, n
     learner = a_learner()
     save_round(tmp_path, 0, learner, {})
     path = _checkpoint_path(tmp_path, 0) / "state.json"
-    state = json.loads(path.read_text())
-    del state["seal"]  # as an older version wrote it, or somebody who means it
-    path.write_text(json.dumps({**state, "segments": {name: "a" * 64}}))
-    with pytest.raises(PolicyError, match="names a segment"):
-        load_round(tmp_path, 0, learner)
+    resealed(path, segments={name: "a" * 64})
+    with pytest.raises(PolicyError, match=r"no segment's file|pattern"):
+        load_round(tmp_path)
 
 
 def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_there_is_no_beginning_again(
@@ -196,13 +202,13 @@ def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_ther
     for number in range(2):
         save_round(folder.checkpoints, number, learner, {})
     (_checkpoint_path(folder.checkpoints, 1) / "weights.safetensors").write_bytes(b"torn")
-    _tell_damaged(folder, told.append)
+    go_on(folder, _restoring(learner), told.append)
     assert "round-001" in told[0] and (folder.checkpoints / "round-001.damaged").is_dir()
-    _tell_damaged(folder, told.append)
-    assert len(told) == 1 and newest_round(folder.checkpoints) == 0
+    go_on(folder, _restoring(learner), told.append)
+    assert len(told) == 1 and [path.name for path in checkpoints(folder.checkpoints)] == ["round-000"]
     (_checkpoint_path(folder.checkpoints, 0) / "weights.safetensors").write_bytes(b"torn")
     with pytest.raises(PolicyError, match="no intact checkpoint"):
-        _tell_damaged(folder, told.append)
+        go_on(folder, _restoring(learner), told.append)
 
 
 @pytest.mark.parametrize("key", ["updates", "loss", "segments"])
@@ -214,14 +220,14 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
     state = json.loads(path.read_text())
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
     path.write_text(json.dumps({**state, key: changed}))
-    assert newest_round(tmp_path) == 0
-    with pytest.raises(PolicyError, match="its content does not match its hash"):
-        load_round(tmp_path, 1, learner)
+    found = restore_newest(tmp_path, _restoring(learner))
+    assert number_of(found.path) == 0
+    assert ["its content does not match its hash" in item.reason for item in found.passed_over] == [True]
     seal = state.pop("seal")
     path.write_text(json.dumps({**state, "sea1": seal}))
-    assert newest_round(tmp_path) == 0, "a seal under another name is none"
+    assert load_round(tmp_path)[0] == 0, "a seal under another name is none"
     path.write_text(json.dumps(state))
-    assert newest_round(tmp_path) == 1, "of before there were seals"
+    assert load_round(tmp_path)[0] == 0, "without one, it may be anybody's"
 
 
 @pytest.mark.parametrize("name", ["weights.safetensors", "moments.safetensors"])
@@ -231,7 +237,7 @@ def test_a_pipe_or_endless_zeros_in_place_of_arrays_are_passed_over_at_once(tmp_
     for number, lay in ((1, os.mkfifo), (2, lambda path: path.symlink_to("/dev/zero"))):
         (_checkpoint_path(tmp_path, number) / name).unlink()
         lay(_checkpoint_path(tmp_path, number) / name)
-    assert newest_round(tmp_path) == 0
+    assert load_round(tmp_path)[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -256,17 +262,16 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
     resealed(
         path.with_name("state.json"), sha256={item.name: files.sha256(item) for item in path.parent.glob("*.saf*")}
     )
-    assert newest_round(tmp_path) == 0
     with pytest.raises(PolicyError, match=rf"{re.escape(key)}|not finite"):
-        load_round(tmp_path, 0, learner)
+        restore_newest(tmp_path, _restoring(learner))
 
 
 @pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])
 def test_a_state_of_other_types_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
     save_round(tmp_path, 0, a_learner(), {})
     resealed(_checkpoint_path(tmp_path, 0) / "state.json", **changes)
-    with pytest.raises(PolicyError, match="is damaged; expected updates"):
-        load_round(tmp_path, 0, a_learner())
+    with pytest.raises(PolicyError, match=rf"{next(iter(changes))}.*got"):
+        load_round(tmp_path)
 
 
 def resealed(path: Path, **changes: Any) -> None:
@@ -281,7 +286,7 @@ def test_the_newest_three_rounds_are_kept_and_a_gap_before_them_costs_nothing(tm
     for number in range(5):
         save_round(tmp_path, number, learner, {})
     assert [_checkpoint_path(tmp_path, number).exists() for number in range(5)] == [False, False, True, True, True]
-    assert newest_round(tmp_path) == 4
+    assert load_round(tmp_path)[0] == 4
     (_checkpoint_path(tmp_path, 4) / "weights.safetensors").write_bytes(b"torn")
     (_checkpoint_path(tmp_path, 2) / "state.json").unlink()
-    assert newest_round(tmp_path) == 3
+    assert load_round(tmp_path)[0] == 3

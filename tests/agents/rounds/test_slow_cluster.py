@@ -20,7 +20,7 @@ import pytest
 from tests.agents.rounds.small_runs import outcome, run_in
 from tests.support.cluster import slow_net
 from tests.support.cluster.slow_net import SlowNet, address_of
-from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.train_rounds import train_danger
 from wcsim.towns.scenario.town import find_town
 
 pytestmark = pytest.mark.proof
@@ -31,7 +31,7 @@ TRAIN = """
 import sys
 from pathlib import Path
 from tests.agents.rounds.small_runs import run_in
-from wcsim.agents.rounds.run_of_rounds import train_danger
+from wcsim.agents.rounds.train_rounds import train_danger
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import find_town
 

@@ -20,9 +20,8 @@ from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_segment
 from wcsim.agents.collecting.segment import NETWORK
 from wcsim.agents.danger.saved import load_danger
-from wcsim.agents.rounds import run_of_rounds
-from wcsim.agents.rounds.run_of_rounds import towns_of, train_danger
-from wcsim.agents.rounds.train_rounds import RoundProgress
+from wcsim.agents.rounds import train_rounds
+from wcsim.agents.rounds.train_rounds import RoundProgress, towns_of, train_danger
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.config import RunConfig
 from wcsim.core import files
@@ -33,8 +32,8 @@ from wcsim.towns.scenario.town import find_town
 
 def test_towns_are_made_where_somebody_drives_in_them_alone(corner, tmp_path, monkeypatch):
     own, made = find_town(str(corner)), list[Path]()
-    monkeypatch.setattr(run_of_rounds, "make_town", lambda out, drawn, wishes: made.append(out))
-    monkeypatch.setattr(run_of_rounds, "open_town", lambda out: own)
+    monkeypatch.setattr(train_rounds, "make_town", lambda out, drawn, wishes: made.append(out))
+    monkeypatch.setattr(train_rounds, "open_town", lambda out: own)
     driven, read = (dqn_config("collect.made_towns=2", f"collect.segments={count}") for count in (1, 0))
     assert towns_of(own, (), read, tmp_path, 3) == (str(own.address),) and not made
     assert towns_of(own, (), driven, tmp_path, 3) == (str(own.address),) * 3 and len(made) == 2

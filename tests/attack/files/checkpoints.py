@@ -14,7 +14,7 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
-from tests.agents.toy import ToyStreet, a_run, toy_camera
+from tests.agents.toy import ToyStreet, a_run, load_checkpoint, toy_camera
 from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped, pick
 from tests.attack.outcomes import Case
 from wcsim.agents.learning.build import build_model
@@ -22,19 +22,18 @@ from wcsim.agents.learning.checkpoint import (
     _model_arrays,
     _restored_generator,
     generator_state,
-    load_checkpoint,
     save_checkpoint,
 )
-from wcsim.agents.learning.checkpoint_file import MODEL, REPLAY, STATE, left_behind, step_folders, step_name
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
 from wcsim.agents.replay.state import replay_arrays
+from wcsim.agents.runs.checkpoint import STATE, checkpoints, tag
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError
 
 CAMERA = toy_camera(8, 8)
 STEPS, EVERY = 120, 40
-NAMES = (STATE, MODEL, REPLAY)
+NAMES = (STATE, "model.safetensors", "replay.safetensors")
 Extra = dict[str, int | float | str | bool]
 
 
@@ -72,12 +71,12 @@ class Bench:
         self._optimizer = copy.deepcopy(self.model.policy.optimizer.state_dict())
         self._rngs = generator_state(self.model.rng), generator_state(self.model.replay_buffer.rng)
         self.known: dict[int, str] = {}
-        for path in step_folders(self.sound):
+        for path in checkpoints(self.sound):
             alone = work / "alone"
             shutil.copytree(path, alone / path.name)
             self.fresh()
             loaded = load_checkpoint(alone, self.model)
-            self.known[self.model.num_timesteps] = content(self.model, loaded.extra)
+            self.known[self.model.num_timesteps] = content(self.model, loaded.value.model_dump())
             shutil.rmtree(alone)
         self.fresh()
         self.blank = content(self.model, {})
@@ -135,9 +134,9 @@ def _feed(bench: Bench, attack: Attack, rng: np.random.Generator, folder: Path) 
                 raise
             return False
         step = bench.model.num_timesteps
-        right = step >= expected and bench.known.get(step) == content(bench.model, loaded.extra)
-        went_on = right and _goes_on(bench.model, folder, loaded.extra, rng)
-        return went_on and _strays(folder) | {path.name for path in step_folders(folder)} >= strays
+        right = step >= expected and bench.known.get(step) == content(bench.model, loaded.value.model_dump())
+        went_on = right and _goes_on(bench.model, folder, loaded.value.model_dump(), rng)
+        return went_on and _strays(folder) | {path.name for path in checkpoints(folder)} >= strays
     finally:
         shutil.rmtree(folder)
 
@@ -148,20 +147,20 @@ def _goes_on(model: SeqDQN, folder: Path, extra: Extra, rng: np.random.Generator
     for _ in range(2):
         model.num_timesteps += 1
         written = save_checkpoint(folder, model, extra)
-        if not written.is_dir() or len(step_folders(folder)) > 4:
+        if not written.is_dir() or len(checkpoints(folder)) > 4:
             return False
     kept = content(model, extra)
     return load_checkpoint(folder, model).path == written and content(model, extra) == kept
 
 
 def _strays(folder: Path) -> set[str]:
-    known = {path.name for path in step_folders(folder)} | {path.name for path in left_behind(folder)} | {"LATEST"}
+    known = {path.name for path in checkpoints(folder)} | {".step-00000090.tmp"}
     return {path.name for path in folder.iterdir()} - known
 
 
 def _some(folder: Path, rng: np.random.Generator) -> list[Path]:
     """One of the checkpoints, more often the newest, or several."""
-    paths = step_folders(folder)[::-1]
+    paths = checkpoints(folder)[::-1]
     count = int(pick(rng, (1, 1, 1, 1, 2, 3)))
     return paths[:count] if rng.random() < 0.7 else [pick(rng, paths)]
 
@@ -192,7 +191,7 @@ def bombed_state(folder: Path, rng: np.random.Generator) -> set[int]:
 
 def moved_file(folder: Path, rng: np.random.Generator) -> set[int]:
     """A file of another checkpoint, or none."""
-    (one, *_), other, name = _some(folder, rng), pick(rng, step_folders(folder)), pick(rng, NAMES)
+    (one, *_), other, name = _some(folder, rng), pick(rng, checkpoints(folder)), pick(rng, NAMES)
     data = (other / name).read_bytes()
     (one / name).unlink()
     if rng.random() < 0.7:
@@ -217,10 +216,10 @@ def odd_file(folder: Path, rng: np.random.Generator) -> set[int]:
 
 def odd_names(folder: Path, rng: np.random.Generator) -> set[int]:
     """Names beside the checkpoints that are none."""
-    old, new = step_folders(folder)[0], step_folders(folder)[-1]
+    old, new = checkpoints(folder)[0], checkpoints(folder)[-1]
     names = (
         "step-zzz", f"{old.name}-copy", "step-90", "step-000000090", "step--0000090", "step-", "step-0000009\u0663",
-        f"{new.name}.damaged", ".step-00000090.tmp", "step-00000090x", "step-" + "9" * 200, "LATEST2",
+        f"{new.name}.damaged", ".step-00000090.tmp", "step-00000090x", "step-" + "9" * 200,
     )  # fmt: skip
     for name in set(pick(rng, names) for _ in range(3)):
         what = int(rng.integers(3))
@@ -235,7 +234,7 @@ def odd_names(folder: Path, rng: np.random.Generator) -> set[int]:
 
 def odd_folder(folder: Path, rng: np.random.Generator) -> set[int]:
     """A checkpoint under the name of another step, or a link, a file or an empty folder in place of one."""
-    old, one = step_folders(folder)[0], folder / step_name(int(pick(rng, (40, 80, 120, 121, 10**8, 10**17))))
+    old, one = checkpoints(folder)[0], folder / tag("step", int(pick(rng, (40, 80, 120, 121, 10**8, 10**17))))
     hurt = _steps([one]) if one.is_dir() else set()
     if one == old:
         return set()
@@ -253,16 +252,7 @@ def odd_folder(folder: Path, rng: np.random.Generator) -> set[int]:
     return hurt
 
 
-def odd_latest(folder: Path, rng: np.random.Generator) -> set[int]:
-    (folder / "LATEST").unlink()
-    if rng.random() < 0.5:
-        (folder / "LATEST").write_bytes(pick(rng, (b"step-00000040\n", b"../../etc", b"\xff", b"")))
-    else:
-        (folder / "LATEST").symlink_to("nowhere")
-    return set()
-
-
 ATTACKS: tuple[Attack, ...] = (
     damaged_file, damaged_file, damaged_file, flipped_state, flipped_state, edited_state, edited_state, edited_state,
-    bombed_state, moved_file, odd_file, odd_names, odd_folder, odd_latest,
+    bombed_state, moved_file, odd_file, odd_names, odd_folder,
 )  # fmt: skip

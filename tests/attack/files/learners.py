@@ -21,10 +21,10 @@ from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick
 from wcsim.agents.collecting.data_folder import packed_segment, read_segment
 from wcsim.agents.danger.dataset import labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.danger.learner_files import STATE
-from wcsim.agents.rounds.round_checkpoint import _checkpoint_path, load_round, newest_round, save_round
+from wcsim.agents.rounds.train_rounds import _restoring, save_round
+from wcsim.agents.runs.checkpoint import STATE, number_of, restore_newest
 from wcsim.core import files
-from wcsim.core.reading import is_file, is_folder
+from wcsim.core.reading import is_file
 
 ROUND = "round-007"
 WEIGHTS, MOMENTS = "weights.safetensors", "moments.safetensors"
@@ -155,13 +155,9 @@ def _resealed(path: Path) -> None:
 
 def _take_round(path: Path) -> bool:
     _resealed(path)
-    learner, number = _learner(), newest_round(path.parents[1]) if is_folder(path.parents[1]) else -1
-    if number < 0:
-        return True  # a run without any begins again, or says which are damaged
-    segments = load_round(path.parents[1], number, learner)
-    return _same(
-        _checkpoint_path(path.parents[1], number), learner, lambda out: save_round(out, number, learner, segments)
-    )
+    learner = _learner()
+    found = restore_newest(path.parents[1], _restoring(learner))
+    return _same(found.path, learner, lambda out: save_round(out, number_of(found.path), learner, found.value))
 
 
 def _same(folder: Path, learner: DangerLearner, save: Callable[[Path], object]) -> bool:

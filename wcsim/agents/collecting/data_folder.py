@@ -10,7 +10,7 @@ import hashlib
 import io
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
@@ -76,6 +76,15 @@ def key_of(name: str) -> SegmentKey:
         raise PolicyError(f"{escaped(name)!r} is no segment's file; expected SEED-ROUND-INDEX.npz.zst")
     run, number, index = map(int, found.groups())
     return SegmentKey(run=run, round=number, index=index)
+
+
+def in_order(segments: Iterable[str]) -> list[str]:
+    """Names of segments in the order in which a run learns from them: round by round. Raises as `key_of`.
+
+    >>> in_order(["3-1000-0000.npz.zst", "3-999-0001.npz.zst", "3-999-0000.npz.zst"])
+    ['3-999-0000.npz.zst', '3-999-0001.npz.zst', '3-1000-0000.npz.zst']
+    """
+    return sorted(segments, key=lambda name: (key_of(name).round, name))
 
 
 def _write_segment(path: Path, segment: Segment) -> str:

@@ -13,6 +13,8 @@ from torch.nn import functional
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.networks.device import checked_device
+from wcsim.agents.networks.weights import checked_tensors
+from wcsim.agents.runs.checkpoint import Arrays
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
@@ -78,23 +80,28 @@ class DangerLearner:
         self.net.train(False)
         return self.loss
 
-    def moments(self) -> dict[str, torch.Tensor]:
-        """What the optimiser remembers of each weight, by name."""
-        state = self._optimizer.state
+    def arrays(self) -> dict[str, Arrays]:
+        """The weights, and what the optimiser remembers of each, by name."""
         names: dict[object, str] = {parameter: name for name, parameter in self.net.named_parameters()}
-        return {
-            f"{names[parameter]}.{key}": value.detach().cpu().clone().contiguous()
-            for parameter, held in state.items()
+        weights = {name: value.detach().cpu().numpy() for name, value in self.net.state_dict().items()}
+        moments = {
+            f"{names[parameter]}.{key}": value.detach().cpu().numpy()
+            for parameter, held in self._optimizer.state.items()
             for key, value in held.items()
         }
+        return {"weights": weights, "moments": moments}
 
-    def restore(self, moments: dict[str, torch.Tensor], updates: int, loss: float) -> None:
-        """Go on after so many updates with what `moments` gave then.
+    def restore(self, arrays: dict[str, Arrays], updates: int, loss: float) -> None:
+        """Go on after so many updates with what `arrays` gave then.
 
         Raises:
-            KeyError: It is of another network.
+            PolicyError, KeyError: It is of another network.
             ValueError: A tensor of it is of another form, or not finite.
         """
+        weights, moments = (
+            {name: torch.from_numpy(value) for name, value in arrays[part].items()} for part in ("weights", "moments")
+        )
+        self.net.load_state_dict(checked_tensors("the weights", weights, self.net.state_dict()))
         parameters = dict(self.net.named_parameters())
         # Whatever the optimiser has gathered since would be mixed with what it had then.
         self._optimizer.state.clear()

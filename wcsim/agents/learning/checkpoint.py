@@ -1,180 +1,71 @@
-"""Checkpoints of a learner: weights, target, optimiser, replay, counters and random states, in safetensors and JSON.
+"""What a checkpoint holds of a learner: weights, target, optimiser, replay, counters and random states.
 
-Taken between rollouts, where every step is stored. Weights are small and saved often. The replay is large, so most
-checkpoints share, as a hard link, the file of the newest one that was saved with its replay. A world cannot be saved:
-a resumed run begins a new episode and with it a new exploration offset. All else that the learner holds is restored
-exactly. All of a checkpoint is under a hash; one that is damaged in any place is passed over for the one before it,
-and the learner is not touched.
+Taken between rollouts, where every step is stored. Weights are small and saved often; most checkpoints share the replay
+of the newest one that was saved with it. A world cannot be saved: a resumed run begins a new episode and with it a new
+exploration offset. All else that the learner holds is restored exactly, or the learner is not touched.
 """
 
 from __future__ import annotations
 
 import copy
-import os
-import shutil
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
-from safetensors.numpy import load_file, save_file
 
-from wcsim.agents.learning.checkpoint_file import (
-    KEEP,
-    MODEL,
-    REPLAY,
-    State,
-    left_behind,
-    read_state,
-    replay_hash,
-    step_folders,
-    step_name,
-    step_of,
-    write_state,
-)
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
-from wcsim.core import files
+from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
+from wcsim.config import parse
+from wcsim.config.run_file import SeqFile, SittingFile
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 
-LATEST = "LATEST"
-
-Arrays = dict[str, npt.NDArray[Any]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _PassedOver:
-    """A checkpoint that was not used, and why."""
-
-    path: Path
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Loaded:
-    """What was restored beside the model, and what was not used for it, newest first."""
-
-    path: Path
-    extra: dict[str, int | float | str | bool]
-    sealed: bool  # False for a checkpoint of an older version, whose counters have no hash
-    passed_over: tuple[_PassedOver, ...]
+_MODEL: Final = "model.safetensors"
 
 
 def save_checkpoint(
     folder: Path,
     model: SeqDQN,
-    extra: Mapping[str, int | float | str | bool],
+    extra: Mapping[str, int | bool],
     alive: Callable[[], object] = lambda: None,
     *,
     replay: bool = True,
 ) -> Path:
-    """Write `folder/step-N` in one step, point LATEST to it, drop all but it and the newest ones; returns it.
+    """Save a learner, see `checkpoint.save`; `extra` is the `SittingFile` beside it.
 
-    `alive` is called now and then while it is being written. Without `replay` it takes that of the newest checkpoint
-    along, if there is one.
+    Without `replay` it takes that of the newest checkpoint along, if there is one.
 
     Raises:
         DiskFullError: It could not be written; those before are whole.
         SafetensorError: The same, in other words.
     """
-    target = folder / step_name(model.num_timesteps)
-    held = None if replay else _newest_replay(folder)
+    state = {
+        "n_updates": model._n_updates,
+        "episodes": model._episode_num,
+        "explore_rng": generator_state(model.rng),
+        "replay_rng": generator_state(_replay(model).rng),
+        "extra": dict(extra),
+    }
+    held = None if replay else newest_arrays(folder, "replay")
+    arrays = {"model": _model_arrays(model), "replay": held or replay_arrays(_replay(model), alive)}
+    return save(folder, tag("step", model.num_timesteps), state, arrays, alive)
 
-    with files.whole_folder(target) as work:
-        save_file(_model_arrays(model), work / MODEL)
-        if held is None:
-            save_file(replay_arrays(_replay(model), alive), work / REPLAY)
-        else:
-            _link(held[0] / REPLAY, work / REPLAY)
+
+def restoring(model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Restore[SittingFile]:
+    """Brings a fresh model, built from the same configuration, to a checkpoint; `alive` is called now and then."""
+
+    def restore(step: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> SittingFile:
+        said = parse(SeqFile, state, STATE)
         alive()
-        values = {
-            "num_timesteps": model.num_timesteps,
-            "n_updates": model._n_updates,
-            "episodes": model._episode_num,
-            "explore_rng": generator_state(model.rng),
-            "replay_rng": generator_state(_replay(model).rng),
-            "extra": dict(extra),
-        }
-        write_state(work, values, "" if held is None else held[1])
+        _restore(model, said, arrays["model"], arrays["replay"], alive)
+        model.num_timesteps = step
+        return said.extra
 
-    files.write_bytes(folder / LATEST, f"{target.name}\n".encode())
-    _drop_old(folder, target)
-    return target
-
-
-def _newest_replay(folder: Path) -> tuple[Path, str] | None:
-    """The newest checkpoint of a run, and its replay's hash; None where there is none."""
-    return next(((path, sha) for path in reversed(step_folders(folder)) if (sha := replay_hash(path))), None)
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        os.link(source, target)
-    except OSError:  # a file system without hard links
-        shutil.copyfile(source, target)
-
-
-def _drop_old(folder: Path, newest: Path) -> None:
-    """Remove all checkpoints but `newest`, the last ones and one with another replay, and what is half-written."""
-    older = step_folders(folder)
-    kept = {newest, *older[-KEEP:]}
-    replays = {_replay_inode(path) for path in kept}
-    if len(replays) == 1:  # a damaged file must not take all of them
-        kept.update([path for path in older if _replay_inode(path) not in replays][-1:])
-    for old in (*older, *left_behind(folder)):
-        if old not in kept:
-            shutil.rmtree(old, ignore_errors=True)
-
-
-def _replay_inode(checkpoint: Path) -> object:
-    """Which file a checkpoint has its replay in: linked ones have the same."""
-    try:
-        return (checkpoint / REPLAY).stat().st_ino
-    except OSError:  # of a kind of run that has none
-        return checkpoint
-
-
-def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Loaded:
-    """Restore the newest sound checkpoint of a run into a fresh model built from the same configuration.
-
-    `alive` is called now and then while it is being read.
-
-    Raises:
-        PolicyError: None is sound and fits the model, which is as it was then.
-    """
-    passed: list[_PassedOver] = []
-    for path in reversed(step_folders(folder)):
-        try:
-            state = read_state(path)
-            alive()
-            _restore(model, state, load_file(path / MODEL), load_file(path / REPLAY), alive)
-        except Exception as error:  # whatever is wrong with it, the one before may be sound
-            passed.append(passed_over(path, error))
-            continue
-        return Loaded(path=path, extra=state.extra, sealed=state.sealed, passed_over=tuple(passed))
-    raise _none_sound(folder, passed)
-
-
-def passed_over(path: Path, error: Exception) -> _PassedOver:
-    """The message on a checkpoint that could not be used."""
-    reason = str(error) if isinstance(error, PolicyError) else f"{type(error).__name__}: {error}"
-    return _PassedOver(path=path, reason=escaped(reason, 300))
-
-
-def _none_sound(folder: Path, passed: Sequence[_PassedOver]) -> PolicyError:
-    """What is raised where all checkpoints of a run were passed over, or none found."""
-    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
-    return PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
-
-
-def newest_step(folder: Path) -> int:
-    """The step of a run's newest checkpoint, sound or not; -1 when none found."""
-    return max(map(step_of, step_folders(folder)), default=-1)
+    return restore
 
 
 def generator_state(rng: np.random.Generator) -> dict[str, Any]:
@@ -225,7 +116,7 @@ def _model_arrays(model: SeqDQN) -> Arrays:
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
 
 
-def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive: Callable[[], object]) -> None:
+def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, alive: Callable[[], object]) -> None:
     """All of it, or, with an exception, nothing."""
     memory = _replay(model)
     slots = _optimizer_slots(model, arrays)
@@ -242,7 +133,9 @@ def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive:
             )
         model.policy.optimizer.load_state_dict({"state": slots, "param_groups": optimizer["param_groups"]})
         restore_replay(memory, replay, alive)
-        memory.rng, explore_rng = _restored_generator(state.replay_rng), _restored_generator(state.explore_rng)
+        memory.rng, explore_rng = (
+            _restored_generator(rng.model_dump()) for rng in (state.replay_rng, state.explore_rng)
+        )
         torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
     except BaseException:
         for (_, net), before in zip(_nets(model), nets, strict=True):
@@ -253,7 +146,7 @@ def _restore(model: SeqDQN, state: State, arrays: Arrays, replay: Arrays, alive:
         torch.set_rng_state(torch_rng)
         raise
     model.rng = explore_rng
-    model.num_timesteps, model._n_updates, model._episode_num = state.num_timesteps, state.n_updates, state.episodes
+    model._n_updates, model._episode_num = state.n_updates, state.episodes
 
 
 def _check_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
@@ -262,11 +155,11 @@ def _check_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
     got = {key: value for key, value in arrays.items() if not key.startswith("optimizer/")}
     if set(got) != set(expected):
         other = escaped(sorted(set(got) ^ set(expected)))
-        raise PolicyError(f"{MODEL} has other arrays ({other}) than this configuration")
+        raise PolicyError(f"{_MODEL} has other arrays ({other}) than this configuration")
     for key, value in expected.items():
         here, there = (value.dtype, value.shape), (got[key].dtype, got[key].shape)
         if here != there:
-            raise PolicyError(f"{MODEL}: {key} is {there[0]} {there[1]}, in this configuration {here[0]} {here[1]}")
+            raise PolicyError(f"{_MODEL}: {key} is {there[0]} {there[1]}, in this configuration {here[0]} {here[1]}")
 
 
 def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch.Tensor]]:
@@ -279,6 +172,6 @@ def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch
         _, index, name = key.split("/")
         number = int(index)
         if not 0 <= number < len(sizes) or (value.size != 1 if name == "step" else value.shape != sizes[number]):
-            raise PolicyError(f"{MODEL}: {key} has the shape {value.shape}; it is of another network")
+            raise PolicyError(f"{_MODEL}: {key} has the shape {value.shape}; it is of another network")
         slots.setdefault(number, {})[name] = torch.from_numpy(value.reshape(()) if name == "step" else value)
     return slots

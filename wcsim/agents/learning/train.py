@@ -26,14 +26,16 @@ from wcsim.agents.learning.callbacks import (
     TrainingLogs,
     TrainProgress,
 )
-from wcsim.agents.learning.checkpoint import Loaded, load_checkpoint, newest_step, save_checkpoint
+from wcsim.agents.learning.checkpoint import restoring, save_checkpoint
 from wcsim.agents.learning.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import checked_device, torch_settings
+from wcsim.agents.runs.checkpoint import go_on
 from wcsim.agents.runs.resumed_folder import folder_of
 from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
+from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
 
@@ -85,8 +87,8 @@ def train(
             model = build_model(run.config, env, run.info.seed)
             _learn_meanwhile(model, env)
             request.wait_less = getattr(env.envs[0].unwrapped, "wait_less", request.wait_less)
-            loaded = _loaded(folder, model, log, alive) if run.resume else None
-            session = _Session(folder, model, request, progress, run.resume, loaded, progress_every, alive)
+            sitting = _restored(folder, model, log, alive) if run.resume else None
+            session = _Session(folder, model, request, progress, run.resume, sitting, progress_every, alive)
             session.callbacks.extend(callbacks)
             with session.logs.board or contextlib.nullcontext():
                 return session.learn()
@@ -142,15 +144,15 @@ class _Session:
         request: StopRequest,
         progress: Progress | None,
         resume: bool,
-        loaded: Loaded | None,
+        before: SittingFile | None,
         progress_every: int,
         alive: Callable[[], object],
     ) -> None:
         self.run, self.model, self.progress, self.request, self.alive = run, model, progress, request, alive
         self.learn_config = run.config.learn
-        extra = {} if loaded is None else loaded.extra
-        if loaded is not None:
+        if before is not None:
             self._new_segment()
+        before = before or SittingFile()
         plan = model.plan
         if plan is None:
             raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
@@ -160,12 +162,11 @@ class _Session:
             steps=MetricsFile(run.path / STEPS, kept, STEP_COLUMNS),
             board=BoardLog(run.path, kept) if self.learn_config.tensorboard else None,
         )
-        crashes = int(extra.get("crashes", 0))
-        self.episodes = EpisodeMetrics(self.logs, time.monotonic(), model._episode_num, crashes)
-        self.switch = _PhaseSwitch(plan, self._switched, done=bool(extra.get("phase1_done", False)))
-        self.alarmed = bool(extra.get("q_alarm", False))
+        self.episodes = EpisodeMetrics(self.logs, time.monotonic(), model._episode_num, before.crashes)
+        self.switch = _PhaseSwitch(plan, self._switched, done=before.phase1_done)
+        self.alarmed = before.q_alarm
         self.unsaved = ""  # why the last checkpoint could not be written
-        if extra.get("owes_updates", False):
+        if before.owes_updates:
             model.owe_updates(self.learn_config.gradient_steps)
         self.callbacks: list[BaseCallback] = [
             self.episodes,
@@ -278,26 +279,13 @@ class _Session:
         self.run.event("resume", step=self.model.num_timesteps, seed=segment)
 
 
-def _loaded(run: RunFolder, model: SeqDQN, log: Callable[[str], object], alive: Callable[[], object]) -> Loaded | None:
-    """The newest sound checkpoint, restored; None for a run that has none yet and begins again."""
-    if newest_step(run.checkpoints) < 0:
+def _restored(
+    run: RunFolder, model: SeqDQN, log: Callable[[str], object], alive: Callable[[], object]
+) -> SittingFile | None:
+    """What came before the newest sound checkpoint, which is restored; None for a run that begins again."""
+    found = go_on(run, restoring(model, alive), log)
+    if found is None:
         log(f"{run.path} stopped before its first checkpoint; it starts again")
         run.event("begin_again")
         return None
-    loaded = load_checkpoint(run.checkpoints, model, alive)
-    _report_loaded(run, loaded, log)
-    return loaded
-
-
-def _report_loaded(run: RunFolder, loaded: Loaded, log: Callable[[str], object]) -> None:
-    """Log what a run goes on from where that is not the newest checkpoint, or an older version's.
-
-    What was passed over is set aside: it belongs to work that is done again, with another outcome.
-    """
-    for item in loaded.passed_over:
-        kept = files.set_aside(item.path)
-        log(f"{item.path}: skipped ({item.reason}); continuing from {loaded.path.name}, renamed to {kept.name}")
-        run.event("passed_over", checkpoint=kept.name, reason=item.reason)
-    if not loaded.sealed:
-        log(f"{loaded.path}: of an older version; its counters and random states have no hash, so they are not checked")
-        run.event("unsealed", checkpoint=loaded.path.name)
+    return found.value

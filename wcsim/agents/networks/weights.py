@@ -49,7 +49,7 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
             f"{escaped(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
             "the file was damaged or replaced; copy the whole policy folder again"
         )
-    _check_same(path, _read_header(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
+    _check_same(escaped(path), _read_header(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
     return data
 
 
@@ -63,14 +63,27 @@ def checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch
         tensors = load(data)
     except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
         raise PolicyError(f"{escaped(path)} is not a safetensors file: {escaped(error)}") from None
+    return checked_tensors(escaped(path), tensors, wanted)
+
+
+def checked_tensors(where: str, tensors: dict[str, torch.Tensor], wanted: Tensors) -> dict[str, torch.Tensor]:
+    """The same tensors. Raises PolicyError where they are not those of `wanted` in name, type and shape, or finite."""
     _check_same(
-        path,
+        where,
         {name: _facts(tensor) for name, tensor in tensors.items()},
         {name: _facts(tensor) for name, tensor in wanted.items()},
     )
     if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
-        raise PolicyError(f"{escaped(path)} holds numbers that are not finite; train this policy again")
+        raise PolicyError(f"{where} holds numbers that are not finite; train this policy again")
     return tensors
+
+
+def digest_of(net: torch.nn.Module) -> str:
+    """SHA-256 over the weights of a network."""
+    text = hashlib.sha256()
+    for name, value in sorted(net.state_dict().items()):
+        text.update(name.encode() + value.detach().cpu().contiguous().numpy().tobytes())
+    return text.hexdigest()
 
 
 def _facts(tensor: torch.Tensor) -> str:
@@ -98,12 +111,12 @@ def _fact(entry: Any) -> str:
     return f"{entry.get('dtype')} {entry.get('shape')}" if isinstance(entry, dict) else type(entry).__name__
 
 
-def _check_same(path: Path, got: Mapping[str, str], wanted: Mapping[str, str]) -> None:
+def _check_same(where: str, got: Mapping[str, str], wanted: Mapping[str, str]) -> None:
     odd = sorted(name for name in wanted.keys() | got.keys() if wanted.get(name) != got.get(name))
     if odd:
         first = odd[0]
         raise PolicyError(
-            f"{escaped(path)} does not fit the network that policy.json describes: {escaped(first, 80)} is "
+            f"{where} does not fit the network that policy.json describes: {escaped(first, 80)} is "
             f"{escaped(got.get(first, 'missing'), 80)}, expected {wanted.get(first, 'nothing')} "
             f"({len(odd)} tensors differ); use the weights it was trained with"
         )

@@ -8,29 +8,41 @@ nor on what died on the way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from pathlib import Path
 from shutil import copytree
+from typing import Any, Final
 
 import torch
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, read_segment, write_manifest
+from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, in_order, read_segment, write_manifest
 from wcsim.agents.collecting.segment import SegmentKey
-from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of
+from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.networks.device import torch_settings
+from wcsim.agents.networks.weights import digest_of
 from wcsim.agents.rounds.learned_data import learned_segments
-from wcsim.agents.rounds.round_checkpoint import digest_of, in_order, load_round, newest_round, save_round
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
-from wcsim.agents.runs.run_folder import METRICS, RunFolder
-from wcsim.config import RunConfig
+from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
+from wcsim.agents.runs.resumed_folder import folder_of
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, with_whole_data
+from wcsim.config import RunConfig, parse
+from wcsim.config.run_file import RoundFile
 from wcsim.core import files, seeding
+from wcsim.errors import ConfigError, InterruptedRunError, TownError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.maker import make_town
+from wcsim.towns.making.wishes import Wishes
+from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
+
+TOWNS: Final = "towns"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,8 +76,8 @@ class Rounds:
         return self.folder.config
 
 
-def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
-    """Do all rounds that are left; the SHA-256 of the weights.
+def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object]) -> str:
+    """Do all rounds that are left; the SHA-256 of the weights. `log` is told of checkpoints that could not be used.
 
     Raises:
         TownError: A town is missing.
@@ -78,8 +90,8 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
     config, folder = rounds.config, rounds.folder
     seed, total = folder.manifest.seed, config.collect.rounds
     learner = DangerLearner(config, seed, config.danger.updates * total)
-    first = newest_round(folder.checkpoints) + 1
-    segments = load_round(folder.checkpoints, first - 1, learner) if first else {}
+    found = go_on(folder, _restoring(learner), log)
+    first, segments = (0, {}) if found is None else (number_of(found.path) + 1, dict(found.value))
     dataset = Dataset(config)
     for segment in learned_segments(folder):
         dataset.add(labelled_steps(segment, config))
@@ -103,7 +115,7 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
             torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
             loss = learner.learn(dataset, config.danger.updates, told.learned)
             segments |= came
-            _save(rounds, learner, f"round-{number:03d}")
+            _save(rounds, learner, tag("round", number))
             row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, learner.updates, loss)
             note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
             save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
@@ -117,9 +129,27 @@ def train_rounds(rounds: Rounds, progress: Progress = lambda now: None) -> str:
     return digest_of(learner.net)
 
 
+def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
+    """Keep a learner after a round, see `checkpoint.save`; `segments` are those that it has learned from."""
+    state = {"updates": learner.updates, "loss": learner.loss, "segments": segments}
+    save(folder, tag("round", number), state, learner.arrays())
+
+
+def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
+    """Brings a learner to where it was after a round, and tells the segments that it had learned from."""
+
+    def restore(_: int, state: dict[str, Any], arrays: dict[str, Arrays]) -> dict[str, str]:
+        said = parse(RoundFile, state, STATE)
+        in_order(said.segments)
+        learner.restore(arrays, said.updates, said.loss)
+        return said.segments
+
+    return restore
+
+
 def keep_newest(folder: RunFolder) -> bool:
     """Let the policy of the last round that is done be the run's. Whether there is one. Raises DiskFullError."""
-    done = [folder.policy(f"round-{number:03d}") for number in range(newest_round(folder.checkpoints) + 1)]
+    done = [folder.policy(tag("round", number)) for number in range(newest_number(folder.checkpoints) + 1)]
     done = [path for path in done if path.is_dir()]
 
     if done:
@@ -131,7 +161,7 @@ def keep_newest(folder: RunFolder) -> bool:
 def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
     """The segments of a round, driven by the network of the round before the last, where there is one."""
     config, driver = rounds.config, number - 2
-    policy = str(rounds.folder.policy(f"round-{driver:03d}")) if driver >= 0 else ""
+    policy = str(rounds.folder.policy(tag("round", driver))) if driver >= 0 else ""
     first = SegmentKey(run=rounds.folder.manifest.seed, round=number, index=0)
     return orders_of(config, rounds.towns, first, config.collect.segments, policy)
 
@@ -171,3 +201,90 @@ class RoundTeller:
 def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
     rule, sha256 = configured_rule(rounds.config.danger), rounds.folder.manifest_sha256()
     save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.config, sha256)
+
+
+def towns_of(
+    own: Town,
+    more: Collection[str],
+    config: RunConfig,
+    folder: Path,
+    seed: int,
+    stage: Callable[[str], object] = lambda told: None,
+) -> tuple[str, ...]:
+    """Folders or names of all towns, the run's own first.
+
+    Args:
+        own: The run's.
+        more: Words for those that take turns with it.
+        config: Of the run.
+        folder: Of the run; towns that are drawn lie in it, and are made once, where anybody is going to drive in them.
+        seed: Of the run.
+        stage: Told what is made.
+
+    Raises:
+        TownError: A town is missing, is meant for tests, or cannot be made.
+        SumoError: One of SUMO's tools failed.
+    """
+    listed = [find_town(name) for name in config.collect.towns]
+    for town in listed:
+        if town.split == "test":
+            raise TownError(f"collect.towns: {town.name} is a test town; expected training towns")
+    others = [*map(asked_town, more), *listed]
+    made = config.collect.made_towns if config.collect.segments else 0
+    for number in range(made):
+        drawn = seeding.derive(seed, "collect", "town", number)
+        out = folder / TOWNS / f"made-{drawn}"
+        if not out.is_dir():
+            stage(f"generating town {number + 1} of {made}")
+            make_town(out, drawn, Wishes())
+        others.append(open_town(out))
+    return tuple(str(town.address) for town in (own, *others))
+
+
+def train_danger(
+    run: ResolvedRun,
+    town: Town,
+    machines: Machines = HERE,
+    progress: Progress = lambda now: None,
+    stage: Callable[[str], object] = lambda told: None,
+) -> Path:
+    """Do all rounds and leave a run folder with data/, checkpoints/ and policies/final.
+
+    Args:
+        run: The run; with `resume` it goes on after the last whole round.
+        town: The one that it is trained in; others may be beside it, see `CollectConfig`.
+        machines: Who drives beside the process that learns; how many and where changes nothing but the time.
+        progress: Told what comes of it.
+        stage: Told what takes long before the first round, and of checkpoints that could not be used.
+
+    Raises:
+        InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
+        PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `train_rounds` and `folder_of`.
+    """
+    _require_driving(run.config)
+    require_recordable(run.config)
+    folder = folder_of(run, with_whole_data)
+    with files.locked(folder.path), torch_settings(folder.config.learn):
+        towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
+        rounds = Rounds(folder=folder, towns=towns, machines=machines)
+        total = folder.config.collect.rounds
+        try:
+            sha256 = train_rounds(rounds, progress, stage)
+        except KeyboardInterrupt:
+            folder.with_status("interrupted", 0)
+            kept = "the policy of the complete rounds" if keep_newest(folder) else "the segments so far, no policy yet"
+            raise InterruptedRunError(
+                f"stopped; {folder.path} holds {kept}, and can be continued with --resume"
+            ) from None
+        folder.with_status("done", total * folder.config.danger.updates)
+        folder.event("done", weights_sha256=sha256)
+    return folder.path
+
+
+def _require_driving(config: RunConfig) -> None:
+    """Refuse a run that nobody drives for. Raises ConfigError."""
+    if config.collect.segments == 0 and not config.collect.data:
+        raise ConfigError(
+            "collect.segments=0 without collect.data: there is no data to learn from; expected --data FOLDER, or "
+            "collect.segments of 1 or more"
+        )

@@ -6,7 +6,7 @@
 - metrics.csv: one row an episode, steps.csv: KPI 1 of the agent's own choice, one row for each 100 steps; columns
   *_s_wall hold wall-clock time and differ between equal runs
 - events.jsonl: what happened besides (phase switch, checkpoints, resumes, the end)
-- checkpoints/: step-00005000/ ..., LATEST
+- checkpoints/: step-00005000/ ..., or round-000/ ..., see agents/runs/checkpoint.py
 - learned_data.json: the segments of other data folders that are learned from, in rounds
 - policies/: phase1/, final/
 """

@@ -1,0 +1,233 @@
+"""Checkpoints of any learner: folders of arrays and plain values, all of it under hashes.
+
+Each is written in one step, and the newest ones stay. Arrays that are large and seldom saved are shared, as a hard
+link, with the newest checkpoint that has them. A learner goes on from the newest one that is sound and fits it: one
+that is damaged in any place is passed over for the one before it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Generic, TypeVar
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+from wcsim.agents.runs.run_folder import RunFolder
+from wcsim.core import files
+from wcsim.core.reading import FileKind, escaped, read_json, regular_size
+from wcsim.errors import PolicyError, WcsimError
+
+STATE: Final = "state.json"
+KEEP: Final = 3  # checkpoints of a run
+_VERSION: Final = 3
+_WIDTH: Final = {"step": 8, "round": 3}  # least number of digits, by what is counted
+_NAME: Final = re.compile(r"(step|round)-(\d{3,18})", re.ASCII)
+_END: Final = ".safetensors"
+_FILE: Final = re.compile(rf"[a-z_]+{re.escape(_END)}", re.ASCII)
+_STATE_KIND: Final = FileKind(what="the state.json of a checkpoint", limit_bytes=64 << 20, error=PolicyError)
+_ARRAYS_KIND: Final = FileKind(what="the arrays of a checkpoint", limit_bytes=1 << 42, error=PolicyError)
+
+Arrays = dict[str, np.ndarray]
+T = TypeVar("T")
+Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
+"""Brings a learner to a step or round with its state and arrays; raises where they do not fit, and is asked again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PassedOver:
+    """A checkpoint that was not used, and why."""
+
+    path: Path
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Restored(Generic[T]):
+    """What a learner was brought to, what `Restore` returned, and what was not used, newest first."""
+
+    path: Path
+    value: T
+    passed_over: tuple[_PassedOver, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shared:
+    """A file of arrays that a checkpoint has already, and the hash that it was written with, not compared with it."""
+
+    path: Path
+    sha256: str
+
+
+def tag(counted: str, number: int) -> str:
+    """The name of the checkpoint of a step or round; their order as text is not that of their numbers.
+
+    >>> tag("step", 5000), tag("step", 100_000_000), tag("round", 7)
+    ('step-00005000', 'step-100000000', 'round-007')
+    """
+    return f"{counted}-{number:0{_WIDTH[counted]}d}"
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """Those of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
+    try:
+        with os.scandir(folder) as entries:
+            found = [folder / entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]
+    except OSError:
+        return []
+    return sorted((path for path in found if _is_name(path.name)), key=number_of)
+
+
+def number_of(path: Path) -> int:
+    """The step or round of a checkpoint's folder."""
+    return int(path.name.rpartition("-")[2])
+
+
+def newest_number(folder: Path) -> int:
+    """The step or round of a run's newest checkpoint, sound or not; -1 when there is none."""
+    return max(map(number_of, checkpoints(folder)), default=-1)
+
+
+def save(
+    folder: Path,
+    name: str,
+    state: Mapping[str, Any],
+    arrays: Mapping[str, Arrays | Shared],
+    alive: Callable[[], object] = lambda: None,
+) -> Path:
+    """Write the checkpoint `folder/name` in one step, and drop all but it and the newest ones.
+
+    Args:
+        folder: Of a run's checkpoints.
+        name: See `tag`.
+        state: Plain values.
+        arrays: By the name of their file; see `newest_arrays` for those that are saved already.
+        alive: Called now and then while it is being written.
+
+    Returns:
+        The checkpoint's folder.
+
+    Raises:
+        DiskFullError: It could not be written; those before are whole.
+        SafetensorError: The same, in other words.
+    """
+    with files.whole_folder(folder / name) as target:
+        hashes = {}
+        for part, held in arrays.items():
+            file = f"{part}{_END}"
+            if isinstance(held, Shared):
+                _link(held.path, target / file)
+                hashes[file] = held.sha256
+            else:
+                save_file({key: np.asarray(value, order="C") for key, value in held.items()}, target / file)
+                alive()
+                hashes[file] = files.sha256(target / file)
+            alive()
+        said = {"schema_version": _VERSION, "name": name, **state, "sha256": hashes}
+        files.write_sealed_json(target / STATE, said)
+    _drop_old(folder, folder / name)
+    return folder / name
+
+
+def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
+    """Bring a learner to the newest checkpoint of a run that is sound and fits it.
+
+    Raises:
+        PolicyError: There is none.
+    """
+    passed: list[_PassedOver] = []
+    for path in reversed(checkpoints(folder)):
+        try:
+            state = _read_state(path)
+            hashes = state.pop("sha256")
+            for file, sha256 in hashes.items():
+                regular_size(path / file, _ARRAYS_KIND)
+                if files.sha256(path / file) != sha256:
+                    raise PolicyError(f"{file} is damaged")
+            arrays = {file.removesuffix(_END): load_file(path / file) for file in hashes}
+            value = restore(number_of(path), state, arrays)
+        except Exception as error:  # whatever is wrong with it, the one before may be sound
+            reason = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
+            passed.append(_PassedOver(path=path, reason=escaped(reason, 300)))
+            continue
+        return Restored(path=path, value=value, passed_over=tuple(passed))
+    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
+    raise PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
+
+
+def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> Restored[T] | None:
+    """`restore_newest` for a run, with a message on what was passed over; None for a run that has no checkpoint yet.
+
+    What was passed over is set aside: it belongs to work that is done again, with another outcome.
+
+    Raises:
+        PolicyError: There are checkpoints, and none is sound and fits.
+    """
+    if not checkpoints(run.checkpoints):
+        return None
+    found = restore_newest(run.checkpoints, restore)
+    for item in found.passed_over:
+        kept = files.set_aside(item.path)
+        log(f"{item.path}: skipped ({item.reason}); continuing from {found.path.name}, renamed to {kept.name}")
+        run.event("passed_over", checkpoint=kept.name, reason=item.reason)
+    return found
+
+
+def newest_arrays(folder: Path, part: str) -> Shared | None:
+    """The arrays of that name in the newest checkpoint that has them; None where there is none."""
+    for path in reversed(checkpoints(folder)):
+        with contextlib.suppress(PolicyError, KeyError):
+            return Shared(path=path / f"{part}{_END}", sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]))
+    return None
+
+
+def _is_name(name: str) -> bool:
+    match = _NAME.fullmatch(name)
+    return match is not None and name == tag(match[1], int(match[2]))
+
+
+def _read_state(path: Path) -> dict[str, Any]:
+    """What was written of a checkpoint. Raises PolicyError when it is not that."""
+    state = read_json(path / STATE, _STATE_KIND)
+    version = state.get("schema_version")
+    if version != _VERSION:
+        raise PolicyError(
+            f"{STATE} is of version {escaped(version)}, expected {_VERSION}: finish the run with the wcsim that began "
+            "it, or start a new one"
+        )
+    sealed = files.take_seal(state, STATE)
+    name, hashes = state.get("name"), state.get("sha256")
+    if not sealed or name != path.name or not isinstance(hashes, dict) or not all(map(_FILE.fullmatch, hashes)):
+        raise PolicyError(f"{STATE} is of {escaped(name)}, with the keys {escaped(sorted(state))}; it is damaged")
+    return {key: value for key, value in state.items() if key not in ("schema_version", "name")}
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(source, target)
+
+
+def _drop_old(folder: Path, newest: Path) -> None:
+    """Remove all checkpoints but `newest`, the last ones and one with other arrays, and what is half-written."""
+    older = checkpoints(folder)
+    kept = {newest, *older[-KEEP:]}
+    shared = set.intersection(*map(_inodes, kept))
+    if shared:  # a damaged file must not take all of them
+        kept.update([path for path in older if not _inodes(path) & shared][-1:])
+    begun = (path for path in folder.iterdir() if files.is_begun(path) and _is_name(path.name[1:].partition(".")[0]))
+    for old in (*older, *(path for path in begun if path.is_dir() and not path.is_symlink())):
+        if old not in kept:
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def _inodes(checkpoint: Path) -> set[int]:
+    """Which files a checkpoint has its arrays in: linked ones have the same."""
+    return {path.stat().st_ino for path in checkpoint.glob(f"*{_END}") if path.is_file()}
