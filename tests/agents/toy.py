@@ -28,7 +28,7 @@ from wcsim.agents.learning.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import Restored, restore_newest
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.config import CameraConfig, RunConfig
+from wcsim.config import CameraConfig, LearnConfig, RunConfig
 from wcsim.config.run_file import SittingFile
 from wcsim.errors import ServerGoneError
 from wcsim.server.launch.states import WAIT_NO_MORE
@@ -281,3 +281,9 @@ class WindowedStreet(gym.Wrapper):
 def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Restored[SittingFile]:
     """Bring a learner to the newest sound checkpoint."""
     return restore_newest(folder, restoring(model, alive))
+
+
+def memory_of(seed: int = 0, **learn: Any) -> dict[str, Any]:
+    """How a replay memory is made: of single steps and their own rewards, unless it is said otherwise."""
+    plain = {"n_step": 1, "gamma": 0.99, "precrash_share": 0.0}
+    return {"settings": LearnConfig(**{**plain, **learn}), "seed": seed}

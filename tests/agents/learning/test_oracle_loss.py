@@ -10,11 +10,11 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim.agents.learning.seqdqn as seqdqn
-from tests.agents.toy import ToyStreet, toy_camera
+from tests.agents.toy import ToyStreet, memory_of, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, _teacher_actions, aid_loss, relabelled
 from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
-from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.config import LearnConfig, RunConfig, load_run_config
@@ -104,8 +104,8 @@ def mask(number):
 
 
 def memory(rows, advice=True, **settings):
-    settings = ReplaySettings(advice=advice, **settings)
-    return FrameReplay(rows, SPACE, gym.spaces.Discrete(81), "cpu", settings=settings)
+    chosen = memory_of(aid="oracle" if advice else "none", **settings)
+    return FrameReplay(rows, SPACE, gym.spaces.Discrete(81), "cpu", **chosen)
 
 
 def filled(steps, rows=1000, crash_every=7, unknown=()):

@@ -8,15 +8,15 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
-from tests.agents.toy import ToyStreet, logs_in, toy_camera
+from tests.agents.toy import ToyStreet, logs_in, memory_of, toy_camera
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
-from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
-from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -84,11 +84,11 @@ def test_margin_loss_by_hand_and_zero_when_the_user_wins_clearly():
 
 
 def test_the_plan_fades():
-    plan = PhasePlan(total_steps=1000, phase1_steps=200, margin=2.0, margin_fade=0.25)
+    plan = PhasePlan(LearnConfig(total_steps=1000, phase1_steps=200, margin=2.0, margin_fade=0.25))
     assert [plan.phase(s) for s in (0, 199, 200)] == [LearningPhase.ACTION_DRIVEN] * 2 + [LearningPhase.AGENT_DRIVEN]
     assert [plan.margin_weight(s) for s in (0, 199, 200, 300, 400, 999)] == pytest.approx([2, 2, 2, 1, 0, 0])
     assert [plan.epsilon(s) for s in (0, 200, 600, 1000)] == pytest.approx([0, 0.2, 0.125, 0.05])
-    hard = PhasePlan(total_steps=10, phase1_steps=5, margin_fade=0.0)
+    hard = PhasePlan(LearnConfig(total_steps=10, phase1_steps=5, margin_fade=0.0))
     assert [hard.margin_weight(s) for s in (4, 5)] == [1.0, 0.0]
 
 
@@ -111,7 +111,7 @@ def test_each_seat_explores_by_itself_and_near_the_stick():
     assert 0.3 < np.mean(actions != greedy) < 0.6
     wide = action_set("square81").distances(one["joystick"][None])[0][actions]
     assert wide.mean() < 0.5
-    learner.settings = SeqSettings(exploration="uniform")
+    learner.settings = LearnConfig(exploration="uniform")
     assert action_set("square81").distances(one["joystick"][None])[0][learner.predict(many)[0]].mean() > wide.mean()
 
 
@@ -141,7 +141,6 @@ def test_how_the_first_phase_teaches_is_a_setting():
     assert model(phase1="td").plan.margin_weight(0) == 0.0
     for how in ("margin", "supervised"):
         assert model(phase1=how, margin=0.5).plan.margin_weight(0) == 0.5
-    assert model().settings.supervision == model(phase1="td").settings.supervision == "margin"
 
 
 def test_a_loss_that_is_not_finite_is_skipped_and_then_said():
@@ -199,11 +198,11 @@ def chain_errors(n_step=1, seed=1):
     """Largest error of the values of going on and of giving up, over the states of a chain."""
     gamma, forward = 0.9, action_set("square81").points[:, 1] > 0
     learner = SeqDQN(
-        SeqQPolicy, Chain(), settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=seed,
+        SeqQPolicy, Chain(), settings=LearnConfig(reward_scale=1.0, exploration="uniform"), seed=seed,
         gamma=gamma, learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
         exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", prior=FollowPrior(reward_scale=1.0))},
-        replay_buffer_kwargs={"settings": ReplaySettings(n_step=n_step, gamma=gamma, seed=seed)},
+        replay_buffer_kwargs=memory_of(n_step=n_step, gamma=gamma, seed=seed),
     )  # fmt: skip
     learner.learn(1200)
     errors = []

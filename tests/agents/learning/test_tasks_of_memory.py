@@ -1,7 +1,5 @@
 """Tasks that are solved by memory, or by a double Q, alone; and that nobody solves who was planted a fault in."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -10,11 +8,12 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.recall import LENGTH, Biased, Clock, Recall
-from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from tests.agents.toy import memory_of
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
-from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.agents.replay.groups import Groups
+from wcsim.config import LearnConfig
 
 CARRYING = ("fig6", "convlstm")
 
@@ -26,13 +25,13 @@ def recall_model(network, seed=0, task=Recall):
     )
     return SeqDQN(
         SeqQPolicy, DummyVecEnv([lambda: Monitor(task())] * 8),
-        settings=SeqSettings(reward_scale=1.0, exploration="uniform"), seed=seed, gamma=0.9,
+        settings=LearnConfig(reward_scale=1.0, exploration="uniform"), seed=seed, gamma=0.9,
         learning_rate=2e-3, buffer_size=4000, learning_starts=200, batch_size=64, tau=0.05, train_freq=1,
         exploration_fraction=0.5, exploration_initial_eps=1.0, exploration_final_eps=0.1, device="cpu",
         policy_kwargs={"spec": spec},
-        replay_buffer_kwargs={
-            "settings": ReplaySettings(n_step=2, gamma=0.9, memory="groups", group_steps=LENGTH, burn_in=2, seed=seed)
-        },
+        replay_buffer_kwargs=memory_of(
+            n_step=2, gamma=0.9, memory="groups", group_steps=LENGTH, burn_in=2, seed=seed
+        ),
     )  # fmt: skip
 
 
@@ -121,11 +120,11 @@ def test_a_state_that_outlives_its_episode_is_found_out(fault, seed, monkeypatch
 
 def value_of_going_right(double_q, noise):
     learner = SeqDQN(
-        SeqQPolicy, Biased(noise), settings=SeqSettings(reward_scale=1.0, exploration="uniform", double_q=double_q),
+        SeqQPolicy, Biased(noise), settings=LearnConfig(reward_scale=1.0, exploration="uniform", double_q=double_q),
         seed=1, gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003,
         train_freq=1, exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
-        replay_buffer_kwargs={"settings": ReplaySettings(gamma=0.95, seed=1)},
+        replay_buffer_kwargs=memory_of(gamma=0.95, seed=1),
     )  # fmt: skip
     first = {key: torch.as_tensor(value)[None] for key, value in Biased().observe(False).items()}
     right, found = torch.as_tensor(learner.action_points.points[:, 0] > 0), []
@@ -153,7 +152,7 @@ def _judges_its_own_choice(monkeypatch):
     targets = SeqDQN.targets
 
     def plain(self, batch):
-        kept, self.settings = self.settings, replace(self.settings, double_q=False)
+        kept, self.settings = self.settings, self.settings.model_copy(update={"double_q": False})
         try:
             return targets(self, batch)
         finally:

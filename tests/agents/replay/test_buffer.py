@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.agents.toy import memory_of
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.replay import frame_store, state
-from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import _PackedFrames, _RawFrames
 from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.errors import PolicyError
@@ -104,8 +105,9 @@ def test_every_draw_is_the_references_transition(data):
     plan[-1] = ["go" if e == "reset" else e for e in plan[-1]]
     buffer = FrameReplay(
         size * seats, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats,
-        settings=ReplaySettings(n_step=n_step, gamma=0.9, precrash_share=share, precrash_window=5, seed=1),
+        **memory_of(n_step=n_step, gamma=0.9, precrash_share=share, seed=1),
     )  # fmt: skip
+    buffer.precrash_window = 5
     reference = Reference(seats)
     fill(buffer, reference, plan, seats)
     starts, drawn = buffer.draw(64)
@@ -118,8 +120,8 @@ def test_every_draw_is_the_references_transition(data):
 
 
 def filled(plan, seats=1, **settings):
-    settings = ReplaySettings(**settings)
-    buffer = FrameReplay(200, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=settings)
+    chosen = memory_of(**settings)
+    buffer = FrameReplay(200, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **chosen)
     reference = Reference(seats)
     fill(buffer, reference, plan, seats)
     return buffer, reference

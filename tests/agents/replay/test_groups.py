@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill, number_of, stack
-from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
+from tests.agents.toy import memory_of
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 
 PLANS = st.integers(1, 3).flatmap(
@@ -19,8 +20,8 @@ PLANS = st.integers(1, 3).flatmap(
 
 
 def memory(seats=1, rows=60, length=4, burn_in=3, state_size=0, **more):
-    chosen = ReplaySettings(**{"memory": "groups", "seed": 1, **more}, group_steps=length, burn_in=burn_in)
-    buffer = FrameReplay(rows * seats, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=chosen)
+    chosen = memory_of(**{"memory": "groups", "seed": 1, **more}, group_steps=length, burn_in=burn_in)
+    buffer = FrameReplay(rows * seats, SPACE, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **chosen)
     buffer.groups.state_size = state_size
     return buffer
 

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.agents.replay.test_windows import WINDOWS, Street, add
-from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
+from tests.agents.toy import memory_of
+from wcsim.agents.replay.buffer import FrameReplay
 
 KINDS = st.sampled_from(("go", "go", "go", "go", "crash", "limit", "reset", "odd"))
 PLANS = st.integers(1, 3).flatmap(
@@ -38,10 +39,9 @@ def begin_of(ends, step):
 def test_windows_are_drawn_whole_with_what_came_after_and_never_of_two_episodes(memory, precrash, plan, n_step, rows):
     seats = len(plan[0])
     plan = [*plan[:-1], ["go" if end in ("reset", "odd") else end for end in plan[-1]]]  # known by the next step alone
-    chosen = ReplaySettings(
-        memory=memory, group_steps=4, burn_in=2, n_step=n_step, precrash_share=precrash, precrash_window=5, seed=1
-    )
-    buffer = FrameReplay(rows * seats, WINDOWS, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=chosen)
+    chosen = memory_of(memory=memory, group_steps=4, burn_in=2, n_step=n_step, precrash_share=precrash, seed=1)
+    buffer = FrameReplay(rows * seats, WINDOWS, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **chosen)
+    buffer.precrash_window = 5
     streets = [Street() for _ in range(seats)]
     for ends in plan:
         add(buffer, streets, ends)

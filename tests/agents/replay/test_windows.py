@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, same_from_here_on, toy_camera
+from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.matrix import open_policy, window_for
@@ -25,7 +25,7 @@ from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.replay.buffer import FrameReplay, ReplaySettings
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import WindowStore
 from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.agents.runs.policy_file import POLICY_JSON
@@ -178,8 +178,7 @@ def add(buffer, streets, ends):
 
 
 def replay(size=400, seats=1, space=WINDOWS):
-    settings = ReplaySettings(seed=1)
-    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, settings=settings)
+    return FrameReplay(size, space, gym.spaces.Discrete(81), device="cpu", n_envs=seats, **memory_of(seed=1))
 
 
 def check(buffer, streets):

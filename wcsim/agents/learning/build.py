@@ -8,11 +8,10 @@ from typing import Final
 from stable_baselines3.common.type_aliases import GymEnv
 
 from wcsim.agents.learning.phases import PhasePlan
-from wcsim.agents.learning.seqdqn import SeqDQN, SeqSettings
+from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
-from wcsim.agents.replay.buffer import ReplaySettings
 from wcsim.config import LearnConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError, PolicyError
 
@@ -81,19 +80,6 @@ def _net_spec(config: RunConfig) -> NetSpec:
     )
 
 
-def _phase_plan(learn: LearnConfig) -> PhasePlan:
-    """When the phases change."""
-    return PhasePlan(
-        total_steps=learn.total_steps,
-        phase1_steps=learn.phase1_steps,
-        epsilon_start=learn.epsilon_start,
-        epsilon_end=learn.epsilon_end,
-        margin=0.0 if learn.phase1 == "td" else learn.margin,
-        margin_fade=learn.margin_fade,
-        aid=learn.aid_weight if learn.aid == "oracle" else 0.0,
-    )
-
-
 def build_model(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     """A fresh learner.
 
@@ -137,18 +123,10 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
     return SeqDQN(
         SeqQPolicy,
         env,
-        settings=SeqSettings(
-            actions=config.env.actions,
-            double_q=learn.double_q,
-            reward_scale=learn.reward_scale,
-            exploration=learn.exploration,
-            epsilon_hold=learn.epsilon_hold,
-            mirror=learn.mirror,
-            mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
-            supervision="cross_entropy" if learn.phase1 == "supervised" else "margin",
-            later=learn.updates == "while_waiting",
-        ),
-        plan=_phase_plan(learn),
+        settings=learn,
+        actions=config.env.actions,
+        mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
+        plan=PhasePlan(learn),
         seed=seed,
         learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
         buffer_size=learn.replay_frames,
@@ -159,7 +137,7 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         train_freq=learn.train_every,
         gradient_steps=learn.gradient_steps,
         max_grad_norm=LARGEST_GRADIENT,
-        replay_buffer_kwargs={"settings": _replay_settings(learn, seed)},
+        replay_buffer_kwargs={"settings": learn, "seed": seed},
         policy_kwargs={"spec": _net_spec(config)},
         device=learn.device,
     )
@@ -169,16 +147,3 @@ def _learning_starts(learn: LearnConfig, seats: int) -> int:
     """So late that there is something to draw: two steps, or a whole group of each seat and what follows it."""
     least = (learn.group_steps + 1) * seats if learn.memory == "groups" else 2
     return max(learn.learning_starts, least)
-
-
-def _replay_settings(learn: LearnConfig, seed: int) -> ReplaySettings:
-    return ReplaySettings(
-        n_step=learn.n_step,
-        gamma=learn.gamma,
-        precrash_share=learn.precrash_share,
-        advice=learn.aid == "oracle",
-        memory=learn.memory,
-        group_steps=learn.group_steps,
-        burn_in=learn.burn_in,
-        seed=seed,
-    )

@@ -18,8 +18,7 @@ then over the group itself and what its last n-step returns reach.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +39,7 @@ from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.groups import SequenceBatch
 from wcsim.agents.replay.safe_actions import AdviceBatch
+from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
@@ -150,23 +150,19 @@ AID_MARGIN: Final = 6.0  # joystick distance by which an unsafe action must lose
 MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SeqSettings:
-    """What SeqDQN has beside SB3's DQN."""
-
-    actions: str = "square81"
-    double_q: bool = True
-    reward_scale: float = 0.05
-    exploration: Literal["local", "uniform"] = "local"
-    epsilon_hold: int = 1  # steps that an explored offset from the user's joystick is held
-    mirror: bool = False  # batches are mirrored left to right half of the time
-    mirror_signs: Signs = ()  # of the sensors of [sensors]
-    supervision: Literal["margin", "cross_entropy"] = "margin"  # the loss towards the user's action
-    later: bool = False  # updates are done after the next action was chosen; see `SeqDQN.due_updates`
-
-
 class SeqDQN(DQN):
-    """Double DQN over wcsim's observations; without a `plan` it explores like SB3's DQN and never imitates the user."""
+    """Double DQN over wcsim's observations; without a `plan` it explores like SB3's DQN and never imitates the user.
+
+    Args:
+        policy: See SB3.
+        env: See SB3.
+        settings: What it has beside SB3's DQN.
+        actions: Name of the set of joystick positions.
+        mirror_signs: Of the sensors of [sensors], for batches that are mirrored.
+        plan: Of the two phases.
+        seed: Of all that is drawn.
+        **dqn: Of SB3's DQN.
+    """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"SeqQPolicy": SeqQPolicy}
     q_net: QNet  # type: ignore[assignment]
@@ -177,13 +173,16 @@ class SeqDQN(DQN):
         policy: str | type[SeqQPolicy],
         env: GymEnv | str,
         *,
-        settings: SeqSettings | None = None,
+        settings: LearnConfig | None = None,
+        actions: str = "square81",
+        mirror_signs: Signs = (),
         plan: PhasePlan | None = None,
         seed: int | None = None,
         _init_setup_model: bool = True,
         **dqn: Any,
     ) -> None:
-        self.settings = settings if settings is not None else SeqSettings()
+        self.settings = settings if settings is not None else LearnConfig()
+        self.actions, self.mirror_signs = actions, mirror_signs
         self.plan = plan
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
@@ -207,7 +206,7 @@ class SeqDQN(DQN):
     @property
     def action_points(self) -> ActionSet:
         """The joystick positions of the actions."""
-        return action_set(self.settings.actions)
+        return action_set(self.actions)
 
     @property
     def phase(self) -> LearningPhase:
@@ -320,7 +319,7 @@ class SeqDQN(DQN):
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Do `gradient_steps` updates, now or after the next action was chosen. Raises as `do_updates`."""
-        if self.settings.later:
+        if self.settings.updates == "while_waiting":
             self.catch_up()
             self._due = gradient_steps, batch_size
         else:
@@ -380,7 +379,7 @@ class SeqDQN(DQN):
             return loss
         drawn: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
         if self._flips():
-            drawn = _mirror_batch(drawn, self._mirror_map(), self.settings.mirror_signs)
+            drawn = _mirror_batch(drawn, self._mirror_map(), self.mirror_signs)
         return self.loss(drawn, margin)
 
     def loss(self, batch: DictReplayBufferSamples, margin: float) -> torch.Tensor:
@@ -405,7 +404,7 @@ class SeqDQN(DQN):
 
     def supervised_loss(self, values: torch.Tensor, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """The loss towards the user's action, for weight 1: a margin, or cross-entropy of values in unscaled reward."""
-        if self.settings.supervision == "margin":
+        if self.settings.phase1 != "supervised":
             return self.margin_loss(values, observations)
         label = self.q_net.distances(observations[JOYSTICK_KEY]).argmin(dim=1)
         return functional.cross_entropy(values / self.settings.reward_scale, label)
@@ -431,7 +430,7 @@ class SeqDQN(DQN):
         wishes = relabelled(sticks, points, RELABELLED, self.rng)
         advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
         if self._flips():
-            advice = _mirror_advice(advice, self._mirror_map(), self.settings.mirror_signs)
+            advice = _mirror_advice(advice, self._mirror_map(), self.mirror_signs)
         distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
         values = self.q_net(advice.observations)
         return aid_loss(values, distances, advice.safe, settings.reward_scale, AID_MARGIN)

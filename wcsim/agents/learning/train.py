@@ -99,7 +99,7 @@ def train(
 def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
     """Have an environment that can wait for its world do the due updates meanwhile; others do them before they wait."""
     inner = env.envs[0].unwrapped
-    if model.settings.later and hasattr(inner, "due_work"):
+    if model.settings.updates == "while_waiting" and hasattr(inner, "due_work"):
         inner.due_work, model.meanwhile = model.due_updates, True
 
 
@@ -126,7 +126,7 @@ class _PhaseSwitch(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         if not self.done and self.plan.phase(self.num_timesteps) is LearningPhase.AGENT_DRIVEN:
-            if self.plan.phase1_steps > 0:
+            if self.plan.learn.phase1_steps > 0:
                 self.on_switch()
             self.done = True  # not before: what fails on a full disk is done when the run goes on
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,7 @@ from wcsim.agents.policy_api import DEPTH_KEY
 from wcsim.agents.replay.frame_store import PACK_ABOVE_BYTES, WindowStore, pack_each, unpack_each
 from wcsim.agents.replay.groups import Groups, SequenceBatch
 from wcsim.agents.replay.safe_actions import AdviceBatch, AdviceRing
+from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
@@ -135,21 +136,6 @@ def _parts(rows: npt.NDArray[Any], shapes: Shapes, frames: int) -> dict[str, npt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReplaySettings:
-    """Settings of a replay memory beside those of Stable-Baselines3."""
-
-    n_step: int = 1
-    gamma: float = 0.99
-    precrash_share: float = 0.0  # of a batch from the steps before crashes
-    precrash_window: int = 20  # so many of them
-    advice: bool = False  # store which actions end well, too
-    memory: Literal["steps", "groups", "windows"] = "steps"
-    group_steps: int = 16
-    burn_in: int = 8
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Chains:
     """n-step chains from K start rows."""
 
@@ -163,8 +149,11 @@ class _Chains:
 class FrameReplay(ReplayBuffer):
     """A ring of steps, `buffer_size` frames in all seats together, in the shape that SB3's off-policy algorithms use.
 
-    Rows are addressed by their absolute index (steps added before them), which never repeats.
+    Rows are addressed by their absolute index (steps added before them), which never repeats. Only with `learn.aid` it
+    stores which actions end well, too.
     """
+
+    precrash_window = 20  # steps before a crash of which a share of each batch is drawn
 
     def __init__(
         self,
@@ -174,9 +163,10 @@ class FrameReplay(ReplayBuffer):
         device: torch.device | str = "auto",
         n_envs: int = 1,
         optimize_memory_usage: bool = False,
-        settings: ReplaySettings | None = None,
+        settings: LearnConfig | None = None,
+        seed: int = 0,
     ) -> None:
-        settings = settings or ReplaySettings()
+        settings = settings or LearnConfig()
         # SB3's own constructor would allocate two uncompressed copies of every frame.
         self.observation_space, self.action_space = observation_space, action_space
         self.device, self.n_envs, self.action_dim = get_device(device), n_envs, 1
@@ -184,9 +174,9 @@ class FrameReplay(ReplayBuffer):
         least = 2 * settings.group_steps + settings.burn_in + 1 if settings.memory == "groups" else 2
         self.buffer_size = rows = max(buffer_size // n_envs, settings.n_step + 1, least)
         self.n_step, self.gamma = settings.n_step, settings.gamma
-        self.precrash_share, self.precrash_window = settings.precrash_share, settings.precrash_window
+        self.precrash_share = settings.precrash_share
         self.layout = _layout_of(observation_space)
-        self.rng = seeding.generator(settings.seed, "agent", "replay")
+        self.rng = seeding.generator(seed, "agent", "replay")
         self.groups: Groups | None = None
         if settings.memory == "groups":
             self.groups = Groups(settings.group_steps, settings.burn_in)
@@ -198,7 +188,7 @@ class FrameReplay(ReplayBuffer):
         self.terminated = np.zeros((rows, n_envs), dtype=bool)
         self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)  # steps since the start of the chain
         count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
-        self.advice = AdviceRing(rows, n_envs, count) if settings.advice else None
+        self.advice = AdviceRing(rows, n_envs, count) if settings.aid == "oracle" else None
         self.reset()
 
     def _smooth_bytes(self) -> int:
