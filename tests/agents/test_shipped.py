@@ -13,13 +13,13 @@ import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.collecting.data_folder import write_manifest
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, open_named
 from wcsim.agents.rounds.learned_data import LEARNED
 from wcsim.agents.runs import run_folder, shipped
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
 from wcsim.config import CameraConfig, with_overrides
+from wcsim.config.run_file import DangerRule
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo

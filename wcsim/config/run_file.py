@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Field, StrictBool, model_validator
+from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
 from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
@@ -12,6 +12,7 @@ from wcsim.config.env import Form
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
+M = TypeVar("M", bound=Model)
 Versions = Annotated[dict[Word, Word], Field(max_length=256)]
 ClientName = Annotated[str, Field(pattern=rf"^{CLIENT_NAME}$")]  # a folder of this name is opened
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -19,17 +20,28 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]{1,120}$")]
 Segments = Annotated[dict[Name, Sha256], Field(max_length=1_000_000)]  # of recorded driving, by file
 
 
-class PriorFile(Model):
-    """The known follow reward inside a residual network."""
+def _all_named(model: M) -> M:
+    """The same: what a file leaves out is no default."""
+    left_out = type(model).model_fields.keys() - model.model_fields_set - {"stateful"}  # which is younger
+    if left_out:
+        raise ValueError(f"{', '.join(sorted(left_out))} is missing")
+    for name in type(model).model_fields:
+        if isinstance(part := getattr(model, name), Model):
+            _all_named(part)
+    return model
 
-    base: Finite
-    max_follow_distance: JoystickDistance
-    max_distance: JoystickDistance
-    penalty: NotNegative
-    reward_scale: Positive
+
+class FollowPrior(Model):
+    """The reward for following the user, known for every action without learning (Tables 1 and 2 of the paper)."""
+
+    base: Finite = 1.0
+    max_follow_distance: JoystickDistance = 0.1768
+    max_distance: JoystickDistance = 2.0
+    penalty: NotNegative = 2.0
+    reward_scale: Positive = 0.05
 
     @model_validator(mode="after")
-    def _window_is_open(self) -> PriorFile:
+    def _window_is_open(self) -> FollowPrior:
         if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
             raise ValueError(
                 f"max_distance {self.max_distance} is not above max_follow_distance {self.max_follow_distance} by "
@@ -38,17 +50,17 @@ class PriorFile(Model):
         return self
 
 
-class NetFile(Model):
-    """The shape of an action-value network."""
+class NetSpec(Model):
+    """Everything that an action-value network depends on besides the spaces."""
 
-    network: Name
-    head: Literal["residual", "plain"]
-    dueling: bool
-    hidden: Annotated[int, Field(ge=1, le=65_536)]
-    actions: Literal["square81", "disc69"]
-    classes: Literal["cityscapes", "wcsim"]
-    prior: PriorFile
-    stateful: bool = False  # carries a state from tick to tick
+    network: Name = "patch"
+    head: Literal["residual", "plain"] = "residual"
+    dueling: bool = True
+    hidden: Annotated[int, Field(ge=1, le=65_536)] = 128
+    actions: Literal["square81", "disc69"] = "square81"
+    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    prior: FollowPrior = FollowPrior()
+    stateful: bool = False  # carries a state from tick to tick, and sees one image at a time
 
 
 class PolicyFile(Model):
@@ -56,7 +68,7 @@ class PolicyFile(Model):
 
     schema_version: Literal[1]
     algorithm: Literal["SeqDQN"]
-    net: NetFile
+    net: Annotated[NetSpec, AfterValidator(_all_named)]
     image_hw_px: tuple[Annotated[int, Field(ge=8, le=2048)], Annotated[int, Field(ge=8, le=2048)]]
     vector_size: Annotated[int, Field(ge=3, le=1024)]
     sensors: Annotated[dict[Name, Annotated[int, Field(ge=1, le=1021)]], Field(max_length=64)] = Field(
@@ -97,15 +109,15 @@ class DangerNetFile(Model):
     window: Window = 1
 
 
-class RuleFile(Model):
-    """How dangers become an action."""
+class DangerRule(Model):
+    """How dangers are answered."""
 
-    threshold: Annotated[float, Field(gt=0.0, le=1.0)]
-    hysteresis: NotNegative
-    hysteresis_factor: Positive
-    danger_cost: NotNegative
-    warn: Share
-    at_once: Share
+    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2  # of danger: below it an action is allowed
+    hysteresis: NotNegative = 0.2  # joystick distance by which the last action is nearer, where the user's is not safe
+    hysteresis_factor: Positive = 1.3  # times the threshold for the last action
+    danger_cost: NotNegative = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
+    at_once: Share = 0.0  # danger from which one tick is enough to take the user's own away; below it, two in a row
+    warn: Share = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
 
 
 class DangerFile(Model):
@@ -114,7 +126,7 @@ class DangerFile(Model):
     schema_version: Literal[1]
     algorithm: Literal["danger"]
     net: DangerNetFile
-    rule: RuleFile
+    rule: Annotated[DangerRule, AfterValidator(_all_named)]
     camera: CameraConfig
     classes: Literal["cityscapes", "wcsim"]
     chair: ChairConfig  # whose drive its roll-outs obey

@@ -20,7 +20,7 @@ from wcsim.agents.danger import dataset as dataset_module
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import DangerRule
+from wcsim.config.run_file import DangerRule
 
 ALONE = {
     "roll_out": ("danger.batch=16", "danger.learning_rate=0.005"),

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.rule import RECENT_TICKS, DangerRule, choose, exploring, next_recent, within
+from wcsim.agents.danger.rule import RECENT_TICKS, choose, exploring, next_recent, within
+from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")

@@ -17,10 +17,11 @@ from tests.support.worlds import quick_config
 from wcsim.agents.collecting.labels import SAFE
 from wcsim.agents.collecting.segment import Segment
 from wcsim.agents.danger.features import FeatureExtractor
-from wcsim.agents.danger.rule import DangerRule, choose
+from wcsim.agents.danger.rule import choose
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import advance
 from wcsim.config import RunConfig
+from wcsim.config.run_file import DangerRule
 from wcsim.core.jit import exact_kernel
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import encode_depth

@@ -12,7 +12,6 @@ import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
@@ -23,6 +22,7 @@ from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import load_run_config
+from wcsim.config.run_file import DangerRule
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 

@@ -13,8 +13,9 @@ from wcsim.agents.learning.callbacks import EpisodeMetrics, _report_events, _Val
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.config import LearnConfig
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.types import Events
 
 GAMMA = 0.97

@@ -15,9 +15,10 @@ from wcsim.agents.learning.callbacks import EpisodeMetrics
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.config import LearnConfig, RunConfig
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 

@@ -11,9 +11,10 @@ from tests.agents.recall import LENGTH, Biased, Clock, Recall
 from tests.agents.toy import memory_of
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.replay.groups import Groups
 from wcsim.config import LearnConfig
+from wcsim.config.run_file import FollowPrior, NetSpec
 
 CARRYING = ("fig6", "convlstm")
 

@@ -15,8 +15,9 @@ from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import GROUPS, WCSIM_GROUPS, ObservationEncoder, _group_table
 from wcsim.agents.networks.names import NETWORK_NAMES
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet
+from wcsim.agents.networks.q_network import QNet
 from wcsim.config import RewardConfig
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.rewards import _joystick_terms

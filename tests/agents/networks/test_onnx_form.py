@@ -6,9 +6,10 @@ import torch
 from gymnasium import spaces
 
 from wcsim.agents.networks.onnx_form import Bare, exported
-from wcsim.agents.networks.q_network import NetSpec, QNet
+from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.config.run_file import NetSpec
 
 runtime = pytest.importorskip("onnxruntime")
 

@@ -7,7 +7,8 @@ from gymnasium import spaces
 
 from wcsim.agents.learning.seqdqn import _mirrored
 from wcsim.agents.networks.encoder import vector_keys
-from wcsim.agents.networks.q_network import NetSpec, QNet
+from wcsim.agents.networks.q_network import QNet
+from wcsim.config.run_file import NetSpec
 from wcsim.supervisor.observation import imu_size, observation_space
 from wcsim.types import Measure
 

@@ -14,10 +14,10 @@ from wcsim.agents.collecting.data_folder import _write_segment, read_manifest, s
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.config.run_file import DangerRule
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import action_set

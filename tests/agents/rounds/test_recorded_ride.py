@@ -12,12 +12,12 @@ from tests.agents.export.test_danger_graph import network
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import quick_config
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import load_net, save_danger
 from wcsim.agents.policy_api import tell_delay
 from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
 from wcsim.bridge.drives.remake import config_of_drive
 from wcsim.config import RunConfig, load_run_config
+from wcsim.config.run_file import DangerRule
 from wcsim.core.files import numbered_names
 from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish

@@ -8,8 +8,8 @@ from pathlib import Path
 from tests.agents.export.test_danger_graph import CONFIG, network
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
+from wcsim.config.run_file import DangerRule
 
 
 def test_a_network_with_an_eye_of_somebodys_own_drives_when_that_is_named(wcsim, folder, corner):

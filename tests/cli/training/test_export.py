@@ -16,7 +16,6 @@ from tests.agents.export.test_value_graph import Plain, config_of, saved
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
 from tests.users.recording.drives import tick, write_drive
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.rounds import recorded_ride
@@ -24,6 +23,7 @@ from wcsim.agents.rounds.recorded_ride import RecordedRide
 from wcsim.cli.recordings.user_record import SMALL_CAMERA
 from wcsim.cli.training import export
 from wcsim.config import load_run_config
+from wcsim.config.run_file import DangerRule
 
 SEEN = ("cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true")
 

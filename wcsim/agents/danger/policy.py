@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,10 +10,11 @@ import torch
 from wcsim.agents.danger.dataset import Inputs, to_tensors
 from wcsim.agents.danger.features import FeatureExtractor, Features
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LEVELS, DangerRule, choose, next_recent, within
+from wcsim.agents.danger.rule import LEVELS, choose, next_recent, within
 from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, NotFinite, Observation, require_level
 from wcsim.config import RunConfig
+from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64, Bool
 
@@ -62,7 +62,7 @@ class DangerPolicy:
     def set_level(self, level: float) -> None:
         """Take another threshold of danger from now on. Raises PolicyError for one out of bounds."""
         require_level(level, LEVELS)
-        self.rule = replace(self.rule, threshold=level)
+        self.rule = self.rule.model_copy(update={"threshold": level})
 
     def set_delay(self, ticks: int) -> None:
         """From the next `reset` on a command reaches the chair so many ticks late."""

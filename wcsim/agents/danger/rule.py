@@ -6,30 +6,18 @@ that the chair does not waver between two ways round. The threshold is the assis
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from wcsim.config import DangerConfig
+from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool
 
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DangerRule:
-    """How dangers are answered."""
-
-    threshold: float = 0.2  # of danger: below it an action is allowed
-    hysteresis: float = 0.2  # joystick distance by which the last action is nearer, where the user's own is not safe
-    hysteresis_factor: float = 1.3  # times the threshold for the last action
-    danger_cost: float = 0.1  # joystick distance that a danger of the whole threshold is worth, there too
-    at_once: float = 0.0  # danger from which one tick is enough to take the user's own away; below it, two in a row
-    warn: float = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
 
 
 def configured_rule(danger: DangerConfig) -> DangerRule:
@@ -39,7 +27,7 @@ def configured_rule(danger: DangerConfig) -> DangerRule:
 
 def exploring(rule: DangerRule) -> DangerRule:
     """The rule of who drives to learn: it answers at every tick, for it has to meet what it gets wrong."""
-    return replace(rule, at_once=0.0)
+    return rule.model_copy(update={"at_once": 0.0})
 
 
 def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:

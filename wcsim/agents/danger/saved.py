@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from safetensors.torch import save_file
 
 from wcsim.agents.danger.network import DangerNet, DangerSpec, channels_last
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import DangerRule
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.runs.policy_file import POLICY_JSON, SIGHT_KEYS, WEIGHTS, read_danger_file
 from wcsim.config import RunConfig
+from wcsim.config.run_file import DangerRule
 from wcsim.core import files
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
@@ -34,7 +34,7 @@ def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfi
             "schema_version": 1,
             "algorithm": "danger",
             "net": {key: value for key, value in asdict(net.spec).items() if key not in _ELSEWHERE},
-            "rule": asdict(rule),
+            "rule": rule.model_dump(),
             "camera": config.cameras[0].model_dump(mode="json"),
             "classes": config.env.classes,
             "chair": config.chair.model_dump(mode="json"),
@@ -68,7 +68,7 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     data = read_weights(weights, file.weights_sha256, net.state_dict())
     net.load_state_dict(checked_weights(weights, data, net.state_dict()))
     net.train(False)
-    return channels_last(net), DangerRule(**file.rule.model_dump())
+    return channels_last(net), file.rule
 
 
 def load_danger(
@@ -88,7 +88,7 @@ def load_danger(
     """
     require_same_senses(folder, name, config)
     net, rule = load_net(folder, network)
-    return DangerPolicy(name, net, config, rule if level is None else replace(rule, threshold=level))
+    return DangerPolicy(name, net, config, rule if level is None else rule.model_copy(update={"threshold": level}))
 
 
 def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:

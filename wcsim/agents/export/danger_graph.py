@@ -16,7 +16,7 @@ from torch import nn
 from wcsim.agents.danger.features import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, hull_and_wheels
-from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS, DangerRule
+from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,
@@ -46,6 +46,7 @@ from wcsim.agents.policies.dynamic_window.ego_motion import (
 )
 from wcsim.agents.policies.dynamic_window.surroundings import box_of, stride_px
 from wcsim.config import RunConfig
+from wcsim.config.run_file import DangerRule
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec

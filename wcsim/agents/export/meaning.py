@@ -111,6 +111,6 @@ def _input(key: str, config: RunConfig) -> str:
 def _of_kind(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
     """How a danger network's dangers become an action, or what the values of Q-learning are."""
     if isinstance(graph, DangerGraph):
-        return {"rule": asdict(graph.rule), "rule_meaning": _RULE}
+        return {"rule": graph.rule.model_dump(), "rule_meaning": _RULE}
     scale = graph.net.spec.prior.reward_scale
     return {"values_meaning": _VALUES, "reward_scale": scale, "discount": config.learn.gamma}

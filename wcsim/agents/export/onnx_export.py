@@ -6,7 +6,7 @@ import json
 import math
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -147,7 +147,7 @@ def _opened(policy: Path, config: RunConfig, level: float | None, network: str |
         held = load_policy(policy, network)
         return ValueGraph(held.net, held.file.window), held
     net, rule = load_net(policy)
-    rule = rule if level is None else replace(rule, threshold=level)
+    rule = rule if level is None else rule.model_copy(update={"threshold": level})
     return DangerGraph(net, config, rule), DangerPolicy("own", net, config, rule)
 
 

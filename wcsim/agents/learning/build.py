@@ -10,9 +10,10 @@ from stable_baselines3.common.type_aliases import GymEnv
 from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, SeqQPolicy
+from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.config import LearnConfig, RunConfig, with_overrides
+from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
 
 LARGEST_GRADIENT: Final = 10.0  # norm to which a larger one is cut

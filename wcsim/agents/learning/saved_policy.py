@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import image_size, observation_form, vector_keys, vector_size, window_size
 from wcsim.agents.networks.names import require_named
-from wcsim.agents.networks.q_network import FollowPrior, NetSpec, QNet
+from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
@@ -119,15 +118,16 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
-    spec = _spec(path, file, network)
+    if not registry.is_registered(file.net.network):
+        require_named(escaped(path), file.net.network, network)
     weights = path / WEIGHTS
-    if registry.is_own(spec.network):
+    if registry.is_own(file.net.network):
         with torch.device("meta"):  # what the description asks for, before any memory is given to it
-            wanted = _empty_net(file, spec).state_dict()
+            wanted = _empty_net(file).state_dict()
         data = read_weights(weights, file.weights_sha256, wanted)
-        net = _empty_net(file, spec)
+        net = _empty_net(file)
     else:
-        net = _empty_net(file, spec)
+        net = _empty_net(file)
         data = read_weights(weights, file.weights_sha256, net.state_dict())
     net.load_state_dict(checked_weights(weights, data, net.state_dict()))
     policy = NetPolicy(net, path.name, file)
@@ -137,12 +137,12 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
 
 
 def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights_sha256: str) -> dict[str, Any]:
-    spec, space = model.q_net.spec, model.observation_space
+    space = model.observation_space
     sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
     return {
         "schema_version": 1,
         "algorithm": "SeqDQN",
-        "net": asdict(spec),
+        "net": model.q_net.spec.model_dump(),
         "image_hw_px": list(image_size(space)),
         "vector_size": vector_size(space),
         **({"sensors": sensors} if sensors else {}),
@@ -156,17 +156,8 @@ def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights
     }
 
 
-def _spec(path: Path, file: PolicyFile, network: str | None) -> NetSpec:
-    name = file.net.network
-    if not registry.is_registered(name):
-        require_named(escaped(path), name, network)
-    plain = file.net.model_dump()
-    prior = FollowPrior(**plain.pop("prior"))
-    return NetSpec(**plain, prior=prior)
-
-
-def _empty_net(file: PolicyFile, spec: NetSpec) -> QNet:
-    return QNet(_space(file), spaces.Discrete(len(action_set(spec.actions))), spec)
+def _empty_net(file: PolicyFile) -> QNet:
+    return QNet(_space(file), spaces.Discrete(len(action_set(file.net.actions))), file.net)
 
 
 def _space(file: PolicyFile) -> spaces.Dict:

@@ -14,9 +14,10 @@ import torch
 from gymnasium import spaces
 from torch import nn
 
-from wcsim.agents.networks.q_network import NetSpec, QNet
+from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
+from wcsim.config.run_file import NetSpec
 from wcsim.supervisor.actions import action_set
 
 LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy.typing as npt
 import torch
@@ -13,37 +12,13 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from stable_baselines3.dqn.policies import DQNPolicy
 from torch import nn
 
-from wcsim.agents.networks.encoder import Classes, ObservationEncoder, Tensors, vector_size
+from wcsim.agents.networks.encoder import ObservationEncoder, Tensors, vector_size
 from wcsim.agents.policy_api import JOYSTICK_KEY
-from wcsim.supervisor.actions import MAX_DISTANCE, action_set
+from wcsim.config.run_file import NetSpec
+from wcsim.supervisor.actions import action_set
 
 _SMALL_INIT = 0.05  # the learned part starts this small, so that the known part decides from step 0
 _TOLERANCE = 1e-6  # float32 grid centres fall on either side of the follow distance
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FollowPrior:
-    """The reward for following the user, known for every action without learning (Tables 1 and 2 of the paper)."""
-
-    base: float = 1.0
-    max_follow_distance: float = 0.1768
-    max_distance: float = MAX_DISTANCE
-    penalty: float = 2.0
-    reward_scale: float = 0.05
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NetSpec:
-    """Everything that an action-value network depends on besides the spaces; plain values, kept in policy.json."""
-
-    network: str = "patch"
-    head: Literal["residual", "plain"] = "residual"
-    dueling: bool = True
-    hidden: int = 128
-    actions: str = "square81"
-    classes: Classes = "cityscapes"
-    prior: FollowPrior = field(default_factory=FollowPrior)
-    stateful: bool = False  # carries a state from tick to tick, and sees one image at a time
 
 
 class QNet(BasePolicy):
