@@ -15,8 +15,8 @@ from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, open_named
-from wcsim.agents.rounds.learned_data import LEARNED
-from wcsim.agents.runs import run_folder, shipped
+from wcsim.agents.rounds.train_rounds import LEARNED
+from wcsim.agents.runs import policy_file, run_folder
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
 from wcsim.config import CameraConfig, with_overrides
 from wcsim.config.run_file import DangerRule
@@ -45,12 +45,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(shipped, "shipped_place", lambda: made)
+    monkeypatch.setattr(policy_file, "shipped_place", lambda: made)
     return made
 
 
 def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
-    assert {path.name for path in there.iterdir()} == {*shipped.HELD, shipped.FILES, "README.md"}
+    assert {path.name for path in there.iterdir()} == {*policy_file.HELD, policy_file.FILES, "README.md"}
     assert policy_path("shipped") == policy_path("shipped@0.2") == there
     assert not is_onnx("shipped") and identity_of("shipped@0.2", "quick")[-1] == 0.2
     policy = open_named("shipped@0.2", config_of("shipped", "quick"), 0)
@@ -115,7 +115,7 @@ def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
         TOOL["ship"](run, ride(4), [], tmp_path / "here")
 
 
-@pytest.mark.parametrize("name", shipped.HELD)
+@pytest.mark.parametrize("name", policy_file.HELD)
 def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
     kept = (there / name).read_bytes()
     (there / name).write_bytes(kept[:-1] + b"x")
@@ -129,7 +129,7 @@ def test_a_file_that_is_not_what_was_shipped_is_refused(there, name):
 
 
 def test_where_none_came_with_wcsim_the_name_is_refused_in_a_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "shipped_place", lambda: tmp_path)
+    monkeypatch.setattr(policy_file, "shipped_place", lambda: tmp_path)
     with pytest.raises(PolicyError, match=r"this wcsim comes without a policy.*tools/ship_policy\.py RUN"):
         run_folder.policy_path("shipped")
 
@@ -144,7 +144,7 @@ def test_what_the_example_says_of_it_is_what_the_page_quotes():
 
 def test_what_lies_in_this_checkout_is_whole_or_not_there():
     place = ROOT / "wcsim" / "agents" / "shipped"
-    if (place / shipped.FILES).is_file():
-        assert shipped.shipped_folder(place) == place
+    if (place / policy_file.FILES).is_file():
+        assert policy_file.shipped_folder(place) == place
     else:
         assert [path.name for path in place.iterdir()] == ["README.md"]

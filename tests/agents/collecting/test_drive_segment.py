@@ -10,8 +10,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_drivers import DataDriver
-from wcsim.agents.collecting.labels import SAFE, codes_of
-from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, Segment, SegmentKey
+from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
 from wcsim.agents.collecting.segment_places import (
     SegmentOrder,
     _drawn_settings,

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tests.support.worlds import quick_config
-from wcsim.agents.collecting.labels import SAFE
-from wcsim.agents.collecting.segment import Segment
+from wcsim.agents.collecting.segment import SAFE, Segment
 from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.rule import choose
 from wcsim.agents.policies.depth_check import viewing_rays

@@ -10,8 +10,7 @@ from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import choose, next_recent, within
-from wcsim.agents.export.danger_graph import DangerGraph
-from wcsim.agents.export.drive_law import Drive
+from wcsim.agents.export.danger_graph import DangerGraph, Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
 from wcsim.config.run_file import DangerRule
 from wcsim.core.joystick import driven, limits_of, shaped_rows

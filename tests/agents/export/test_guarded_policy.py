@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.agents.export.guard import FAULTS, GuardRule, GuardState, GuardTick, _fault_of, guarded
-from wcsim.agents.export.guarded_policy import GuardedPolicy
+from wcsim.agents.export.guard import FAULTS, GuardedPolicy, GuardRule, GuardState, GuardTick, _fault_of, guarded
 from wcsim.supervisor.actions import action_set
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")

@@ -15,9 +15,7 @@ from tests.agents.export.test_guarded_policy import EXAMPLE
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
-from wcsim.agents.export.guard import GuardRule
-from wcsim.agents.export.guard_file import MEANING, guard_of
-from wcsim.agents.export.guarded_policy import GuardedPolicy
+from wcsim.agents.export.guard import MEANING, GuardedPolicy, GuardRule, guard_of
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.runs.policy_file import SIGHT_KEYS

@@ -21,8 +21,7 @@ from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.export.footprint import Footprint
-from wcsim.agents.export.guard_file import MEANING
-from wcsim.agents.export.guarded_policy import GuardedPolicy
+from wcsim.agents.export.guard import MEANING, GuardedPolicy
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.saved_policy import load_policy, save_policy

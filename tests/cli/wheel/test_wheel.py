@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.tracked import tracked
-from wcsim.agents.runs.shipped import FILES, HELD
+from wcsim.agents.runs.policy_file import FILES, HELD
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 

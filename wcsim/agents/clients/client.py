@@ -26,7 +26,6 @@ from wcsim.agents.learning.build import with_window
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
-from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
@@ -45,6 +44,7 @@ from wcsim.errors import (
 )
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
+from wcsim.supervisor.reward_terms import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines
 TIMES = "times.json"

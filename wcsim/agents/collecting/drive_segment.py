@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.collecting.data_drivers import Choice, DataDriver, Learned
-from wcsim.agents.collecting.labels import codes_of
-from wcsim.agents.collecting.segment import Segment
+from wcsim.agents.collecting.segment import Segment, codes_of
 from wcsim.agents.envs.episode_view import Chair, EpisodeStep, HeldLink, delay_ticks
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.bridge.world import World

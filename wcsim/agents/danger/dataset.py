@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from wcsim.agents.collecting.labels import unsafe_ahead
-from wcsim.agents.collecting.segment import Segment
+from wcsim.agents.collecting.segment import Segment, unsafe_ahead
 from wcsim.agents.danger.features import MIRRORED, FeatureExtractor
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 import wcsim
-from wcsim.agents.export.guard_file import MEANING
+from wcsim.agents.export.guard import MEANING
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, PolicyError

@@ -33,8 +33,7 @@ from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import checked_device, torch_settings
 from wcsim.agents.runs.checkpoint import go_on
-from wcsim.agents.runs.resumed_folder import folder_of
-from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder
+from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder, folder_of
 from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError

@@ -8,7 +8,7 @@ nor on what died on the way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copytree
@@ -16,8 +16,16 @@ from typing import Any, Final
 
 import torch
 
-from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, in_order, read_segment, write_manifest
-from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.data_folder import (
+    DATA,
+    SEGMENTS,
+    in_order,
+    read_manifest,
+    read_segment,
+    require_same_settings,
+    write_manifest,
+)
+from wcsim.agents.collecting.segment import Segment, SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
@@ -25,22 +33,69 @@ from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.networks.weights import digest_of
-from wcsim.agents.rounds.learned_data import learned_segments
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
-from wcsim.agents.runs.resumed_folder import folder_of
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, with_whole_data
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, with_whole_data
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import RoundFile
+from wcsim.config.run_file import LearnedFile, RoundFile
 from wcsim.core import files, seeding
-from wcsim.errors import ConfigError, InterruptedRunError, TownError
+from wcsim.core.reading import FileKind, escaped, is_file, read_json
+from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.wishes import Wishes
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
+
+LEARNED: Final = "learned_data.json"
+_KIND: Final = FileKind(what="the learned_data.json of a run", limit_bytes=64 << 20, error=PolicyError)
+
+
+def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
+    """The segments of each data folder that a run learns from, SHA-256 by file name: those that it began with.
+
+    Raises:
+        PolicyError: A folder is none or was driven with other settings, or what the run has noted is damaged.
+    """
+    path = run.path / LEARNED
+    if is_file(path):
+        try:
+            return parse(LearnedFile, read_json(path, _KIND), escaped(path)).folders
+        except ConfigError as error:
+            raise PolicyError(str(error)) from None
+    found = {}
+    for folder in with_whole_data(run.config).collect.data:
+        file = read_manifest(Path(folder))
+        require_same_settings(Path(folder), file, run.config)
+        found[folder] = file.segments
+    return found
+
+
+def learned_segments(run: RunFolder) -> Iterator[Segment]:
+    """What a run learns from beside its own driving, always the same; it is noted before the first of it is read.
+
+    Raises:
+        PolicyError: As `data_of`; there is nothing at all to learn from; or a segment is gone, damaged or exchanged.
+        DiskFullError: There is no room.
+    """
+    found, path = data_of(run), run.path / LEARNED
+    if not any(found.values()) and run.config.collect.segments == 0:
+        raise PolicyError(
+            f"{', '.join(map(escaped, found)) or 'collect.data'}: holds no data to learn from; expected segments of "
+            "`wcsim collect`, or collect.segments of 1 or more"
+        )
+    if found and not is_file(path):
+        files.write_json(path, {"schema_version": 1, "folders": found})
+    for folder, segments in found.items():
+        for name in sorted(segments):
+            try:
+                yield read_segment(Path(folder) / SEGMENTS / name, segments[name])
+            except PolicyError as error:
+                told = "the run needs the data that it started with: restore it, or start a new run"
+                raise PolicyError(f"{error}; {escaped(path)} names it, as {told}") from None
+
 
 TOWNS: Final = "towns"
 

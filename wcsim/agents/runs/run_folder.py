@@ -18,7 +18,7 @@ import json
 import platform
 import re
 import subprocess
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import metadata
 from pathlib import Path
@@ -26,8 +26,14 @@ from typing import Any, Literal
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, without_veto
 from wcsim.agents.runs.own_code import mark_of, own_classes
-from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
-from wcsim.agents.runs.shipped import SHIPPED, shipped_folder
+from wcsim.agents.runs.policy_file import (
+    POLICY_JSON,
+    SHIPPED,
+    is_danger,
+    read_danger_file,
+    read_policy_file,
+    shipped_folder,
+)
 from wcsim.config import RunConfig, load_run_config, parse, with_overrides
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
@@ -291,7 +297,10 @@ def git_revision() -> str:
     try:
         done = subprocess.run(
             ["git", "-C", str(here), "describe", "--always", "--dirty=+", "--abbrev=40", "--exclude=*"],
-            capture_output=True, text=True, timeout=10, check=False,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
         return ""
@@ -318,3 +327,57 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     if name == MANIFEST:
         return _checked_manifest(data, file).model_dump(mode="json", exclude_unset=True)
     return data
+
+
+Complete = Callable[[RunConfig], RunConfig]
+
+
+def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> RunFolder:
+    """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards.
+
+    Args:
+        run: The run.
+        complete: Fills in what a configuration leaves to the network, before two are compared.
+
+    Raises:
+        PolicyError: The folder is not empty, no run, or one of another run.
+        ConfigError: The user's own plant file cannot be read.
+    """
+    if not run.resume:
+        return create_run(run.out, run.config, make_manifest(run.config, run.info))
+    folder, kept = open_run(run.out), ("seed", "town_sha256", "more_towns", "rewards")
+    other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
+    if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
+        other.append("plant")
+    if complete(folder.config) != complete(with_kept_plant(run.config, run.out)) or other:
+        raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
+    return folder
+
+
+def extend(run: Path, steps: int, fade: float | None = None) -> None:
+    """Write another number of steps in all into a run's configuration; all else in it stays as it was.
+
+    Killed between two files, it leaves a run that goes on as it was, and that can be extended again.
+
+    Args:
+        run: Its folder.
+        steps: In all.
+        fade: Another `learn.learning_rate_fade`; None leaves it.
+
+    Raises:
+        PolicyError: It is no run, or cannot have so many.
+        DiskFullError: There is no room.
+    """
+    data, manifest = read_json(run, CONFIG), read_json(run, MANIFEST)
+    try:
+        was = parse(RunConfig, data, str(run / CONFIG)).digest()
+        data["learn"]["total_steps"] = steps
+        if fade is not None:
+            data["learn"]["learning_rate_fade"] = fade
+        config = parse(RunConfig, data, str(run / CONFIG))
+    except (ConfigError, TypeError, KeyError) as error:
+        raise PolicyError(f"{run / CONFIG}: {error}") from None
+    manifest = {**manifest, "config_sha256": config.digest()}
+    files.write_json(run / MANIFEST, {**manifest, "config_was_sha256": was})
+    files.write_json(run / CONFIG, data)
+    files.write_json(run / MANIFEST, {key: value for key, value in manifest.items() if key != "config_was_sha256"})

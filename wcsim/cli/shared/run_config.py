@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from wcsim.agents.networks.names import check_network, is_own
-from wcsim.agents.runs.own_terms import find_reward_term
 from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
@@ -19,6 +18,7 @@ from wcsim.core import reading, seeding
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
+from wcsim.supervisor.reward_terms import find_reward_term
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash

@@ -18,8 +18,7 @@ from wcsim.agents.clients.clients_folder import (
 from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, client_plan, world_order
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.networks.names import NETWORK_NAMES, client_name
-from wcsim.agents.runs.resumed_folder import extend
-from wcsim.agents.runs.run_folder import MANIFEST, Status, make_manifest, open_run
+from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, make_manifest, open_run
 from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit, NothingKept

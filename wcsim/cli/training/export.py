@@ -13,9 +13,8 @@ import tyro
 from wcsim.agents.evaluation.suite.named_policy import is_plain, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
-from wcsim.agents.runs.policy_file import is_danger, read_danger_file
+from wcsim.agents.runs.policy_file import SHIPPED, is_danger, read_danger_file
 from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
-from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_driver, require_without_veto

@@ -8,8 +8,16 @@ from importlib import metadata
 from pathlib import Path
 
 from wcsim.agents.runs.own_code import own_classes, require_own
-from wcsim.agents.runs.resumed_folder import extend
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
+from wcsim.agents.runs.run_folder import (
+    CONFIG,
+    MANIFEST,
+    Manifest,
+    ResolvedRun,
+    extend,
+    open_run,
+    read_json,
+    with_kept_plant,
+)
 from wcsim.cli.shared.common import some_words
 from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
 from wcsim.config import RunConfig, parse, with_file, with_overrides

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from wcsim.agents.envs.senses import senses_of, with_senses
-from wcsim.agents.export.guard_file import guard_of
-from wcsim.agents.export.guarded_policy import GuardedPolicy
+from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import VETO, Policy, is_baseline, without_veto
+from wcsim.agents.runs.policy_file import SHIPPED
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
-from wcsim.agents.runs.shipped import SHIPPED
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
