@@ -153,7 +153,7 @@ def test_a_step_that_was_never_driven_is_left_out_and_the_one_before_leads_to_it
 
 def test_precrash_steps_are_their_share_of_a_batch():
     plan = [["go"]] * 80 + [["crash"]] + [["go"]] * 80
-    buffer, _ = filled(plan, precrash_share=0.25, precrash_window=20, n_step=5, gamma=0.97)
+    buffer, _ = filled(plan, precrash_share=0.25, n_step=5, gamma=0.97)
     starts, _ = buffer.draw(4000)
     before = np.sum((starts > 60) & (starts <= 80)) / 4000
     assert before == pytest.approx(0.25 + 0.75 * 20 / 160, abs=0.02)

@@ -285,7 +285,7 @@ def test_weights_that_change_between_two_looks_are_read_once(
         (folder / WEIGHTS).write_bytes(bytes(spoilt))  # after the bytes were read, before they are used
         return whole(data)
 
-    monkeypatch.setattr("wcsim.agents.networks.weights.hashlib.sha256", exchanged)
+    monkeypatch.setattr("wcsim.agents.runs.weights.hashlib.sha256", exchanged)
     state = load_policy(folder).net.state_dict()
     told = policies.unpacked(sound.weights)
     assert looks == [len(sound.weights)]

@@ -13,8 +13,8 @@ from torch.nn import functional
 from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.networks.device import checked_device
-from wcsim.agents.networks.weights import checked_tensors
 from wcsim.agents.runs.checkpoint import Arrays
+from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from importlib import metadata
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
 
 from wcsim.agents.danger.network import DangerNet, DangerSpec, channels_last
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
-from wcsim.agents.networks.weights import checked_weights, read_weights
-from wcsim.agents.runs.policy_file import POLICY_JSON, SIGHT_KEYS, WEIGHTS, read_danger_file
+from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_danger_file
+from wcsim.agents.runs.weights import load_network, write_policy
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
-from wcsim.core import files
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -25,26 +22,17 @@ _ELSEWHERE = ("height_px", "width_px", "classes")  # of the network's shape, in 
 
 
 def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfig, manifest_sha256: str = "") -> Path:
-    """Write a policy folder in one step, replacing an older one; returns the folder. Raises DiskFullError."""
-    tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
-
-    with files.whole_folder(folder) as target:
-        save_file(tensors, target / WEIGHTS)
-        data = {
-            "schema_version": 1,
-            "algorithm": "danger",
-            "net": {key: value for key, value in asdict(net.spec).items() if key not in _ELSEWHERE},
-            "rule": rule.model_dump(),
-            "camera": config.cameras[0].model_dump(mode="json"),
-            "classes": config.env.classes,
-            "chair": config.chair.model_dump(mode="json"),
-            "manifest_sha256": manifest_sha256,
-            "weights_sha256": files.sha256(target / WEIGHTS),
-            "versions": {"torch": metadata.version("torch")},
-        }
-        files.write_json(target / POLICY_JSON, data)
-
-    return folder
+    """See `write_policy`."""
+    said = {
+        "algorithm": "danger",
+        "net": {key: value for key, value in asdict(net.spec).items() if key not in _ELSEWHERE},
+        "rule": rule.model_dump(),
+        "camera": config.cameras[0].model_dump(mode="json"),
+        "classes": config.env.classes,
+        "chair": config.chair.model_dump(mode="json"),
+        "manifest_sha256": manifest_sha256,
+    }
+    return write_policy(folder, net, said)
 
 
 def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, DangerRule]:
@@ -63,10 +51,8 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     camera = file.camera
     told = {**file.net.model_dump(), "height_px": camera.height_px, "width_px": camera.width_px}
     spec = DangerSpec(**told, classes=file.classes)
-    net = DangerNet(spec, torch.as_tensor(action_set(file.net.actions).points))
-    weights = folder / WEIGHTS
-    data = read_weights(weights, file.weights_sha256, net.state_dict())
-    net.load_state_dict(checked_weights(weights, data, net.state_dict()))
+    points = torch.as_tensor(action_set(file.net.actions).points)
+    net = load_network(folder, file.weights_sha256, lambda: DangerNet(spec, points))
     net.train(False)
     return channels_last(net), file.rule
 

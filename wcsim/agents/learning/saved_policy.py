@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
-from safetensors.torch import save_file
 
 from wcsim.agents.envs.frame_window import newest, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -18,13 +16,12 @@ from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import image_size, observation_form, vector_keys, vector_size, window_size
 from wcsim.agents.networks.names import require_named
 from wcsim.agents.networks.q_network import QNet
-from wcsim.agents.networks.weights import checked_weights, read_weights
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
-from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, read_policy_file
+from wcsim.agents.runs.policy_file import read_policy_file
+from wcsim.agents.runs.weights import load_network, write_policy
 from wcsim.config import CameraConfig
 from wcsim.config.run_file import PolicyFile
-from wcsim.core import files
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -97,16 +94,22 @@ class NetPolicy:
 
 
 def save_policy(folder: Path, model: SeqDQN, camera: CameraConfig, manifest_sha256: str = "") -> Path:
-    """Write a policy folder in one step, replacing an older one; returns the folder."""
-    net = model.q_net
-    tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
-
-    with files.whole_folder(folder) as target:
-        save_file(tensors, target / WEIGHTS)
-        digest = files.sha256(target / WEIGHTS)
-        files.write_json(target / POLICY_JSON, _describe(model, camera, manifest_sha256, digest))
-
-    return folder
+    """See `write_policy`."""
+    space = model.observation_space
+    sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
+    said = {
+        "algorithm": "SeqDQN",
+        "net": model.q_net.spec.model_dump(),
+        "image_hw_px": list(image_size(space)),
+        "vector_size": vector_size(space),
+        **({"sensors": sensors} if sensors else {}),
+        **({} if (form := observation_form(space)) == "compact" else {"observation": form}),
+        "window": window_size(space),
+        "camera": camera.model_dump(mode="json"),
+        "reward_scale": model.settings.reward_scale,
+        "manifest_sha256": manifest_sha256,
+    }
+    return write_policy(folder, model.q_net, said)
 
 
 def load_policy(path: Path, network: str | None = None) -> NetPolicy:
@@ -120,40 +123,11 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     file = read_policy_file(path)
     if not registry.is_registered(file.net.network):
         require_named(escaped(path), file.net.network, network)
-    weights = path / WEIGHTS
-    if registry.is_own(file.net.network):
-        with torch.device("meta"):  # what the description asks for, before any memory is given to it
-            wanted = _empty_net(file).state_dict()
-        data = read_weights(weights, file.weights_sha256, wanted)
-        net = _empty_net(file)
-    else:
-        net = _empty_net(file)
-        data = read_weights(weights, file.weights_sha256, net.state_dict())
-    net.load_state_dict(checked_weights(weights, data, net.state_dict()))
+    net = load_network(path, file.weights_sha256, lambda: _empty_net(file), own=registry.is_own(file.net.network))
     policy = NetPolicy(net, path.name, file)
     for observation in _probes(file):
         policy.values(observation)
     return policy
-
-
-def _describe(model: SeqDQN, camera: CameraConfig, manifest_sha256: str, weights_sha256: str) -> dict[str, Any]:
-    space = model.observation_space
-    sensors = {key: vector_size(space, (key,)) for key in vector_keys(space)[2:]}
-    return {
-        "schema_version": 1,
-        "algorithm": "SeqDQN",
-        "net": model.q_net.spec.model_dump(),
-        "image_hw_px": list(image_size(space)),
-        "vector_size": vector_size(space),
-        **({"sensors": sensors} if sensors else {}),
-        **({} if (form := observation_form(space)) == "compact" else {"observation": form}),
-        "window": window_size(space),
-        "camera": camera.model_dump(mode="json"),
-        "reward_scale": model.settings.reward_scale,
-        "manifest_sha256": manifest_sha256,
-        "weights_sha256": weights_sha256,
-        "versions": {name: metadata.version(name) for name in ("torch", "stable-baselines3")},
-    }
 
 
 def _empty_net(file: PolicyFile) -> QNet:

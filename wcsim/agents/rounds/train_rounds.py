@@ -32,11 +32,11 @@ from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.networks.device import torch_settings
-from wcsim.agents.networks.weights import digest_of
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, with_whole_data
+from wcsim.agents.runs.weights import digest_of
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import LearnedFile, RoundFile
 from wcsim.core import files, seeding

@@ -101,7 +101,7 @@ def copy_scenario(
     Args:
         config: The scenario.
         border: As for `_files_of`.
-        work: A folder that is not there yet.
+        work: An empty folder.
         around: A folder that has a place in the copy too, whatever lies in it.
 
     Returns:

@@ -1,15 +1,19 @@
-"""Weights of a policy from bytes that may come from others: what is checked is what is loaded."""
+"""Policy folders with their weights, written, and read from bytes that may come from others: checked, then loaded."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
-from safetensors.torch import load
+from safetensors.torch import load, save_file
 
+from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
+from wcsim.core import files
 from wcsim.core.reading import FileKind, escaped, parse_json, read_bytes, regular_size
 from wcsim.errors import PolicyError
 
@@ -23,6 +27,51 @@ _DTYPES = {
     torch.int32: "I32", torch.int16: "I16", torch.int8: "I8", torch.uint8: "U8", torch.bool: "BOOL",
 }  # fmt: skip
 Tensors = Mapping[str, torch.Tensor]
+Net = TypeVar("Net", bound=torch.nn.Module)
+
+
+def write_policy(folder: Path, net: torch.nn.Module, said: Mapping[str, Any]) -> Path:
+    """Write a policy folder in one step, replacing an older one; returns it.
+
+    Args:
+        folder: Of the policy.
+        net: Its network.
+        said: What `policy.json` says of it, but for its versions and the hash of its weights.
+
+    Raises:
+        DiskFullError: There is no room.
+        SafetensorError: The same, in other words.
+    """
+    with files.whole_folder(folder) as target:
+        tensors = {key: value.detach().cpu().contiguous() for key, value in net.state_dict().items()}
+        save_file(tensors, target / WEIGHTS)
+        versions = {name: metadata.version(name) for name in ("torch", "stable-baselines3")}
+        digest = files.sha256(target / WEIGHTS)
+        files.write_json(
+            target / POLICY_JSON, {"schema_version": 1, **said, "weights_sha256": digest, "versions": versions}
+        )
+    return folder
+
+
+def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: bool = False) -> Net:
+    """The network of a policy folder, with its weights.
+
+    Args:
+        folder: Of the policy.
+        sha256: What policy.json says of its weights.
+        make: Makes the network that policy.json describes.
+        own: Whether it is one of wcsim's: what it asks for is known before any memory is given to it.
+
+    Raises:
+        PolicyError: As `read_weights` and `checked_weights` do.
+    """
+    path = folder / WEIGHTS
+    with torch.device("meta") if own else contextlib.nullcontext():
+        net = make()
+    data = read_weights(path, sha256, net.state_dict())
+    net = make() if own else net
+    net.load_state_dict(checked_weights(path, data, net.state_dict()))
+    return net
 
 
 def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
