@@ -102,5 +102,5 @@ def test_a_doubtful_tick_counts_as_one_where_nothing_is_safe_too():
 
 
 def test_levels_are_thresholds():
-    with pytest.raises(AttributeError):
+    with pytest.raises(ValueError, match="frozen"):
         RULE.threshold = 0.5  # type: ignore[misc]

@@ -279,14 +279,3 @@ def resealed(path: Path, **changes: Any) -> None:
     state = {**json.loads(path.read_text()), **changes}
     del state["seal"]
     files.write_sealed_json(path, state)
-
-
-def test_the_newest_three_rounds_are_kept_and_a_gap_before_them_costs_nothing(tmp_path: Path) -> None:
-    learner = a_learner()
-    for number in range(5):
-        save_round(tmp_path, number, learner, {})
-    assert [_checkpoint_path(tmp_path, number).exists() for number in range(5)] == [False, False, True, True, True]
-    assert load_round(tmp_path)[0] == 4
-    (_checkpoint_path(tmp_path, 4) / "weights.safetensors").write_bytes(b"torn")
-    (_checkpoint_path(tmp_path, 2) / "state.json").unlink()
-    assert load_round(tmp_path)[0] == 3
