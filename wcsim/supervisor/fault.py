@@ -19,6 +19,7 @@ _LONGEST_ID = 100
 def hardest(contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
     """The touch with the largest impulse of those that count as a collision, None when there is none."""
     counting = [contact for contact in contacts if is_collision(contact, config)]
+    # At a tie the first one; contacts come sorted by kind, actor and part.
     return max(counting, key=lambda contact: contact.impulse_Ns, default=None)
 
 

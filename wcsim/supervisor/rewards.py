@@ -47,6 +47,7 @@ def _joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float
     """
     if distance <= config.max_follow_distance + DISTANCE_TOLERANCE:
         return config.base, 0.0
+    # A difference, here and below, as a negative product of 0 would be -0.0.
     return 0.0, 0.0 - config.penalty * _intensity(distance, config.max_follow_distance, config.max_distance)
 
 
@@ -99,6 +100,7 @@ def crash_reason(
     kerb, a collision with ground or kerb, an acceleration, a tilt.
     """
     collisions = [contact for contact in contacts if is_collision(contact, config)]
+    # A chair that falls hits the ground: that touch follows from the fall, any other one does not.
     if dropped and all(contact.kind in GROUND_KINDS for contact in collisions):
         return "drop"
     if collisions:

@@ -56,6 +56,7 @@ def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
     for row in range(len(segment)):
         delay = int(segment.delay[row])
         if begins:
+            # Where roll-outs begin depends on the delay, which an episode may draw.
             if delay not in extractors:
                 extractors[delay] = FeatureExtractor(config, delay, spec.street, spec.pictures)
             extractor = extractors[delay]
@@ -177,6 +178,7 @@ class Dataset:
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
         frames = self._frames(chosen)
         vector = np.stack([part.vectors[row] for part, row in chosen])
+        # Through float32 to float64, as `policy.inputs` does: learned and driven roll-outs are equal to the bit.
         start = np.stack([part.starts[row] for part, row in chosen]).astype(np.float64)
         unsafe = np.stack([part.unsafe[row] for part, row in chosen])
         if mirror:

@@ -96,6 +96,7 @@ class FeatureExtractor:
         """The window of pictures with this one in it."""
         if self._pictures:
             now = np.stack([observation[key][-1] for key in (CLASS_KEY, DEPTH_KEY)]).reshape(1, *self._shape)
+            # The first picture fills the window, as in `dataset._frame_windows`: learning and driving see the same.
             before = self._frames if len(self._frames) else np.repeat(now, self._pictures - 1, axis=0)
             self._frames = np.concatenate([before, now])[-self._pictures :]
         return self._frames
@@ -118,6 +119,7 @@ class FeatureExtractor:
     def _vector(self, observation: Observation, later_s: float) -> F32:
         imu, motion = observation[IMU_KEY], self.around.ego.motion
         vector: F64 = np.concatenate(
+            # Tilts are a few hundredths of the half turn that is 1 in the observation.
             [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
         )
         # A fault of a sensor must not carry the network beyond what it has learned from.

@@ -83,6 +83,7 @@ class DangerNet(nn.Module):
         super().__init__()
         self.spec = spec
         count, width = len(points), spec.width
+        # They follow from the spec: a file of weights has no need of them.
         self.register_buffer("points", points.to(torch.float32), persistent=False)
         self.points: torch.Tensor
         self.roll_out, self.context, self.pictures = None, None, None
@@ -166,6 +167,7 @@ class _RollOutHead(nn.Module):
         read = maps.reshape(len(maps), -1).gather(1, swept.flatten(1)).view(len(swept), swept.shape[1], -1)
         # A soft maximum: one bad cell is a crash, but the gradient has to reach its neighbours too. Never flat (0.2).
         sharp = functional.softplus(self.sharpness) + 0.2
+        # Less the logarithm of how many: equal costs give that cost, however many cells are read.
         return torch.as_tensor((torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp)
 
 

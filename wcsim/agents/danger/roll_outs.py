@@ -52,6 +52,7 @@ def sweep(starts: F64, commands: F64, limits: F64, chair: F64, out: I32) -> None
             now[:] = starts[b]
             place = 0
             for i in range(SLICES * EACH_SLICE):
+                # A hair less: rounding of the product must not add a step.
                 held = i * STEP_S < HOLD_S - 1e-9
                 advance(now, commands[k] if held else rest, limits, STEP_S)
                 cos, sin = math.cos(now[2]), math.sin(now[2])

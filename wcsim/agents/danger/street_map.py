@@ -72,6 +72,7 @@ class StreetMap:
 
     def forget(self) -> None:
         """Know nothing."""
+        # Heights stay: they are read only where a cell has a tick.
         self._cells[:] = 0
         self._tick = 0
 

@@ -97,6 +97,7 @@ def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, at
     shifts = numbers("camera_shift_m", vary.camera_shift_m, 3 * cameras)
     turns = numbers("camera_turn_deg", vary.camera_turn_deg, 2 * cameras)
     ticks = vary.action_delay_ticks
+    # Without the attempt: no delay keeps a chair from standing, so it is never drawn again.
     rng = seeding.generator(seed, "vary", seat, episode, "action_delay_ticks")
     return Drawn(
         light=_first(numbers("light", vary.light)),

@@ -317,6 +317,7 @@ def braking(plan: DriverPlan, speed_mps: float, free_mps: float, brakes: Brakes,
     """
     if not plan.limit_mps < free_mps:
         return LET_GO, False
+    # It is a divisor; with so little room any speed takes more than the service brake.
     room_m = max(plan.nearest_m - LAST_GAP_M, 0.05)
     if speed_mps <= 0.5 or speed_mps**2 / (2.0 * room_m) <= brakes.service_mps2:
         return plan.limit_mps, False

@@ -69,6 +69,7 @@ class StreetReaction:
             watch = self._watch(led, roads, chairs, rows, near, orders) if near else None
             if watch is not None:
                 watched[actor.id] = watch
+        # In the order of the last tick, as orders to SUMO must have one.
         gone = [name for name, watch in self._watched.items() if watch.held and name not in watched]
         orders += [ActorCommand(actor_id=name, speed_mps=LET_GO) for name in gone]
         self._tubes = {name: tube for name, tube in self._tubes.items() if name in seen}
@@ -129,6 +130,7 @@ class StreetReaction:
         orders: list[ActorCommand],
     ) -> _Watch | None:
         """Look at one vehicle's way and order what is needed; None when no chair is near it."""
+        # Who looks at all is asked first: a question to SUMO costs far more.
         near = [i for i in near if self._towards(chairs[i]).looks(actor)]
         place = roads.on_lane(actor.id) if near else None
         if place is None:

@@ -227,6 +227,7 @@ class CameraRig:
         """Draw this part of the street from now on."""
         self._let_go()
         self.store = street if isinstance(street, GeometryStore) else GeometryStore(street)
+        # Sorted: the order of a set of strings differs from process to process.
         self._renderers = {name: _renderer(name, self.store) for name in sorted({c.renderer for c in self.cameras})}
 
     def begin(self, seed: int) -> None:
@@ -265,6 +266,7 @@ class CameraRig:
 
     def frames(self, seat: int, scene: Surroundings) -> tuple[CameraFrame, ...]:
         """What the cameras of a seat see; those taken in this very scene by `shoot_all`, or else taken now."""
+        # By identity: a scene is made anew for every tick, and comparing arrays would cost more.
         if seat not in self._taken or self._taken[seat][0] is not scene:
             self.shoot_all({seat: scene})
         return self._taken[seat][1]
@@ -410,6 +412,7 @@ def _last(shutter: _Shutter, buffers: SeatBuffers | None, index: int) -> CameraF
     frame = shutter.last
     if frame is None:
         raise ValueError("a camera that took nothing has no last frame")
+    # A repeated picture lies in other buffers: whoever reads these needs a copy in them.
     if buffers is not None and not np.may_share_memory(buffers.images[index].depth_m, frame.depth_m):
         frame = shutter.last = copied(frame, buffers.images[index])
     return frame

@@ -79,6 +79,7 @@ class ContactLog:
         self._impulse_Ns.clear()
         self._tags.clear()
         self._cause.clear()
+        # By name: PyBullet lists contacts by the numbers of bodies, and these depend on which pooled body came first.
         return tuple(sorted(found, key=lambda item: (item.kind, item.actor_id, item.part)))
 
     def forget(self, actor_id: str) -> None:
