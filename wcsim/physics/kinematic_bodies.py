@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.rotations import matrix, quaternion, rotate
+from wcsim.core.frames import matrix, quaternion, rotate
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role

@@ -1,21 +1,24 @@
-"""The reward of one step: Tables 1 and 2 of the paper, term by term, as pure functions.
+"""The reward of one step: Tables 1 and 2 of the paper, term by term, as pure functions; and whose a crash is, in words.
 
 Table 1 gives a window for every measured quantity: below it nothing happens, inside it the penalty grows linearly to
 its full size, above it the step is a crash. Table 2 gives the sizes: +1 for following the user, -2 for each penalty at
 full intensity, -100 for a crash, once. The joystick distance is the exception: above its window the penalty stays full.
+
+A user's own term is a class with two methods, named `module:Class` on the command line.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from wcsim.config import RewardConfig
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
-from wcsim.types import F64, Contact, Events, ImuFrame, PlantState, RewardTerms
+from wcsim.types import F64, ClientSnapshot, Contact, Events, ImuFrame, PlantState, RewardTerms
 
 CrashReason = Literal["", "collision", "drop", "acceleration", "tilt"]
 
@@ -122,3 +125,57 @@ def is_collision(contact: Contact, config: RewardConfig) -> bool:
     if contact.kind not in GROUND_KINDS:
         return True
     return contact.part not in ROLLING_PARTS and contact.impulse_Ns > config.body_on_ground_Ns
+
+
+Fault = Literal["own", "other"]
+_NO_TOUCH = {"drop": "fell off a kerb", "tilt": "tilted too far", "acceleration": "was shaken too hard"}
+_STANDING = {"ground": "the ground", "kerb": "a kerb", "static": "something that stands in the street"}
+_LONGEST_ID = 100
+
+
+def hardest(contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
+    """The touch with the largest impulse of those that count as a collision, None when there is none."""
+    counting = [contact for contact in contacts if is_collision(contact, config)]
+    # At a tie the first one; contacts come sorted by kind, actor and part.
+    return max(counting, key=lambda contact: contact.impulse_Ns, default=None)
+
+
+def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fault:
+    """Whose a crash is: the cause of its hardest touch; without a collision the chair's own."""
+    hit = hardest(contacts, config) if reason == "collision" else None
+    return "own" if hit is None else hit.cause
+
+
+def blamed(reason: str, whose: str, words: str) -> str:
+    """A crash in a line: its reason, whose fault it is, and `words` as those of `crash_words`."""
+    return f"{reason}, {whose} fault: it {words}"
+
+
+def crash_words(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> str:
+    """What a chair did that crashed, with whom by SUMO's id, and who came into whom.
+
+    >>> hit = Contact(kind="car", part="body", impulse_Ns=9.0, cause="other", actor_id="v:flow.3")
+    >>> crash_words("collision", (hit,), RewardConfig()), crash_words("drop", (), RewardConfig())
+    ('was hit by car flow.3', 'fell off a kerb')
+    """
+    hit = hardest(contacts, config) if reason == "collision" else None
+    if hit is None:
+        return _NO_TOUCH.get(reason, reason)
+    name = re.sub(r"~\d+$", "", hit.actor_id.partition(":")[2])[:_LONGEST_ID]  # of something articulated: the whole
+    whom = _STANDING.get(hit.kind, f"{hit.kind} {name}".strip())
+    return f"was hit by {whom}" if hit.cause == "other" else f"drove into {whom}"
+
+
+class RewardTerm(Protocol):
+    """An additional reward term, computed from the snapshots before and after a tick."""
+
+    def reset(self) -> None:
+        """An episode starts."""
+
+    def reward(self, before: ClientSnapshot, after: ClientSnapshot) -> float:
+        """What this tick adds to the reward."""
+
+
+def is_reward_term(value: object) -> bool:
+    """Whether an object, or the objects of a class, have these methods."""
+    return all(callable(getattr(value, method, None)) for method in ("reset", "reward"))

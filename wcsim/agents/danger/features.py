@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.danger.roll_outs import hull_and_wheels
-from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
+from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap, hull_and_wheels
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig

@@ -18,8 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from wcsim.agents.danger.features import VECTOR
-from wcsim.agents.danger.roll_outs import SLICES
-from wcsim.agents.danger.street_map import PLANES, SIDE
+from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 
@@ -116,7 +115,7 @@ class DangerNet(nn.Module):
         Args:
             picture: (B, PLANES, SIDE, SIDE) float32 in 0..1.
             vector: (B, VECTOR) float32.
-            swept: (B, A, n) int64, see `roll_outs.sweep`; not looked at with the eye `picture`.
+            swept: (B, A, n) int64, see `street_map.sweep`; not looked at with the eye `picture`.
             frames: (B, T, 2, H, W) uint8, class ids and depth; not looked at with the eye `map`.
         """
         logit = self.base + self.direct(vector)

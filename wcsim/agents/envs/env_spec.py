@@ -26,7 +26,7 @@ from wcsim.server.links.open import SeatGroup, open_group
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import Observation, imu_size, observation_space
-from wcsim.supervisor.reward_terms import RewardTerm, is_reward_term
+from wcsim.supervisor.rewards import RewardTerm, is_reward_term
 from wcsim.users.recorded import find_user
 
 RENDER_MODES = ("rgb_array",)

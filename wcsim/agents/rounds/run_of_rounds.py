@@ -19,9 +19,8 @@ from wcsim.config import RunConfig
 from wcsim.core import files, seeding
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.machines import HERE, Machines
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import Wishes, asked_town
 from wcsim.towns.making.maker import make_town
-from wcsim.towns.making.wishes import Wishes
 from wcsim.towns.scenario.town import Town, find_town, open_town
 
 TOWNS: Final = "towns"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError
-from wcsim.supervisor.reward_terms import RewardTerm, is_reward_term
+from wcsim.supervisor.rewards import RewardTerm, is_reward_term
 
 
 def find_reward_term(name: str) -> RewardTerm:

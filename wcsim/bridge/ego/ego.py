@@ -31,9 +31,8 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.wheel_track import fell
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.fault import crash_words
 from wcsim.supervisor.oracle import Oracle
-from wcsim.supervisor.rewards import crash_reason
+from wcsim.supervisor.rewards import crash_reason, crash_words
 from wcsim.towns.walking.routes import Router, edges_ahead
 from wcsim.types import (
     F64,

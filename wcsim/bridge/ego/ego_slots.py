@@ -12,8 +12,7 @@ from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import ProtocolError
 from wcsim.physics.engine import Engine
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
-from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
 from wcsim.towns.checks.validate import require_pavement
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.walking.routes import Router, edges_ahead

@@ -13,8 +13,7 @@ from wcsim.config import CameraConfig, RunConfig, SensorConfig, SensorsConfig, p
 from wcsim.config.randomization import VaryConfig
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
-from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
-from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, varied
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, refuse_cameras_inside, varied
 from wcsim.physics.wheelchair.plant_body import check_springs
 from wcsim.types import Drawn
 

@@ -23,9 +23,8 @@ import numpy as np
 
 from wcsim.config import ImuConfig
 from wcsim.core.constants import GRAVITY_MPS2
-from wcsim.core.frames import rad
+from wcsim.core.frames import Rotation, Vec3, euler, rad
 from wcsim.core.jit import exact_kernel
-from wcsim.core.rotations import Rotation, Vec3, euler
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
 from wcsim.physics.sensors.camera_geometry import turn_of

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
-from wcsim.core.rotations import Quat, Vec3, added, matrix, rotate_back, turned
+from wcsim.core.frames import Quat, Vec3, added, matrix, rotate_back, turned
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import BodyTag, Role
 from wcsim.types import Contact

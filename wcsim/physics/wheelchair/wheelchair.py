@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.core.rotations import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.core.frames import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
