@@ -27,7 +27,7 @@ from wcsim.bridge.sumo.step_hook import HookChair, StepHook
 from wcsim.server.specs import Patience, SeatRequest
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import decode_depth
-from wcsim.supervisor.reward_terms import RewardTerm
+from wcsim.supervisor.rewards import RewardTerm
 from wcsim.towns.making.maker import Wishes, make_town
 
 LONGEST_VALUE = 60

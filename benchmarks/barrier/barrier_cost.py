@@ -29,7 +29,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.keys import make_keys
-from wcsim.server.transport.shm_folder import RingFolder
+from wcsim.server.transport.world_folder import RingFolder
 from wcsim.types import SeatSpec
 
 BLOCK_TICKS = 100

@@ -18,7 +18,7 @@ import msgspec
 import zmq
 
 from benchmarks.barrier.fake_world import FakeWorld
-from wcsim.server.launch.parent_death import die_with_parent
+from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.seat_world import Specs

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.camera.random_scenes import Scene
 from wcsim.config import CameraConfig
-from wcsim.core import rotations
+from wcsim.core import frames
 from wcsim.errors import ConfigError
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.sensors.base import Surroundings
@@ -66,7 +66,7 @@ def side_by_side(
 def _standing(p_W_m: F64, yaw_rad: float) -> PlantState:
     return PlantState(
         p_WB_m=p_W_m,
-        q_WB=np.array(rotations.quaternion(yaw_rad)),
+        q_WB=np.array(frames.quaternion(yaw_rad)),
         v_B_mps=np.zeros(3),
         w_B_radps=np.zeros(3),
         wheel_radps=np.zeros(2),

@@ -8,9 +8,8 @@ from typing import Final
 
 from wcsim.config import RewardConfig
 from wcsim.core.frames import rad
-from wcsim.supervisor.fault import hardest
 from wcsim.supervisor.kpi import DROP
-from wcsim.supervisor.rewards import GROUND_KINDS, ROLLING_PARTS
+from wcsim.supervisor.rewards import GROUND_KINDS, ROLLING_PARTS, hardest
 from wcsim.types import ActorKind, Contact
 
 FALL_REMEMBERED_S: Final = 10.0  # a kerb that is rammed so soon after a fall is a consequence of it

@@ -20,8 +20,7 @@ from wcsim.config import RunConfig
 from wcsim.core.frames import deg
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.supervisor.fault import fault, hardest
-from wcsim.supervisor.rewards import GROUND_KINDS
+from wcsim.supervisor.rewards import GROUND_KINDS, fault, hardest
 from wcsim.towns.importing.map_marks import CAR
 from wcsim.types import F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street
 from wcsim.users.recorded import RecordedUser

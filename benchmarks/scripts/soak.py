@@ -154,7 +154,7 @@ def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) 
     from wcsim.cli.shared.run_config import in_town
     from wcsim.cli.training.clients import resolved, train_clients
     from wcsim.cli.training.train import Options
-    from wcsim.server.launch.backoff import RestartRules
+    from wcsim.server.launch.states import RestartRules
     from wcsim.server.specs import RunInfo
 
     order = LearnersOrder(

@@ -20,8 +20,8 @@ from pathlib import Path
 from types import FrameType
 
 from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedError
-from wcsim.server.launch.parent_death import die_with_parent
 from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
+from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.specs import ClientStatus, SeatRequest, read_order, to_line

@@ -19,7 +19,7 @@ from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Snapshot
-from wcsim.users.fitting.habits import HandLog
+from wcsim.users.fitting.hand_series import HandLog
 from wcsim.users.profiles import UserProfile, profile
 from wcsim.users.recorded import RecordedUser
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.users.hand_fit import HandFit, fit_hand
 from wcsim.core.frames import rad, wrap
 from wcsim.types import F64, ActorKind, UserView
-from wcsim.users.fitting.habits import HandLog, Tremor, correction_s, pauses, switch_holds, tremor
+from wcsim.users.fitting.hand_series import HandLog, Tremor, correction_s, pauses, switch_holds, tremor
 from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
 from wcsim.users.perception import PERSON_SIGHT, Seen
 from wcsim.users.profiles import UserProfile

@@ -27,7 +27,7 @@ from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import load_run_config, with_overrides
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
-from wcsim.supervisor.reward_terms import find_reward_term
+from wcsim.supervisor.rewards import find_reward_term
 from wcsim.types import Events, PlantState, RewardTerms
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

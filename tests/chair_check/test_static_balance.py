@@ -5,8 +5,22 @@ from dataclasses import replace
 
 import pytest
 
-from wcsim.chair_check.declared import FORWARD_DOWN, LEFT_DOWN, REAR_DOWN, _com_m, stand, worst_swivel_rad
-from wcsim.chair_check.static_balance import Beam, Foot, Stand, SupportSpring, loads_N, rigid_tip_rad, tip_rad, uphill
+from wcsim.chair_check.static_balance import (
+    FORWARD_DOWN,
+    LEFT_DOWN,
+    REAR_DOWN,
+    Beam,
+    Foot,
+    Stand,
+    SupportSpring,
+    _com_m,
+    loads_N,
+    rigid_tip_rad,
+    stand,
+    tip_rad,
+    uphill,
+    worst_swivel_rad,
+)
 from wcsim.config import ChairConfig
 from wcsim.errors import PhysicsError
 from wcsim.physics.wheelchair.plant import plant_spec

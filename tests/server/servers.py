@@ -17,7 +17,7 @@ from typing import Any
 from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
 from wcsim.server.launch.spawner import ProcessHandle, SubprocessSpawner
-from wcsim.server.launch.supervised_world import WORLD_ARGV
+from wcsim.server.launch.supervised import WORLD_ARGV
 from wcsim.server.links.base import WorldLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules

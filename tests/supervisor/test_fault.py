@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from wcsim.config import RewardConfig
-from wcsim.supervisor.fault import crash_words
+from wcsim.supervisor.rewards import crash_words
 from wcsim.types import Contact
 
 

@@ -48,6 +48,7 @@ class ReactingTraffic:
         self.before: dict[str, ActorState] = {}  # the same a tick ago, by id
         self.signals: tuple[SignalState, ...] = ()
         self._config, self._ground, self._sumo = config, ground, sumo
+        # Without relief all are taken to be on one level, and nobody has to be left out.
         self._hilly = ground.around(np.zeros(2)).relief is not FLAT
         self._wide_turns = SwingOut(ground, config.tick_s)
         self._articulation = Articulation()

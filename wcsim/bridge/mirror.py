@@ -102,6 +102,7 @@ def in_reach(actors: tuple[ActorState, ...], places_W_m: F64, dt_s: float) -> tu
         near_m = BODY_REACH_M + 0.5 * actor.size_lwh_m[0]
         if more_s:
             near_m += more_s * (math.hypot(*actor.v_W_mps.tolist()) + _SPARE_MPS)
+        # A square, not a circle: it is cheaper, and a body too many does no harm.
         if any(abs(x - px) < near_m and abs(y - py) < near_m for px, py in places):
             found.append(actor)
     return tuple(found)
@@ -119,6 +120,7 @@ def moves(before: Mapping[str, ActorState], after: tuple[ActorState, ...], dt_s:
 def _move(old: ActorState | None, new: ActorState, dt_s: float) -> BodyMove:
     start = old if old is not None else replace(new, p_W_m=new.p_W_m - dt_s * new.v_W_mps)
     v_W_mps = (new.p_W_m - start.p_W_m) / dt_s
+    # The faster end of the tick: who brakes hard was faster than it is now.
     speed_mps = max(math.hypot(*start.v_W_mps.tolist()), math.hypot(*new.v_W_mps.tolist()))
     # It jumped: with a velocity its body would sweep what lies between.
     if math.hypot(*v_W_mps.tolist()) > speed_mps + JUMP_M / dt_s:

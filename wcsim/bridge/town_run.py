@@ -20,7 +20,7 @@ from wcsim.bridge.world import World, as_users_wish
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import SumoError
-from wcsim.supervisor.fault import fault
+from wcsim.supervisor.rewards import fault
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.stage import Scenario, require_files
 from wcsim.towns.scenario.town import Town

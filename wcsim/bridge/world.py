@@ -80,6 +80,7 @@ class _TileLoader:
                     laid.lift(key)
             if not drawn:
                 keys, old = self._tiles.near(places_W_m, self._sight_m + TILE_KEEP_M), self._drawn
+                # Stores are kept: making one takes many times as long as joining them.
                 self._drawn = {key: old.get(key) or GeometryStore(self._tiles.mesh(key)) for key in keys}
                 self._rig.show(GeometryStore.joined(list(self._drawn.values())))
 
@@ -199,6 +200,7 @@ class World(Closing):
         p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
         moved, places_W_m = self._seating.at(seat), self._places()
         places_W_m[self.seats.index(moved)] = p_W_m[:2]
+        # The ground first: a chair that is put where no tile lies falls.
         self._load_tiles(places_W_m)
         moved.chair.place(p_W_m, yaw_rad)
         self._open.traffic.look_again(self._places())
@@ -386,6 +388,7 @@ class World(Closing):
             return {}
         traffic = self._open.traffic
         with self.stopwatch.measure("render"):
+            # A single chair is in nobody's picture, as its own cameras never show it.
             poses = tuple(seat.pose() for seat in self.seats) if len(self.seats) > 1 else ()
             scenes = {}
             for seat in seats:
@@ -443,6 +446,7 @@ class World(Closing):
 def as_users_wish(snapshot: Snapshot) -> tuple[Command, ...]:
     """Commands that give every user what the joystick says: the baseline `follow`, without the grid of actions."""
     return tuple(
+        # Where an episode has ended, its user already sees the first frame of the next.
         Command(seat=client.seat, tick=snapshot.tick, joystick=(client.first or client).user)
         for client in snapshot.clients
     )

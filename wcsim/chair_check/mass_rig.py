@@ -1,17 +1,36 @@
-"""The mass rig: weight, where it rests, what it takes to turn the chair, and what brakes it when nothing should."""
+"""The mass rig and the tilt table: weight, where it rests, what it takes to turn the chair, and when it tips.
+
+How far a chair can be tilted until its uphill wheels carry nothing is as ISO 7176-1 asks. The table is level ground and
+gravity turns, at most 0.2 degrees a second. Brakes are on, casters and swivels are held at the angle that brings the
+tip line nearest to the centre of mass, and everything grips, so that nothing slides. A chair on a beam rolls freely
+where it is tilted sideways, casters trailing, and its beam's bearing has no friction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Final
 
 import numpy as np
 
-from wcsim.chair_check.declared import inertia_kgm2, stand
 from wcsim.chair_check.rig import FORWARD, NEUTRAL, Rig
-from wcsim.chair_check.row import Setup, Trial
-from wcsim.chair_check.static_balance import loads_N
+from wcsim.chair_check.row import TICK_S, Row, Setup, Trial
+from wcsim.chair_check.static_balance import (
+    FORWARD_DOWN,
+    LEFT_DOWN,
+    REAR_DOWN,
+    Stand,
+    Vec2,
+    inertia_kgm2,
+    loads_N,
+    stand,
+    tip_rad,
+    uphill,
+    worst_swivel_rad,
+)
+from wcsim.core.frames import deg, rad
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
@@ -233,3 +252,189 @@ def _turn(rig: Rig, axis: F64) -> None:
 
 def _rate(rig: Rig) -> F64:
     return np.array(pybullet.getBaseVelocity(rig.body, physicsClientId=rig.client)[1])
+
+
+_TILT_RADPS: Final = rad(0.2)
+_BEFORE_RAD: Final = rad(2.0)  # the slow part begins so far below the tilt that is expected
+_BEYOND_RAD: Final = rad(3.0)  # and is given up so far above it
+_FAST_RADPS: Final = rad(4.0)  # or it falls hard onto its anti-tips
+_SETTLE_S: Final = 10.0
+_QUIET_RADPS: Final = 1e-3
+_STAGES: Final = (1 / 3, 2 / 3, 1.0)
+_GRIP: Final = 2.0
+_ITERATIONS: Final = 1000  # many wheels held at once are stiff
+_COM_HEIGHTS_M: Final = (0.50, 0.60)
+_TOLERANCE_DEG: Final = 1.0
+_LEAST_LEFT, _MOST_LEFT = 0.5, 0.98
+_METHOD: Final = (
+    "tilt table at 0.2 deg/s, brakes on, casters at their worst angle (sideways on a beam: off, trailing); "
+    "tip = uphill wheels leave it"
+)
+_SOURCE: Final = "tip line through the declared contact points below the declared centre of mass, within 1 deg"
+
+
+def tip_trials(setup: Setup, only: Sequence[str] = ()) -> Iterator[Trial]:
+    """The rows of one plant: each way to tip at each height of the centre of mass.
+
+    What is expected takes a moment to find, so rows whose names begin with none of the words of `only` are left out.
+    """
+    for name, downhill, antitips in _ways(setup):
+        for height_m in _COM_HEIGHTS_M:
+            if only and not _name(name, height_m).startswith(tuple(only)):
+                continue
+            expected_deg = deg(_expected_tip_rad(setup.at_com_height(height_m), downhill, antitips))
+            yield Trial(
+                name=_name(name, height_m),
+                unit="deg",
+                bound="file",
+                low=expected_deg - _TOLERANCE_DEG,
+                high=expected_deg + _TOLERANCE_DEG,
+                method=_METHOD,
+                source=_SOURCE,
+                measure=partial(_tip_deg, height_m=height_m, downhill=downhill, antitips=antitips),
+            )
+
+
+def falling_rows(setup: Setup, rows: Mapping[str, Row]) -> Iterator[Row]:
+    """Share of each tip angle that is left as the centre of mass is raised; the pivots of each way stay the same."""
+    low_m, high_m = _COM_HEIGHTS_M
+    for name, _, _ in _ways(setup):
+        pair = rows.get(_name(name, low_m)), rows.get(_name(name, high_m))
+        if pair[0] is None or pair[1] is None:
+            continue
+        value = pair[1].value / pair[0].value
+        yield Row(
+            name=f"{name}_falls",
+            value=value,
+            unit="",
+            bound="file",
+            low=_LEAST_LEFT,
+            high=_MOST_LEFT,
+            method=f"tip angle at {high_m:.2f} m divided by that at {low_m:.2f} m",
+            source="a higher centre of mass above the same pivots tips earlier",
+            ok=_LEAST_LEFT <= value <= _MOST_LEFT,
+        )
+
+
+def _ways(setup: Setup) -> Iterator[tuple[str, Vec2, bool]]:
+    yield "tip_forward", FORWARD_DOWN, True
+    yield "tip_rear", REAR_DOWN, True
+    antitips_x_m = [pair.p_m[0] for pair in plant_spec(setup.chair).antitips]
+    if any(x_m > 0.0 for x_m in antitips_x_m):
+        yield "tip_forward_no_antitips", FORWARD_DOWN, False
+    if any(x_m < 0.0 for x_m in antitips_x_m):
+        yield "tip_rear_no_antitips", REAR_DOWN, False
+    yield "tip_lateral", LEFT_DOWN, True
+
+
+def _name(way: str, height_m: float) -> str:
+    return f"{way}_com_{round(100 * height_m)}cm"
+
+
+def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
+    return deg(_measured_tip_rad(setup.at_com_height(height_m), downhill, antitips))
+
+
+def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+    """The tilt at which a chair tips, from the masses and contact points that its file declares."""
+    return tip_rad(_stand(setup, downhill, antitips), downhill)
+
+
+def _measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+    """The tilt at which the simulated chair's uphill wheels carry nothing any more, at most 3 degrees above expected.
+
+    Args:
+        setup: The chair and the rate.
+        downhill: Unit vector in the chair's x and y.
+        antitips: Whether it has its anti-tips.
+    """
+    expected = _expected_tip_rad(setup, downhill, antitips)
+    upper = uphill(_stand(setup, downhill, antitips), downhill)
+    with Rig(setup, iterations=_ITERATIONS) as rig:
+        _prepare(rig, downhill, antitips)
+        table = _Table(rig, downhill, upper)
+        table.settle()
+        start_rad = max(expected - _BEFORE_RAD, 0.0)
+        for share in _STAGES:  # a chair that falls onto its anti-tips rocks there for a while
+            table.tilt_to(share * start_rad)
+            table.settle()
+        return table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD)
+
+
+def _stand(setup: Setup, downhill: Vec2, antitips: bool) -> Stand:
+    spec = plant_spec(setup.chair)
+    chair = stand(spec, _swivel_rad(spec, downhill))
+    return chair if antitips else chair.without("antitip")
+
+
+def _rolls(spec: PlantSpec, downhill: Vec2) -> bool:
+    """Whether its wheels are left to roll: a beam is turned by the grip of its casters, sideways, too.
+
+    How much of the grip wheels give that are all held is not determined; of wheels that roll it is, by their loads.
+    """
+    return downhill[0] == 0.0 and any(pair.beam is not None for pair in spec.casters)
+
+
+def _swivel_rad(spec: PlantSpec, downhill: Vec2) -> float:
+    return 0.0 if _rolls(spec, downhill) else worst_swivel_rad(spec, downhill)
+
+
+def _prepare(rig: Rig, downhill: Vec2, antitips: bool) -> None:
+    spec = rig.chair.spec
+    rig.turn_swivels(_swivel_rad(spec, downhill))
+    if _rolls(spec, downhill):
+        rig.lock("swivel")
+        rig.free("beam")
+    else:
+        rig.lock("wheel", "caster", "swivel")
+    for name, index in (("frame", -1), *rig.links().items()):
+        pybullet.changeDynamics(rig.body, index, lateralFriction=_GRIP, physicsClientId=rig.client)
+        if name.startswith("antitip") and not antitips:
+            pybullet.setCollisionFilterGroupMask(rig.body, index, 0, 0, physicsClientId=rig.client)
+
+
+class _Table:
+    """A table under a chair that tilts downhill."""
+
+    def __init__(self, rig: Rig, downhill: Vec2, upper: frozenset[str]) -> None:
+        self._yard, self._downhill, self._upper = rig, downhill, upper
+        self._tilt_rad = 0.0
+
+    def settle(self) -> None:
+        """Wait until the chair is quiet, ten seconds at most."""
+        for _ in range(round(_SETTLE_S / TICK_S)):
+            self._tick(0.0)
+            if np.abs(self._yard.chair.state().w_B_radps).max() < _QUIET_RADPS:
+                return
+
+    def tilt_to(self, tilt_rad: float) -> None:
+        """Tilt to an angle, fast."""
+        away_rad = tilt_rad - self._tilt_rad
+        ticks = math.ceil(away_rad / (_FAST_RADPS * TICK_S))
+        for _ in range(ticks):
+            self._tick(away_rad / (ticks * TICK_S))
+
+    def tip_rad(self, most_rad: float) -> float:
+        """Tilt slowly until the uphill wheels are off the table for a tick, or to an angle at most.
+
+        A load of zero alone would not do: before it tips, a chair may stand on the whole width of its lower tyres, and
+        then the solver is free to give the upper wheels none.
+        """
+        while self._tilt_rad < most_rad:
+            if self._tick(_TILT_RADPS):
+                return self._tilt_rad
+        return self._tilt_rad
+
+    def _tick(self, rate_radps: float) -> bool:
+        """A tick at a rate; returns whether no uphill foot touched the table in it."""
+        rig, lifted = self._yard, True
+        rig.chair.command(NEUTRAL)
+        for _ in range(rig.setup.substeps):
+            self._tilt_rad += rate_radps / rig.setup.hz
+            fall = GRAVITY_MPS2 * math.sin(self._tilt_rad)
+            down = (fall * self._downhill[0], fall * self._downhill[1], -GRAVITY_MPS2 * math.cos(self._tilt_rad))
+            pybullet.setGravity(*down, physicsClientId=rig.client)
+            rig.substep()
+            lifted = lifted and self._upper.isdisjoint(rig.loads_N())
+        rig.chair.end_tick(None)
+        return lifted

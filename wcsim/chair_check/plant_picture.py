@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.chair_check.declared import stand
-from wcsim.chair_check.static_balance import Foot
+from wcsim.chair_check.static_balance import Foot, stand
 from wcsim.config import ChairConfig
 from wcsim.physics.wheelchair.plant import FORK_M, PlantSpec, plant_spec
 

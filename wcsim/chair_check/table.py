@@ -9,11 +9,9 @@ from functools import partial
 from typing import Final
 
 from wcsim.chair_check.driving import driving_trials
-from wcsim.chair_check.kerbs import kerb_trials
-from wcsim.chair_check.mass_rig import mass_trials
-from wcsim.chair_check.ramps import ramp_trials
+from wcsim.chair_check.kerbs import kerb_trials, ramp_trials
+from wcsim.chair_check.mass_rig import falling_rows, mass_trials, tip_trials
 from wcsim.chair_check.row import Row, Setup, Trial, measured
-from wcsim.chair_check.tilt_table import falling_rows, tip_trials
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import plant_spec
 

@@ -63,6 +63,7 @@ def _split(soup: _Soup) -> Iterator[_Soup]:
             yield soup
         return
     centre = soup.vertices_m[soup.faces].mean(axis=1)
+    # Along the longest side: the pieces stay compact, and few of them lie under one chair.
     axis = int(np.argmax(np.ptp(centre, axis=0)))
     # Stable: faces with the same centre fall into the same half on every machine.
     order = np.argsort(centre[:, axis], kind="stable")
@@ -74,6 +75,7 @@ def _split(soup: _Soup) -> Iterator[_Soup]:
 def _height_m(points_m: F64, faces: npt.NDArray[np.int64]) -> F64:
     """Smallest height (F,) of each triangle; 0 for a degenerate one."""
     a, b, c = (points_m[faces[:, k]] for k in range(3))
+    # By the cross product: Heron's formula, from the sides alone, cancels for slivers.
     double_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.max([np.linalg.norm(side, axis=1) for side in (b - a, c - b, a - c)], axis=0)
     return np.asarray(np.divide(double_area, longest, out=np.zeros_like(double_area), where=longest > 0))
@@ -86,8 +88,10 @@ def _compact(points_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
 
 PARK_Z_M: Final = -500.0
 _MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
+# Short, so that a ray meets neither a roof above nor the street under a bridge.
 _GROUND_REACH_M: Final = 0.5
 _RAY_FROM_M: Final = 300.0
+# Wheels ride by this much above the ground that is drawn. Bullet's usual 0.04 m would be seen, and felt at kerbs.
 _STREET_MARGIN_M: Final = 0.001
 # With PyBullet's 20 mm a wheel meets the edge of every triangle just ahead of it at a slant and is pushed back: 0.6
 # m/s2 rms on a flat floor of small triangles, and it is thrown off a fan of slivers. 0.1 mm gives 0.2, and a step costs
@@ -318,6 +322,7 @@ class Engine:
         half = np.array([0.0, 0.0, _GROUND_REACH_M])
         above, below = (points_W_m + half).tolist(), (points_W_m - half).tolist()
         hits = pybullet.rayTestBatch(above, below, physicsClientId=self.client)
+        # Nobody stands on what else a ray meets, such as a vehicle or a parked bicycle.
         return np.array([hit[3][2] if hit[0] in self._rolling else np.nan for hit in hits])
 
     def ray_down(self, points_W_m: F64) -> F64:
@@ -327,6 +332,7 @@ class Engine:
         for start in range(0, len(points), _MAX_RAYS):
             part = points[start : start + _MAX_RAYS]
             above = np.c_[part[:, :2], np.full(len(part), _RAY_FROM_M)]
+            # Only halfway to the parked bodies, which a longer ray would find.
             below = np.c_[part[:, :2], np.full(len(part), 0.5 * PARK_Z_M)]
             hits = pybullet.rayTestBatch(above.tolist(), below.tolist(), physicsClientId=self.client)
             heights[start : start + _MAX_RAYS] = [hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits]

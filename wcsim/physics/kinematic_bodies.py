@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.core.rotations import matrix, quaternion, rotate
+from wcsim.core.frames import matrix, quaternion, rotate
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
@@ -25,6 +25,7 @@ from wcsim.types import F64, ActorKind, ActorState
 
 Vec3 = tuple[float, float, float]
 Bucket = tuple[ActorKind, int, int, int]
+# Actors of almost one size share bodies, as bodies are never removed.
 _BUCKET_M: Final = 0.05
 _CLEARANCE_M: Final = 0.05  # below the middle of the anti-tips (0.07 m): nothing of a chair slides under a vehicle
 UPRIGHT: Final = (ActorKind.PEDESTRIAN,)
@@ -125,6 +126,7 @@ class BodyPool:
     def poses(self) -> dict[str, tuple[F64, float]]:
         """Ground point (3,) and yaw of every actor's body as PyBullet has them, by actor id."""
         found = {}
+        # By id: the order in which the bodies were taken must not show in a state.
         for actor_id in sorted(self._used):
             *ground, yaw = self.pose(actor_id)
             found[actor_id] = (np.array(ground), yaw)
@@ -178,6 +180,7 @@ class BodyPool:
 
     def _make(self, bucket: Bucket) -> _Body:
         kind, length_m, width_m, height_m = bucket[0], *(_BUCKET_M * steps for steps in bucket[1:])
+        # Something flatter than the clearance still has a box of half its height.
         low = min(_CLEARANCE_M, 0.5 * height_m)
         client = self._engine.client
         if kind in UPRIGHT:
@@ -210,6 +213,7 @@ def _arc_start(vx: float, vy: float, turn_rad: float, steps: int) -> tuple[float
     >>> _arc_start(8.0, 0.0, 0.0, 24)
     (8.0, 0.0)
     """
+    # Without a turn the series below is 0 / 0.
     if abs(turn_rad) < 1e-9:
         return vx, vy
     step = 1j * turn_rad / steps

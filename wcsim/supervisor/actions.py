@@ -66,6 +66,7 @@ def action_set(name: str) -> ActionSet:
     if name not in NAMES:
         raise ConfigError(f"unknown action set {name!r}; expected one of: {', '.join(NAMES)}")
     steps = np.arange(-_HALF_CELLS, _HALF_CELLS + 1)
+    # Policies are saved with indices into this list, so its order may never change.
     cells = np.array([(i, j) for i in steps for j in steps])
     if name == "disc69":
         cells = cells[(cells**2).sum(axis=1) <= _DISC_LIMIT]

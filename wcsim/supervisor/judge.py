@@ -42,6 +42,7 @@ def judge(snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, c
         observation=observation_of(snapshot, config),
         reward=reward(distance, snapshot.sensors.imu, snapshot.plant, events, config.reward),
         terminated=events.crashed,
+        # An episode that crashed has ended: nothing is left that could be cut off.
         truncated=events.truncated and not events.crashed,
     )
 

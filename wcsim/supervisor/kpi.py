@@ -111,6 +111,7 @@ def summarise(log: StepLog) -> KpiRow:
     """All indicators of a test. Raises ConfigError when the step arrays differ in length."""
     _check_lengths(log)
     steps, reasons = len(log.distance), Counter(reason for reason in log.crash_reasons if reason)
+    # Backwards is driven, too.
     km = float(np.sum(np.abs(log.speed_mps) * log.dt_s)) / 1000.0
     total_s = float(np.sum(log.dt_s))
     known, free = log.free >= 0, log.free == 1
@@ -217,6 +218,7 @@ def _freezes(log: StepLog) -> int:
     frozen = (np.abs(log.speed_mps) < STANDS_MPS) & (_out(log.asked) > PUSHES) & (_out(log.given) < PUSHES)
     if not frozen.any():
         return 0
+    # To the right: a step behind the last end belongs to the episode that still runs.
     episode = np.searchsorted(np.cumsum(log.episode_steps), np.arange(len(frozen)), side="right")
     # A stretch ends with its episode: what follows is another street.
     starts = np.flatnonzero(np.r_[True, (np.diff(frozen) != 0) | (np.diff(episode) != 0)])

@@ -108,6 +108,7 @@ def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationS
     index = frame.class_id.astype(np.intp)
     image = np.empty((3, *index.shape), np.float32)
     for plane, colour in zip(image, colours, strict=True):
+        # NumPy buffers `out` with the mode `raise`, and class ids are never out of bounds.
         np.take(colour, index, out=plane, mode="clip")
     depth = np.multiply(frame.depth_m, np.float32(1.0 / seen.range_m), dtype=np.float32)
     return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
@@ -130,6 +131,7 @@ def _imu_vector(imu: ImuFrame, gyro: bool = False, yaw: bool = False) -> F32:
         scaled += list(imu.gyro_radps / _GYRO_FULL_SCALE_RADPS)
     if yaw:
         scaled += [math.sin(imu.yaw_rad), math.cos(imu.yaw_rad)]
+    # A blow goes beyond the full scale; the space promises -1 to 1.
     return np.clip(np.array(scaled, np.float32), -1.0, 1.0)
 
 
@@ -172,6 +174,7 @@ def decode_depth(code: U8, range_m: float) -> F32:
 def _depth_codes(range_m: float) -> U8:
     """Table from the leading bits of a float32 to its code; what is not above 0 and NaN give 0, infinity gives 255."""
     leading = np.arange(_TABLE_SIZE // 2, dtype=np.uint32)  # the sign bit is the first: the other half is negative
+    # The middle of the numbers that share these bits, which halves the error.
     middle = (leading << _MANTISSA_BITS_DROPPED) + (1 << (_MANTISSA_BITS_DROPPED - 1))
     middle[leading >= _INFINITE] = np.float32(range_m).view(np.uint32)
     near_to_far = np.clip(middle.view(np.float32).astype(np.float64), _DEPTH_NEAR_M, range_m) / _DEPTH_NEAR_M

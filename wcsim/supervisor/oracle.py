@@ -181,6 +181,7 @@ def _others_near(plant: PlantState, actors: Iterable[ActorState], reach_m: float
         ax, ay, az = actor.p_W_m.tolist()
         vx, vy, _ = actor.v_W_mps.tolist()
         length, width, _ = actor.size_lwh_m
+        # |vx| + |vy| is never less than the speed, so nobody who can meet the chair is left out.
         reach = max(reach_m + meets_s * (abs(vx) + abs(vy)), FAR_M) + 0.5 * (length + width)
         if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
             continue

@@ -1,21 +1,25 @@
-"""The reward of one step: Tables 1 and 2 of the paper, term by term, as pure functions.
+"""The reward of one step: Tables 1 and 2 of the paper, term by term, as pure functions; and whose a crash is, in words.
 
 Table 1 gives a window for every measured quantity: below it nothing happens, inside it the penalty grows linearly to
 its full size, above it the step is a crash. Table 2 gives the sizes: +1 for following the user, -2 for each penalty at
 full intensity, -100 for a crash, once. The joystick distance is the exception: above its window the penalty stays full.
+
+A user's own term is a class with two methods, named `module:Class` on the command line.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from wcsim.config import RewardConfig
 from wcsim.core.frames import rad
+from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError
-from wcsim.types import F64, Contact, Events, ImuFrame, PlantState, RewardTerms
+from wcsim.types import F64, ClientSnapshot, Contact, Events, ImuFrame, PlantState, RewardTerms
 
 CrashReason = Literal["", "collision", "drop", "acceleration", "tilt"]
 
@@ -47,6 +51,7 @@ def _joystick_terms(distance: float, config: RewardConfig) -> tuple[float, float
     """
     if distance <= config.max_follow_distance + DISTANCE_TOLERANCE:
         return config.base, 0.0
+    # A difference, here and below, as a negative product of 0 would be -0.0.
     return 0.0, 0.0 - config.penalty * _intensity(distance, config.max_follow_distance, config.max_distance)
 
 
@@ -99,6 +104,7 @@ def crash_reason(
     kerb, a collision with ground or kerb, an acceleration, a tilt.
     """
     collisions = [contact for contact in contacts if is_collision(contact, config)]
+    # A chair that falls hits the ground: that touch follows from the fall, any other one does not.
     if dropped and all(contact.kind in GROUND_KINDS for contact in collisions):
         return "drop"
     if collisions:
@@ -120,3 +126,66 @@ def is_collision(contact: Contact, config: RewardConfig) -> bool:
     if contact.kind not in GROUND_KINDS:
         return True
     return contact.part not in ROLLING_PARTS and contact.impulse_Ns > config.body_on_ground_Ns
+
+
+Fault = Literal["own", "other"]
+_NO_TOUCH = {"drop": "fell off a kerb", "tilt": "tilted too far", "acceleration": "was shaken too hard"}
+_STANDING = {"ground": "the ground", "kerb": "a kerb", "static": "something that stands in the street"}
+_LONGEST_ID = 100
+
+
+def hardest(contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
+    """The touch with the largest impulse of those that count as a collision, None when there is none."""
+    counting = [contact for contact in contacts if is_collision(contact, config)]
+    # At a tie the first one; contacts come sorted by kind, actor and part.
+    return max(counting, key=lambda contact: contact.impulse_Ns, default=None)
+
+
+def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fault:
+    """Whose a crash is: the cause of its hardest touch; without a collision the chair's own."""
+    hit = hardest(contacts, config) if reason == "collision" else None
+    return "own" if hit is None else hit.cause
+
+
+def blamed(reason: str, whose: str, words: str) -> str:
+    """A crash in a line: its reason, whose fault it is, and `words` as those of `crash_words`."""
+    return f"{reason}, {whose} fault: it {words}"
+
+
+def crash_words(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> str:
+    """What a chair did that crashed, with whom by SUMO's id, and who came into whom.
+
+    >>> hit = Contact(kind="car", part="body", impulse_Ns=9.0, cause="other", actor_id="v:flow.3")
+    >>> crash_words("collision", (hit,), RewardConfig()), crash_words("drop", (), RewardConfig())
+    ('was hit by car flow.3', 'fell off a kerb')
+    """
+    hit = hardest(contacts, config) if reason == "collision" else None
+    if hit is None:
+        return _NO_TOUCH.get(reason, reason)
+    name = re.sub(r"~\d+$", "", hit.actor_id.partition(":")[2])[:_LONGEST_ID]  # of something articulated: the whole
+    whom = _STANDING.get(hit.kind, f"{hit.kind} {name}".strip())
+    return f"was hit by {whom}" if hit.cause == "other" else f"drove into {whom}"
+
+
+class RewardTerm(Protocol):
+    """An additional reward term, computed from the snapshots before and after a tick."""
+
+    def reset(self) -> None:
+        """An episode starts."""
+
+    def reward(self, before: ClientSnapshot, after: ClientSnapshot) -> float:
+        """What this tick adds to the reward."""
+
+
+def is_reward_term(value: object) -> bool:
+    """Whether an object, or the objects of a class, have these methods."""
+    return all(callable(getattr(value, method, None)) for method in ("reset", "reward"))
+
+
+def find_reward_term(name: str) -> RewardTerm:
+    """A new reward term of the class that `module:Class` names. Raises ConfigError when it is not one."""
+    kind = find_class(name, "reward term")
+    if not is_reward_term(kind):
+        raise ConfigError(f"reward term {name!r} needs the methods reset() and reward(before, after); see examples/")
+    term: RewardTerm = kind()
+    return term

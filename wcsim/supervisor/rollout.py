@@ -90,8 +90,10 @@ def _runs_into_any_way(
         if dx * dx + dy * dy > reach * reach:
             continue
         left_mps = one[PLEFT_MPS]
+        # Nobody steps back beyond the own line.
         most_mps = min(STEP_ASIDE_MPS, abs(one[PASIDE_M]) / later_s)
         back_mps = -math.copysign(most_mps, one[PASIDE_M])
+        # Standing, half as fast, as fast: three paces stand for all between them.
         for share in range(3):
             ahead_mps = 0.5 * share * one[PAHEAD_MPS]
             if (
@@ -249,6 +251,7 @@ def free_distance(
         other = actors[i]
         if _overlap(cx, cy, cos, sin, hull, other[AX], other[AY], other, 0.0):
             return 0.0
+        # Of two rectangles that do not overlap one has a corner at the nearest place: both are tried.
         gap = min(
             _corners_to_box(
                 cx, cy, cos, sin, hull[HALF_L], hull[HALF_W],
@@ -349,6 +352,7 @@ def _falls(wheels: F64, now: I64, before: I64, before2: I64, vw: float) -> bool:
     for j in range(len(now)):
         if abs(now[j] - before[j]) > KERB_STEP_CM or abs(now[j] - before2[j]) > KERB_STEP_CM:
             return True
+    # In a turn the chair leans as on a slope of v w / g.
     lean = 0.01 * (now[0] - now[1]) / (wheels[0, 1] - wheels[1, 1]) + vw / GRAVITY_MPS2
     pitch = 0.01 * 0.5 * (now[2] + now[3] - now[0] - now[1]) / (wheels[2, 0] - wheels[0, 0])
     return bool(abs(lean) > LEAN_LIMIT or abs(pitch) > PITCH_LIMIT)
@@ -402,6 +406,7 @@ def _static_gap(
     cx, cy = x + hull[MIDDLE] * cos, y + hull[MIDDLE] * sin
     middle = _clearance(cx, cy, clearance_dm, origin_m, cell_m)
     corner = math.hypot(hull[HALF_L], hull[HALF_W])
+    # A lower bound is enough where all is far: one look at the raster instead of eight.
     if middle > corner + beyond_m:
         return middle - corner
     gap = np.inf
@@ -422,6 +427,7 @@ def _clearance(x: float, y: float, clearance_dm: U8, origin_m: F64, cell_m: floa
     col = (x - origin_m[0]) / cell_m - 0.5
     row = (y - origin_m[1]) / cell_m - 0.5
     rows, cols = clearance_dm.shape
+    # Interpolated: whole decimetres would make the gap jump while the chair creeps.
     c0 = min(max(math.floor(col), 0), cols - 2)
     r0 = min(max(math.floor(row), 0), rows - 2)
     fc = min(max(col - c0, 0.0), 1.0)
@@ -441,6 +447,7 @@ def _wheel_heights(
     for j in range(len(wheels)):
         wx = x + wheels[j, 0] * cos - wheels[j, 1] * sin
         wy = y + wheels[j, 0] * sin + wheels[j, 1] * cos
+        # Not interpolated: between two cells a kerb would become a ramp.
         col = min(max(math.floor((wx - origin_m[0]) / cell_m), 0), cols - 1)
         row = min(max(math.floor((wy - origin_m[1]) / cell_m), 0), rows - 1)
         out[j] = height_cm[row, col]
@@ -453,6 +460,7 @@ def _overlap(
     """Whether the chair's rectangle meets another one (separating axes), the other one grown by `margin`."""
     half_l, half_w = other[AHALF_L] + margin, other[AHALF_W] + margin
     dx, dy = ox - cx, oy - cy
+    # Circles first, as most of the others are far away.
     reach = hull[HALF_L] + hull[HALF_W] + half_l + half_w
     if dx * dx + dy * dy > reach * reach:
         return False

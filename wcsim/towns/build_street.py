@@ -13,21 +13,19 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.constants import KERB_STEP_M
 from wcsim.errors import TownError
 from wcsim.towns.cache.street_cache import pack_street
-from wcsim.towns.furniture.author_obstacles import author_things
 from wcsim.towns.furniture.buildings import Building, make_buildings
-from wcsim.towns.furniture.everything import place_furniture
+from wcsim.towns.furniture.everything import author_things, place_furniture
 from wcsim.towns.furniture.models import FOOT_M
 from wcsim.towns.furniture.placement import FreeGround, HeightAt, collect_footprints, set_on_ground
 from wcsim.towns.furniture.road_marks import lane_marks, unmarked_crossings
 from wcsim.towns.furniture.traffic_lights import all_phases
 from wcsim.towns.ground.kerb_heights import Kerbing, make_kerbing
-from wcsim.towns.ground.mesh import GridMaker, build_mesh, kerb_walls
+from wcsim.towns.ground.mesh import GridMaker, build_ground, build_mesh, kerb_walls
 from wcsim.towns.ground.plane_geometry import buffered
 from wcsim.towns.ground.relief import fit_relief, on_land
 from wcsim.towns.ground.solid_shapes import Solid, prism
 from wcsim.towns.ground.surfaces import Surfaces, covered, make_surfaces
 from wcsim.towns.ground.tiles import Packed, pack_tiles
-from wcsim.towns.ground.triangulation import build_ground
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import Net, read_net

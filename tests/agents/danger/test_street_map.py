@@ -6,7 +6,6 @@ import numpy as np
 
 from tests.agents.policies.test_baselines import box, looking_at
 from wcsim.agents.danger.features import VECTOR, FeatureExtractor
-from wcsim.agents.danger.roll_outs import SLICES, sweep
 from wcsim.agents.danger.street_map import (
     AGE,
     BEHIND_M,
@@ -16,7 +15,9 @@ from wcsim.agents.danger.street_map import (
     KIND,
     PLANES,
     SIDE,
+    SLICES,
     TRAIL,
+    sweep,
 )
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.supervisor.actions import action_set

@@ -17,7 +17,7 @@ from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.links.listener import Listener
+from wcsim.server.links.socket import _Listener
 
 HASTY = {"learning_rate": 0.03, "phase1_steps": 20, "epsilon_start": 0.0}  # an update changes what is chosen
 
@@ -81,7 +81,7 @@ def test_a_listener_hears_while_its_caller_works_and_both_are_waited_for():
     def listen(recalled):
         assert worked.wait(10.0) and not recalled()
 
-    with Listener(listen) as listener:
+    with _Listener(listen) as listener:
         worked.set()
     assert listener.ended_s > 0.0
 
@@ -90,7 +90,7 @@ def test_what_a_listener_raises_is_raised_and_a_failure_of_the_work_recalls_it()
     def fails(recalled):
         raise OSError("the wire")
 
-    with pytest.raises(OSError, match="the wire"), Listener(fails):
+    with pytest.raises(OSError, match="the wire"), _Listener(fails):
         pass
     heard = []
 
@@ -99,7 +99,7 @@ def test_what_a_listener_raises_is_raised_and_a_failure_of_the_work_recalls_it()
             time.sleep(0.001)
         heard.append(True)
 
-    with pytest.raises(ValueError, match="the work"), Listener(listens):
+    with pytest.raises(ValueError, match="the work"), _Listener(listens):
         raise ValueError("the work")
     assert heard == [True]
 

@@ -12,8 +12,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.admission import admission
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import Roster
-from wcsim.server.transport.entry import at_the_door
-from wcsim.server.transport.rate_limit import PeerLimits
+from wcsim.server.transport.entry import PeerLimits, at_the_door
 
 SESSION = b"s" * m.SESSION_BYTES
 TIMES = 20_000

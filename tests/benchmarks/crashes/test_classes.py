@@ -7,7 +7,7 @@ import pytest
 from benchmarks.crashes.classes import CrashClass, CrashFacts, classify
 from wcsim.config import RewardConfig
 from wcsim.core.frames import rad
-from wcsim.supervisor.fault import fault, hardest
+from wcsim.supervisor.rewards import fault, hardest
 from wcsim.types import ActorKind, Contact
 
 REWARD = RewardConfig()

@@ -12,7 +12,7 @@ from benchmarks.scripts.soak import run as soak
 from benchmarks.soak.planned import FaultOrder
 from tests.cli.training.test_clients import SMALL, start
 from wcsim.errors import InterruptedRunError
-from wcsim.server.launch.backoff import RestartRules, Restarts
+from wcsim.server.launch.states import RestartRules, Restarts
 from wcsim.towns.scenario.town import find_town
 
 NOTHING = dict.fromkeys(("lost", "doubled", "unrecovered", "orphans", "leaked_shm"), 0)

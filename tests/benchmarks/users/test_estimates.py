@@ -13,7 +13,7 @@ from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Joystick
-from wcsim.users.fitting.habits import HandLog, Pauses, correction_s, pauses, switch_holds, tremor
+from wcsim.users.fitting.hand_series import HandLog, Pauses, correction_s, pauses, switch_holds, tremor
 from wcsim.users.hand import Hand
 from wcsim.users.profiles import profile
 

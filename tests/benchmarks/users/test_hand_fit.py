@@ -14,7 +14,7 @@ from tests.benchmarks.users.test_drives import off
 from tests.users.actors import make_user
 from tests.users.kinematics import SUBSTEPS, TICK_S, Chair, Sim, polyline
 from wcsim.types import Route
-from wcsim.users.fitting.habits import HandLog
+from wcsim.users.fitting.hand_series import HandLog
 from wcsim.users.profiles import profile
 
 ZIGZAG = polyline(*((8.0 * k, 5.0 * (k % 2)) for k in range(12)))

@@ -10,10 +10,12 @@ import pytest
 from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.conflict import SweptOverlap, approach_mps
-from wcsim.bridge.reaction.driver_model import (
-    DriverPlan,
-    WaitingTimes,
+from wcsim.bridge.reaction.drivers import (
+    _braking,
+    _command,
     _conflict_pose,
+    _considered,
+    _DriverPlan,
     _Encounter,
     _free_lane,
     _junction_left_m,
@@ -21,17 +23,15 @@ from wcsim.bridge.reaction.driver_model import (
     _Passing,
     _passing_in_lane,
     _passing_mps,
+    _perceive,
     _resumed_lane,
     _room_to_pass,
     _shift_mps,
     _Steering,
     _steering_out,
     _too_near_to_change_lanes,
-    braking,
-    command,
-    considered,
-    perceive,
-    waited,
+    _waited,
+    _WaitingTimes,
 )
 from wcsim.bridge.reaction.swept_path import Brakes, LaneShape, OnLane, _lay_out
 from wcsim.types import ActorKind
@@ -66,7 +66,7 @@ def encounter(there=None, vehicle=None, roads=None, shared=False) -> _Encounter 
     tail_W_m = vehicle.p_W_m[:2] - (0.5 * vehicle.size_lwh_m[0], 0.0)
     lanes = [roads.lane(name) for name in roads.lanes_ahead(vehicle.id, 70.0)]
     tube = _lay_out(lanes, place.along_m, vehicle.size_lwh_m[0], tail_W_m, None)
-    return perceive(vehicle, place, replace(lanes[0], shared=shared), tube, there, there.row(), BRAKE_MPS2, TICK_S)
+    return _perceive(vehicle, place, replace(lanes[0], shared=shared), tube, there, there.row(), BRAKE_MPS2, TICK_S)
 
 
 def at(*poses, left=0.0, speed=10.0, right_m=-0.31, left_m=0.31, on_road=True, **changes) -> _Encounter:
@@ -204,17 +204,17 @@ def test_who_is_half_way_into_a_lane_is_told_again(left, toward, expected):
 def test_room_to_steer_out_is_kept_by_who_changes_lanes_straddles_or_leaves_a_junction():
     it, kept_mps = at(-1, 47), approach_mps(20.0 - 2.0 - 4.5, BRAKE_MPS2, TICK_S)
     straddling = at(-1, 47, left=0.9)
-    assert _steering_out(it, DriverPlan(), _Passing(), 20.0, 0.0) == _Steering()
-    changes = _steering_out(it, DriverPlan(), _Passing(lane_index=1), 20.0, 0.0)
+    assert _steering_out(it, _DriverPlan(), _Passing(), 20.0, 0.0) == _Steering()
+    changes = _steering_out(it, _DriverPlan(), _Passing(lane_index=1), 20.0, 0.0)
     assert changes == _Steering(lane_index=1, limit_mps=kept_mps)
-    assert _steering_out(it, DriverPlan(lane_index=2), _Passing(), 20.0, 0.0).lane_index == 2
-    assert _steering_out(it, DriverPlan(lane_index=2), _Passing(lane_index=1), 20.0, 0.0).lane_index == 1
-    assert _steering_out(straddling, DriverPlan(), _Passing(), 20.0, 0.0) == _Steering(limit_mps=kept_mps)
-    assert _steering_out(straddling, DriverPlan(), _Passing(speed_mps=1.0), 20.0, 0.0) == _Steering()
-    assert _steering_out(at(30, FRONT, left=0.9), DriverPlan(), _Passing(), 20.0, 0.0) == _Steering()
-    leaves = _steering_out(it, DriverPlan(), _Passing(), 20.0, 15.0)
+    assert _steering_out(it, _DriverPlan(lane_index=2), _Passing(), 20.0, 0.0).lane_index == 2
+    assert _steering_out(it, _DriverPlan(lane_index=2), _Passing(lane_index=1), 20.0, 0.0).lane_index == 1
+    assert _steering_out(straddling, _DriverPlan(), _Passing(), 20.0, 0.0) == _Steering(limit_mps=kept_mps)
+    assert _steering_out(straddling, _DriverPlan(), _Passing(speed_mps=1.0), 20.0, 0.0) == _Steering()
+    assert _steering_out(at(30, FRONT, left=0.9), _DriverPlan(), _Passing(), 20.0, 0.0) == _Steering()
+    leaves = _steering_out(it, _DriverPlan(), _Passing(), 20.0, 15.0)
     assert leaves == _Steering(limit_mps=approach_mps(15.0, BRAKE_MPS2, TICK_S))
-    half_way = DriverPlan(toward=("E", 1))
+    half_way = _DriverPlan(toward=("E", 1))
     again = _steering_out(straddling, half_way, _Passing(), 20.0, 0.0)
     assert again == _Steering(lane_index=1, limit_mps=kept_mps, resumed=True)
     assert not _steering_out(straddling, half_way._replace(lane_index=1), _Passing(), 20.0, 0.0).resumed
@@ -233,13 +233,13 @@ def test_a_narrow_gap_is_driven_slowly_where_the_front_half_clears():
 def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
     roads = StraightRoads(lanes=2)
     near, far = encounter(chair(30.0), roads=roads), encounter(chair(55.0), roads=roads)
-    one = considered(DriverPlan(), near, roads, impatient=False)
-    both = considered(one, far, roads, impatient=False)
-    other = considered(considered(DriverPlan(), far, roads, impatient=False), near, roads, impatient=False)
-    assert considered(DriverPlan(), far, roads, impatient=False).keep_lane and not _too_near_to_change_lanes(far)
+    one = _considered(_DriverPlan(), near, roads, impatient=False)
+    both = _considered(one, far, roads, impatient=False)
+    other = _considered(_considered(_DriverPlan(), far, roads, impatient=False), near, roads, impatient=False)
+    assert _considered(_DriverPlan(), far, roads, impatient=False).keep_lane and not _too_near_to_change_lanes(far)
     assert one.lane_index == 1 and one.could_pass and one.keep_lane and one.toward == ("E", 1)
     assert both == other and both.limit_mps == one.limit_mps and both.nearest_m == one.nearest_m < math.inf
-    beside = considered(DriverPlan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)
+    beside = _considered(_DriverPlan(), encounter(chair(30.0, 2.3), roads=roads), roads, impatient=False)
     assert beside.nearest_m == math.inf and beside.limit_mps < 20.0  # passes it, but not fast
     assert beside.keep_lane and not beside.could_pass
 
@@ -247,7 +247,7 @@ def test_the_least_speed_over_all_chairs_holds_and_a_way_round_keeps_the_lane():
 def test_an_impatient_driver_takes_the_gap_that_just_clears_in_its_own_line():
     roads = StraightRoads(sublanes=False)
     it = encounter(chair(4.5, 1.45), actor(speed=0.0), roads)
-    patient, impatient = (considered(DriverPlan(aside_m=0.3), it, roads, impatient=is_so) for is_so in (False, True))
+    patient, impatient = (_considered(_DriverPlan(aside_m=0.3), it, roads, impatient=is_so) for is_so in (False, True))
     assert patient.limit_mps < 0.8 and patient.aside_m == 0.3
     assert (impatient.limit_mps, impatient.aside_m, impatient.lane_index) == (0.8, 0.0, None)
 
@@ -257,24 +257,24 @@ def test_an_impatient_driver_takes_the_gap_that_just_clears_in_its_own_line():
     [(0.0, 5.9, 0.0, 1.1), (0.21, 5.9, 0.0, 0.0), (0.0, 6.0, 0.0, 0.0), (0.0, 5.9, 0.1, 0.0)],
 )
 def test_only_who_stands_near_a_chair_because_of_it_is_counted_as_standing(limit, nearest, speed, stands_s):
-    plan = DriverPlan(limit_mps=limit, nearest_m=nearest)
-    assert waited(WaitingTimes(stands_s=1.0), plan, speed, 0.1).stands_s == pytest.approx(stands_s)
+    plan = _DriverPlan(limit_mps=limit, nearest_m=nearest)
+    assert _waited(_WaitingTimes(stands_s=1.0), plan, speed, 0.1).stands_s == pytest.approx(stands_s)
 
 
 def test_waiting_for_a_way_round_makes_pushy_and_standing_makes_ready_to_squeeze():
-    there_is_one, stands = DriverPlan(could_pass=True), DriverPlan(limit_mps=0.0, nearest_m=1.0)
-    waits = waited(WaitingTimes(waits_s=8.0), there_is_one, 0.9, 0.1)
-    assert waits.pushy and not WaitingTimes(waits_s=8.0).pushy
-    assert waited(waits, there_is_one, 1.0, 0.1).waits_s == 0.0
-    assert waited(waits, DriverPlan(), 0.0, 0.1).waits_s == 0.0
-    assert not waited(WaitingTimes(stands_s=7.8), stands, 0.0, 0.1).squeezes
-    squeezes = waited(WaitingTimes(stands_s=8.0), stands, 0.0, 0.1)
-    assert squeezes.squeezes and waited(squeezes, there_is_one, 5.0, 0.1).squeezes
+    there_is_one, stands = _DriverPlan(could_pass=True), _DriverPlan(limit_mps=0.0, nearest_m=1.0)
+    waits = _waited(_WaitingTimes(waits_s=8.0), there_is_one, 0.9, 0.1)
+    assert waits.pushy and not _WaitingTimes(waits_s=8.0).pushy
+    assert _waited(waits, there_is_one, 1.0, 0.1).waits_s == 0.0
+    assert _waited(waits, _DriverPlan(), 0.0, 0.1).waits_s == 0.0
+    assert not _waited(_WaitingTimes(stands_s=7.8), stands, 0.0, 0.1).squeezes
+    squeezes = _waited(_WaitingTimes(stands_s=8.0), stands, 0.0, 0.1)
+    assert squeezes.squeezes and _waited(squeezes, there_is_one, 5.0, 0.1).squeezes
 
 
 def test_the_service_brake_is_exceeded_only_where_it_does_not_do():
     def ordered(limit, nearest, speed, brakes=BRAKES):
-        return braking(DriverPlan(limit_mps=limit, nearest_m=nearest), speed, 13.9, brakes, TICK_S)
+        return _braking(_DriverPlan(limit_mps=limit, nearest_m=nearest), speed, 13.9, brakes, TICK_S)
 
     assert ordered(13.9, 3.0, 10.0) == (LET_GO, False)
     assert ordered(9.0, math.inf, 10.0) == (9.0, False)
@@ -289,14 +289,14 @@ def test_the_service_brake_is_exceeded_only_where_it_does_not_do():
 
 def test_a_command_is_given_only_where_sumo_would_do_something_else():
     def told(plan, speed=(LET_GO, False), moved_over=False):
-        return command("v:car", plan, speed, False, moved_over)
+        return _command("v:car", plan, speed, False, moved_over)
 
-    assert told(DriverPlan()) is None
-    assert told(DriverPlan(), (3.0, True)).hard
-    assert told(DriverPlan(keep_lane=True)).keep_lane
-    assert told(DriverPlan(lane_index=0)).lane_index == 0
-    assert told(DriverPlan(aside_m=0.3)).aside_m == 0.3
-    assert told(DriverPlan(aside_m=0.01)).aside_m is None
-    assert told(DriverPlan(aside_m=0.01), moved_over=True).aside_m == 0.0
-    assert told(DriverPlan(lane_index=1), moved_over=True).aside_m is None
-    assert command("v:car", DriverPlan(keep_lane=True), (LET_GO, False), True, False).pushy
+    assert told(_DriverPlan()) is None
+    assert told(_DriverPlan(), (3.0, True)).hard
+    assert told(_DriverPlan(keep_lane=True)).keep_lane
+    assert told(_DriverPlan(lane_index=0)).lane_index == 0
+    assert told(_DriverPlan(aside_m=0.3)).aside_m == 0.3
+    assert told(_DriverPlan(aside_m=0.01)).aside_m is None
+    assert told(_DriverPlan(aside_m=0.01), moved_over=True).aside_m == 0.0
+    assert told(_DriverPlan(lane_index=1), moved_over=True).aside_m is None
+    assert _command("v:car", _DriverPlan(keep_lane=True), (LET_GO, False), True, False).pushy

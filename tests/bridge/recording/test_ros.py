@@ -18,7 +18,7 @@ from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, _quaternion_of, drive_bag, trace_bag
 from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import load_run_config
-from wcsim.core.rotations import matrix, quaternion
+from wcsim.core.frames import matrix, quaternion
 from wcsim.errors import ConfigError, JournalError
 from wcsim.physics.sensors.camera_geometry import mount
 from wcsim.types import CameraFrame, Joystick

@@ -28,8 +28,7 @@ from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
-from wcsim.server.launch.backoff import RestartRules
-from wcsim.server.launch.states import ClientState, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchState, RestartRules
 from wcsim.server.specs import ClientStatus, RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 

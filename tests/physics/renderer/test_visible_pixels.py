@@ -15,8 +15,7 @@ from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer.instances import ChairPose, instances_of
 from wcsim.physics.renderer.tiny_renderer import TinyRenderer, corner_shift
-from wcsim.physics.renderer.visible_pixels import shown_px
-from wcsim.physics.sensors.camera import CameraRig
+from wcsim.physics.sensors.camera import CameraRig, _shown_px
 from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import ActorKind, ActorLook, ClassId
 
@@ -96,16 +95,14 @@ def test_the_reference_back_end_tells_the_same(store, raster):
 def test_pixels_are_those_of_320x240_whatever_the_size():
     numbers = np.full((60, 80), -1, np.int32)
     numbers[10, :5], numbers[11, :2], numbers[12, 0], numbers[13, :9] = 0, 1, 2, 3
-    assert shown_px(numbers, ("a", "b", "a")) == {"a": 16.0 * 6, "b": 16.0 * 2}  # the last row is nobody's
-    assert shown_px(np.full((240, 320), 1, np.int32), ("a", "b")) == {"b": 76800.0}
-    assert shown_px(numbers, ()) == {}
+    assert _shown_px(numbers, ("a", "b", "a")) == {"a": 16.0 * 6, "b": 16.0 * 2}  # the last row is nobody's
+    assert _shown_px(np.full((240, 320), 1, np.int32), ("a", "b")) == {"b": 76800.0}
+    assert _shown_px(numbers, ()) == {}
 
 
 @pytest.mark.parametrize("size", [(640, 480), (160, 120), (80, 60)])
 def test_the_same_actor_has_as_many_in_pictures_of_all_sizes(size):
-    cameras = tuple(
-        CameraConfig(name=str(w), width_px=w, height_px=h) for w, h in ((320, 240), size)
-    )
+    cameras = tuple(CameraConfig(name=str(w), width_px=w, height_px=h) for w, h in ((320, 240), size))
     person = (actor(ActorKind.PEDESTRIAN, 5.0, 5.2, 0.12, number=1),)
     shown = []
     for camera in cameras:

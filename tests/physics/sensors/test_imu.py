@@ -7,7 +7,7 @@ import pytest
 
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from wcsim.config import ImuConfig
-from wcsim.core.rotations import LEVEL, euler, matrix, quaternion
+from wcsim.core.frames import LEVEL, euler, matrix, quaternion
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import Imu

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wcsim.config import ImuConfig
-from wcsim.core.rotations import LEVEL
+from wcsim.core.frames import LEVEL
 from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import STANDARD_GRAVITY_MPS2, Imu
 from wcsim.physics.sensors.pixel_noise import child

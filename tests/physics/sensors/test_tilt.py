@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.config import ImuConfig
-from wcsim.core.rotations import LEVEL, euler, matrix, quaternion, turned
+from wcsim.core.frames import LEVEL, euler, matrix, quaternion, turned
 from wcsim.physics.sensors.base import BodyMotion
 from wcsim.physics.sensors.imu import Imu, _tilt_felt, _tilt_turned, _TiltSensor
 from wcsim.physics.sensors.pixel_noise import child

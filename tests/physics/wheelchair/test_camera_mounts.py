@@ -4,8 +4,7 @@ import pytest
 
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.errors import ConfigError
-from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
-from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
 
 BOXES = plant_spec(ChairConfig()).frame.boxes
 

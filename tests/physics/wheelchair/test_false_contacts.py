@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, rig, step_street
-from wcsim.core.rotations import euler, matrix, quaternion, turned
+from wcsim.core.frames import euler, matrix, quaternion, turned
 from wcsim.physics.wheelchair.contacts import MOST_IN_A_ROW, Motion, Tyre, _off_tyre, coast
 
 TYRE = Tyre(radius_m=0.178, half_width_m=0.04)

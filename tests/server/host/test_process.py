@@ -84,9 +84,7 @@ def test_a_world_that_is_made_again_says_now_and_then_that_it_lives(tmp_path):
 
 @pytest.mark.proof
 def test_a_real_world_is_made_again_to_the_bit(tmp_path, corner):
-    order = stand_in_order(
-        tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery="replay", town=str(corner)
-    )
+    order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery="replay", town=str(corner))
     with Server(order, tmp_path) as server, ExitStack() as held:
         links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
         server.status()
@@ -129,9 +127,7 @@ def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim):
     order = stand_in_order(tmp_path, rules=BOTH)
     with Server(order, tmp_path) as server, ExitStack() as held:
         server.status()
-        clients = {
-            seat.name: held.enter_context(stub_client(seat, tmp_path)) for seat in two_seats(server, tmp_path)
-        }
+        clients = {seat.name: held.enter_context(stub_client(seat, tmp_path)) for seat in two_seats(server, tmp_path)}
         running = server.status(lambda s: s.ticks > 10)
         assert running.members == ("a", "b")
         clients[victim].kill()

@@ -18,7 +18,7 @@ from wcsim.server.journal.journal import JOURNAL, Admitted, Ended, JournalWriter
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol.events import Rules
-from wcsim.server.transport.rate_limit import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits
+from wcsim.server.transport.entry import BURST, MAX_PEERS, MOST_FAULTS, PeerLimits
 from wcsim.server.transport.sockets import ServerSockets
 from wcsim.types import SeatSpec
 

@@ -201,9 +201,7 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
 def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, monkeypatch):
     words = (str(corner), build_scene(find_scene("two-chairs"), tmp_path / "two-chairs")[0].address)
     towns = [find_town(word) for word in words]
-    header = replace(
-        read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns)
-    )
+    header = replace(read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns))
     monkeypatch.setattr("wcsim.server.journal.replay.World", lambda town, *given, epoch: town)
     make = journal_worlds(header)
     assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]

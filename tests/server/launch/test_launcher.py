@@ -16,11 +16,9 @@ import pytest
 
 from tests.server.servers import OtherWorlds
 from tests.support.events import read_events
-from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientPlan, LaunchRules
-from wcsim.server.launch.supervised_client import MOST_LEFT_ALONE
-from wcsim.server.launch.supervised_world import WORLD_ARGV
+from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
+from wcsim.server.launch.supervised import MOST_LEFT_ALONE, WORLD_ARGV
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import ClientStatus, WorldSpec, WorldStatus, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace

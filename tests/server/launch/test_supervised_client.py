@@ -9,7 +9,7 @@ import pytest
 from tests.server.launch.test_launcher import SpawnsElsewhere
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.states import ClientPlan, LaunchRules
-from wcsim.server.launch.supervised_client import SupervisedClient
+from wcsim.server.launch.supervised import SupervisedClient
 from wcsim.server.specs import WorldStatus
 
 LEASE_S, JOINING_S = 30.0, 600.0

@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.server.launch.test_launcher import STUB, launcher
 from tests.server.servers import OtherWorlds
 from wcsim.server.journal.journal import JOURNAL, EpochBegun, JournalHeader, JournalWriter, Ticked
-from wcsim.server.launch.supervised_world import WORLD_ARGV
+from wcsim.server.launch.supervised import WORLD_ARGV
 
 
 class OrdersSeen(OtherWorlds):

@@ -24,7 +24,7 @@ from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import WorldOrder
-from wcsim.server.transport.rate_limit import BURST, MESSAGES_PER_S
+from wcsim.server.transport.entry import BURST, MESSAGES_PER_S
 from wcsim.types import SeatSpec
 
 NAMED = (ProtocolError, OverloadedError)

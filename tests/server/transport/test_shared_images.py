@@ -19,7 +19,7 @@ from wcsim.server.launch.states import ClientExit
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldOrder
 from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of
-from wcsim.server.transport.shm_folder import LOCK, RingFolder, remove_stale_rings
+from wcsim.server.transport.world_folder import LOCK, RingFolder, remove_stale_rings
 from wcsim.types import Command, Joystick, SeatSpec
 
 ONE = quick_config("cameras.0.rgb=true")
@@ -161,7 +161,7 @@ def test_pictures_that_will_never_fit_are_not_asked_for_again():
 OWNER = """
 import sys, time
 from pathlib import Path
-from wcsim.server.transport.shm_folder import RingFolder
+from wcsim.server.transport.world_folder import RingFolder
 print(RingFolder(Path(sys.argv[1])).path, flush=True)
 time.sleep(60)
 """

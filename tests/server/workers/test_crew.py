@@ -18,7 +18,7 @@ import pytest
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, leave_and_die_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.crew import MOST_DEATHS, Crew, _Task
-from wcsim.server.workers.processes import ProcessWorkers
+from wcsim.server.workers.machines import _ProcessWorkers
 from wcsim.server.workers.worker_api import Work, WorkEnd
 
 
@@ -34,7 +34,7 @@ def done_by(crew: Crew, keys: set[str], limit_s: float = 60.0) -> None:
 
 
 def test_ctrl_c_is_not_heard_by_a_worker_not_even_while_it_starts(capfd):
-    workers = ProcessWorkers(1)
+    workers = _ProcessWorkers(1)
     try:
         for key in ("first", "second"):
             workers.begin("process 1", work(key))
@@ -108,7 +108,7 @@ class HangingBeside(Hanging):
 
 def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
     kept: dict[str, bytes] = {}
-    with Crew(ProcessWorkers(2), kept.__setitem__) as crew:
+    with Crew(_ProcessWorkers(2), kept.__setitem__) as crew:
         crew.ask([work("a"), work("b", die_once, str(tmp_path / "once")), work("c")])
         done_by(crew, {"a", "b", "c"})
         assert [each.name for each in crew.now()] == ["process 1", "process 2"]
@@ -117,7 +117,7 @@ def test_processes_do_all_pieces_and_go_on_after_one_has_died(tmp_path):
 
 def test_a_process_that_was_stopped_is_killed_and_its_piece_done_again(tmp_path):
     kept: dict[str, bytes] = {}
-    with Crew(ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as crew:
+    with Crew(_ProcessWorkers(1), kept.__setitem__, least_late_s=2.0) as crew:
         crew.ask([work("a", hang_once, str(tmp_path / "once"))])
         done_by(crew, {"a"})
     assert kept == {"a": b"lived"}
@@ -192,7 +192,7 @@ def test_what_a_killed_process_leaves_goes_with_the_next_piece(tmp_path, monkeyp
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     monkeypatch.setattr(tempfile, "tempdir", None)
     (tmp_path / "temporary").mkdir()
-    with Crew(ProcessWorkers(1), lambda key, data: None) as crew:
+    with Crew(_ProcessWorkers(1), lambda key, data: None) as crew:
         crew.ask([work("a", leave_and_die_once, str(tmp_path / "once"))])
         done_by(crew, {"a"})
     assert (tmp_path / "once").exists() and list((tmp_path / "temporary").iterdir()) == []
@@ -224,7 +224,7 @@ ENDS = [(refuse, TownError), (blunder, ZeroDivisionError), (always_die, WorkersE
 
 @pytest.mark.parametrize(("call", "error"), ENDS)
 def test_what_cannot_be_done_is_raised_where_it_is_waited_for(call, error):
-    with Crew(ProcessWorkers(1), lambda key, data: None) as crew, pytest.raises(error):
+    with Crew(_ProcessWorkers(1), lambda key, data: None) as crew, pytest.raises(error):
         crew.ask([work("a", call)])
         done_by(crew, {"a"})
 
@@ -246,7 +246,7 @@ def is_worker(process: psutil.Process) -> bool:
 
 
 def test_closing_leaves_no_process(tmp_path: Path):
-    with Crew(ProcessWorkers(1), lambda key, data: None) as crew:
+    with Crew(_ProcessWorkers(1), lambda key, data: None) as crew:
         crew.ask([work("a"), work("b", hang_once, str(tmp_path / "once"))])
         done_by(crew, {"a"})
         time.sleep(0.3)
@@ -263,9 +263,9 @@ LEADER = """
 import time
 from tests.support.cluster.workpieces import tell_pid
 from wcsim.server.workers.crew import Crew
-from wcsim.server.workers.processes import ProcessWorkers
+from wcsim.server.workers.machines import _ProcessWorkers
 from wcsim.server.workers.worker_api import Work
-with Crew(ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as crew:
+with Crew(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as crew:
     crew.ask([Work(key="a", call=tell_pid, piece="")])
     time.sleep(600.0)
 """

@@ -13,9 +13,9 @@ import pytest
 from pytest import MonkeyPatch
 
 from tests.support.cluster.workpieces import echo, hang_once, tell_cache, tell_pid
-from wcsim.server.workers.cluster import bundle
-from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, _pid_name, do_work, kill_worker
-from wcsim.server.workers.work_folders import _born, work_folder
+from wcsim.server.workers import cluster_node
+from wcsim.server.workers.cluster_node import Reply, SentParcel, SentWork, _pid_name, do_work, kill_worker
+from wcsim.server.workers.machines import _born, work_folder
 from wcsim.server.workers.worker_api import Call, Parcel
 
 
@@ -24,7 +24,7 @@ def work(folder: str, call: Call, piece: str) -> Reply:
     needed = Parcel(address=folder, folder=Path(folder), names=("weights",))
     one = SentParcel(address=folder, digest="", name="net", inner="", kept=False, ref=("r",))
     sent = SentWork(run="t", key="a/1", attempt="1", call=call, piece=piece, parcels=(one,))
-    return do_work(sent, lambda ref: bundle.packed(needed))
+    return do_work(sent, lambda ref: cluster_node.packed(needed))
 
 
 def be_a_worker(folder: str, piece: str) -> None:

@@ -14,8 +14,7 @@ from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import Findings, Overlap, _demand_classes, _find_notes, check_town, faults_of
-from wcsim.towns.importing.importer import _build_net
-from wcsim.towns.importing.netconvert import NetOrder, convert_net
+from wcsim.towns.importing.importer import _build_net, _convert_net, _NetOrder
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
 from wcsim.towns.scenario.manifest import chair_ways
@@ -116,10 +115,10 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     if not osm.is_file():
         pytest.skip("the extract lies in the development material beside the checkout, which is not here")
     extract = read_extract(osm, (-1.538528, 53.795722, -1.531532, 53.799858))
-    order = NetOrder(name="x", box=extract.box, lefthand=True)
+    order = _NetOrder(name="x", box=extract.box, lefthand=True)
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())
-    whole = convert_net(order, "all.osm.xml", tmp_path)
+    whole = _convert_net(order, "all.osm.xml", tmp_path)
     found = islands_by_links(read_net(whole), whole)
     assert len(found.footways) >= 5 and found.share < 0.98
     built = _build_net(order, extract.root, tmp_path)
@@ -132,7 +131,7 @@ def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:
     text = tiny_osm().replace('<tag k="sidewalk" v="both"/>', '<tag k="maxspeed" v="40 mph"/>')
     osm.write_text(text.replace('v="residential"', 'v="primary"'), encoding="utf-8")
     extract = read_extract(osm)
-    net = _build_net(NetOrder(name="x", box=extract.box, lefthand=False), extract.root, tmp_path).net
+    net = _build_net(_NetOrder(name="x", box=extract.box, lefthand=False), extract.root, tmp_path).net
     streets = [edge for edge in net.edges if not edge.function]
     assert all(any(lane.permits("pedestrian") for lane in edge.lanes) for edge in streets)
     assert len([edge for edge in net.edges if edge.function == "crossing"]) >= 12

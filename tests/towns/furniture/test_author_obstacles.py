@@ -13,9 +13,8 @@ from tests.towns.furniture.standing_samples import authored
 from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
-from wcsim.towns.furniture.author_obstacles import author_things
 from wcsim.towns.furniture.buildings import make_buildings
-from wcsim.towns.furniture.everything import place_furniture
+from wcsim.towns.furniture.everything import author_things, place_furniture
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import FreeGround, StandingObject
 from wcsim.towns.importing.folder_texts import sumocfg_text

@@ -8,9 +8,8 @@ import shapely
 
 from tests.towns.made.nets import DRIVE, WALK, WAYS, assert_sound, edge, lane, write_net
 from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing, make_kerbing
-from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.mesh import build_ground, kerb_walls
 from wcsim.towns.ground.surfaces import make_surfaces
-from wcsim.towns.ground.triangulation import build_ground
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net
 from wcsim.towns.walking.graph import build_walk_graph, free_space

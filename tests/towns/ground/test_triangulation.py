@@ -7,10 +7,9 @@ import pytest
 import shapely
 
 from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
-from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.mesh import _GroundMesh, build_ground, kerb_walls
 from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.surfaces import Surfaces, make_surfaces
-from wcsim.towns.ground.triangulation import GroundMesh, build_ground
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.types import ClassId
@@ -24,7 +23,7 @@ def surfaces(manhattan_town: Town) -> Surfaces:
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.03])
-def ground(request: pytest.FixtureRequest, surfaces: Surfaces) -> GroundMesh:
+def ground(request: pytest.FixtureRequest, surfaces: Surfaces) -> _GroundMesh:
     return build_ground(surfaces, make_kerbing(surfaces, 0.12, request.param))
 
 
@@ -35,7 +34,7 @@ def test_surfaces_are_disjoint_and_crossings_touch_pavement(surfaces: Surfaces) 
     assert np.mean(touching) > 0.95
 
 
-def test_ground_has_no_holes_overlaps_or_t_junctions(ground: GroundMesh, surfaces: Surfaces) -> None:
+def test_ground_has_no_holes_overlaps_or_t_junctions(ground: _GroundMesh, surfaces: Surfaces) -> None:
     """Every edge belongs to two faces, or to a face and a kerb, or to the rim of the town."""
     walls, _, _ = kerb_walls(ground)
     triangles = np.concatenate([ground.vertices_W_m[ground.faces], walls])
@@ -54,7 +53,7 @@ def test_ground_has_no_holes_overlaps_or_t_junctions(ground: GroundMesh, surface
     assert area_m2.sum() == pytest.approx(surfaces.hull.area, rel=1e-5)
 
 
-def test_heights_and_ramps(ground: GroundMesh) -> None:
+def test_heights_and_ramps(ground: _GroundMesh) -> None:
     low = ground.vertices_W_m[ground.faces[ground.low]]
     high = ground.vertices_W_m[ground.faces[~ground.low]]
     assert (low[:, :, 2] == 0.0).all()
@@ -64,7 +63,7 @@ def test_heights_and_ramps(ground: GroundMesh) -> None:
     assert (np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]).max() <= 1.05 * STEEPEST
 
 
-def test_kerbs_face_the_road_and_are_lowered_at_crossings(ground: GroundMesh, surfaces: Surfaces) -> None:
+def test_kerbs_face_the_road_and_are_lowered_at_crossings(ground: _GroundMesh, surfaces: Surfaces) -> None:
     walls, kinds, _ = kerb_walls(ground)
     assert set(np.unique(kinds)) == {ClassId.KERB, ClassId.LOWERED_KERB}
     rise_m = walls[:, :, 2].max(axis=1)

@@ -11,10 +11,9 @@ import numpy as np
 import shapely
 
 from wcsim.towns.ground.kerb_heights import STEEPEST, make_kerbing
-from wcsim.towns.ground.mesh import kerb_walls
+from wcsim.towns.ground.mesh import LOW_CLASSES, _GroundMesh, build_ground, kerb_walls
 from wcsim.towns.ground.plane_geometry import cross_z
 from wcsim.towns.ground.surfaces import lane_area, make_surfaces
-from wcsim.towns.ground.triangulation import LOW_CLASSES, GroundMesh, build_ground
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.types import F64
@@ -77,7 +76,7 @@ def spiral(turns: int = 3, radius: float = 18.0, climb: float = 5.0) -> str:
     return edge("spiral", lane(" ".join(places)))
 
 
-def ground_of(net: Net, relief: Relief = FLAT) -> GroundMesh:
+def ground_of(net: Net, relief: Relief = FLAT) -> _GroundMesh:
     """The ground of a net with kerbs of 12 cm."""
     surfaces = make_surfaces(net, WAYS)
     return build_ground(surfaces, make_kerbing(surfaces, 0.12, 0.0), relief)
@@ -107,7 +106,7 @@ def assert_sound(net: Net, relief: Relief = FLAT) -> None:
     assert (_classes(ground, zebra_m) == ClassId.CROSSWALK).mean() > 0.99 if len(zebra_m) else True
 
 
-def open_ends(ground: GroundMesh) -> F64:
+def open_ends(ground: _GroundMesh) -> F64:
     """Ends (n, 2) of edges that belong to one face or kerb alone, or to more than two."""
     corners = np.concatenate([ground.vertices_W_m[ground.faces], kerb_walls(ground)[0]]).reshape(-1, 3)
     points_m, number = np.unique(np.rint(corners * 1e5).astype(np.int64), axis=0, return_inverse=True)
@@ -132,7 +131,7 @@ def _along(ways: list[Lane]) -> F64:
     return np.concatenate(found)
 
 
-def _classes(ground: GroundMesh, points_m: F64) -> np.ndarray:
+def _classes(ground: _GroundMesh, points_m: F64) -> np.ndarray:
     """Class (n,) of the face below each point, -1 over a hole."""
     faces = shapely.STRtree(shapely.polygons(ground.vertices_W_m[ground.faces][:, :, :2]))
     point, face = faces.query(shapely.points(points_m), predicate="intersects")

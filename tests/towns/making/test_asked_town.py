@@ -9,8 +9,7 @@ import pytest
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making import asked_town as asked
 from wcsim.towns.making import maker
-from wcsim.towns.making.asked_town import asked_town
-from wcsim.towns.making.wishes import Wishes
+from wcsim.towns.making.asked_town import Wishes, asked_town
 from wcsim.towns.scenario.town import Town
 
 

@@ -21,8 +21,8 @@ from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.importing import demand
 from wcsim.towns.importing.demand import CLASSES
 from wcsim.towns.making import maker
+from wcsim.towns.making.asked_town import KINDS, MOST_SEED, Wishes
 from wcsim.towns.making.maker import make_town
-from wcsim.towns.making.wishes import KINDS, MOST_SEED, Wishes
 from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.town import Town, content_hash, streets_hash
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
@@ -34,7 +34,7 @@ import sys
 from pathlib import Path
 from wcsim.towns.importing import demand
 from wcsim.towns.making.maker import make_town
-from wcsim.towns.making.wishes import Wishes
+from wcsim.towns.making.asked_town import Wishes
 demand.TRIAL_S = 20
 make_town(Path(sys.argv[1]), 3, Wishes(size_m=400.0, kind="grid", hill_m=40.0), name="small")
 """

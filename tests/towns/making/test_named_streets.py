@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from wcsim.core.seeding import generator
+from wcsim.towns.making.asked_town import KINDS
 from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, _make_streets
 from wcsim.towns.making.plan import ShapedPlan, StreetPlan, _connected, _least_angle_rad, _merged, draw_plan, shape_plan
-from wcsim.towns.making.wishes import KINDS
 
 DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]
 

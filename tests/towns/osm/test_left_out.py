@@ -5,11 +5,11 @@ from xml.etree import ElementTree
 
 import pytest
 
-from wcsim.towns.osm.left_out import (
+from wcsim.towns.osm.clean import (
     TOLD_LOST,
     LeftOut,
-    MapWay,
     NetWays,
+    _MapWay,
     count_inside,
     find_left_out,
     left_out_notes,
@@ -45,7 +45,7 @@ _ON_FOOT = {
 }
 
 
-def inside(more: str = "") -> tuple[MapWay, ...]:
+def inside(more: str = "") -> tuple[_MapWay, ...]:
     return ways_inside(ElementTree.fromstring(TEXT.format(more=more)), BOX)  # noqa: S314 - our own
 
 

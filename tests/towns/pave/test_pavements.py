@@ -15,7 +15,7 @@ from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
 from wcsim.cli.town.pave import PaveOptions
 from wcsim.errors import TownError
-from wcsim.towns.pave.elements import SignalLinks, VehicleLink, _padded
+from wcsim.towns.pave.elements import _padded, _SignalLinks, _VehicleLink
 from wcsim.towns.pave.pavements import Paved, _edited, pave_town
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
@@ -24,13 +24,13 @@ from wcsim.towns.sumo.xml_io import parse_root
 
 OWN_PROGRAM = 'type="actuated" programID="mine" offset="17"'
 POSITIONS = ("pos", "startPos", "endPos")
-CROSS = SignalLinks(
+CROSS = _SignalLinks(
     count=5,
     was={0: 0, 1: 1, 2: 2},
     drives=[
-        VehicleLink(link=0, start="west", end="east", straight=True),
-        VehicleLink(link=1, start="west", end="south", straight=False),
-        VehicleLink(link=2, start="north", end="south", straight=True),
+        _VehicleLink(link=0, start="west", end="east", straight=True),
+        _VehicleLink(link=1, start="west", end="south", straight=False),
+        _VehicleLink(link=2, start="north", end="south", straight=True),
     ],
     crossings={3: frozenset(("west",)), 4: frozenset(("south",))},
 )

@@ -44,7 +44,7 @@ from wcsim.errors import (
 )
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
-from wcsim.supervisor.reward_terms import find_reward_term
+from wcsim.supervisor.rewards import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines
 TIMES = "times.json"

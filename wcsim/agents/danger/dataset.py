@@ -11,8 +11,7 @@ import torch
 from wcsim.agents.collecting.segment import Segment, unsafe_ahead
 from wcsim.agents.danger.features import MIRRORED, FeatureExtractor
 from wcsim.agents.danger.network import spec_of
-from wcsim.agents.danger.roll_outs import EACH_SLICE, SLICES, sweep
-from wcsim.agents.danger.street_map import PLANES, SIDE
+from wcsim.agents.danger.street_map import EACH_SLICE, PLANES, SIDE, SLICES, sweep
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.replay.frame_store import pack_each, unpack_each
@@ -55,6 +54,7 @@ def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
     for row in range(len(segment)):
         delay = int(segment.delay[row])
         if begins:
+            # Where roll-outs begin depends on the delay, which an episode may draw.
             if delay not in extractors:
                 extractors[delay] = FeatureExtractor(config, delay, spec.street, spec.pictures)
             extractor = extractors[delay]
@@ -176,6 +176,7 @@ class Dataset:
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
         frames = self._frames(chosen)
         vector = np.stack([part.vectors[row] for part, row in chosen])
+        # Through float32 to float64, as `policy.inputs` does: learned and driven roll-outs are equal to the bit.
         start = np.stack([part.starts[row] for part, row in chosen]).astype(np.float64)
         unsafe = np.stack([part.unsafe[row] for part, row in chosen])
         if mirror:

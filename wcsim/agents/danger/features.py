@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.danger.roll_outs import hull_and_wheels
-from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap
+from wcsim.agents.danger.street_map import PLANES, SIDE, StreetMap, hull_and_wheels
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.config import RunConfig
@@ -96,6 +95,7 @@ class FeatureExtractor:
         """The window of pictures with this one in it."""
         if self._pictures:
             now = np.stack([observation[key][-1] for key in (CLASS_KEY, DEPTH_KEY)]).reshape(1, *self._shape)
+            # The first picture fills the window, as in `dataset._frame_windows`: learning and driving see the same.
             before = self._frames if len(self._frames) else np.repeat(now, self._pictures - 1, axis=0)
             self._frames = np.concatenate([before, now])[-self._pictures :]
         return self._frames
@@ -118,6 +118,7 @@ class FeatureExtractor:
     def _vector(self, observation: Observation, later_s: float) -> F32:
         imu, motion = observation[IMU_KEY], self.around.ego.motion
         vector: F64 = np.concatenate(
+            # Tilts are a few hundredths of the half turn that is 1 in the observation.
             [10.0 * imu[TILT], imu[TURNS], motion / FULL_MOTION, [later_s], self._sent.reshape(-1)]
         )
         # A fault of a sensor must not carry the network beyond what it has learned from.

@@ -40,6 +40,7 @@ class DangerLearner:
 
     def __init__(self, config: RunConfig, seed: int, total: int) -> None:
         danger = config.danger
+        # Here, and not once for a run: the first weights must not depend on what was drawn before.
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
         points = torch.as_tensor(action_set(config.env.actions).points)
         self._device = checked_device(config.learn.device)

@@ -18,8 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from wcsim.agents.danger.features import VECTOR
-from wcsim.agents.danger.roll_outs import SLICES
-from wcsim.agents.danger.street_map import PLANES, SIDE
+from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 
@@ -83,6 +82,7 @@ class DangerNet(nn.Module):
         super().__init__()
         self.spec = spec
         count, width = len(points), spec.width
+        # They follow from the spec: a file of weights has no need of them.
         self.register_buffer("points", points.to(torch.float32), persistent=False)
         self.points: torch.Tensor
         self.roll_out, self.context, self.pictures = None, None, None
@@ -115,7 +115,7 @@ class DangerNet(nn.Module):
         Args:
             picture: (B, PLANES, SIDE, SIDE) float32 in 0..1.
             vector: (B, VECTOR) float32.
-            swept: (B, A, n) int64, see `roll_outs.sweep`; not looked at with the eye `picture`.
+            swept: (B, A, n) int64, see `street_map.sweep`; not looked at with the eye `picture`.
             frames: (B, T, 2, H, W) uint8, class ids and depth; not looked at with the eye `map`.
         """
         logit = self.base + self.direct(vector)
@@ -166,6 +166,7 @@ class _RollOutHead(nn.Module):
         read = maps.reshape(len(maps), -1).gather(1, swept.flatten(1)).view(len(swept), swept.shape[1], -1)
         # A soft maximum: one bad cell is a crash, but the gradient has to reach its neighbours too. Never flat (0.2).
         sharp = functional.softplus(self.sharpness) + 0.2
+        # Less the logarithm of how many: equal costs give that cost, however many cells are read.
         return torch.as_tensor((torch.logsumexp(read * sharp, 2) - math.log(read.shape[2])) / sharp)
 
 

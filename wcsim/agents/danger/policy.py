@@ -91,6 +91,7 @@ class DangerPolicy:
         self._alarm = next_alarm(self._alarm, float(danger[own]), self.rule.warn)
         self.unsafe = ~within(danger, self.rule, self._last)
         taken = choose(danger, stick, self._actions, self.rule, self._last, self._recent > 0)
+        # After the choice, which goes by what was unsafe before this tick.
         self._recent = next_recent(self._recent, bool(self.unsafe[own]), float(danger[own]), self.rule)
         return taken
 

@@ -34,6 +34,7 @@ def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
     """(A,) which actions are safe enough; the arguments are those of `choose`."""
     limit = np.full(len(danger), rule.threshold)
     if last >= 0:
+        # Near the threshold the last action would be allowed in one tick and not in the next.
         limit[last] *= rule.hysteresis_factor
     allowed: Bool = danger < limit
     return allowed

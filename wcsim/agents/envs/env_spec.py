@@ -11,7 +11,7 @@ import operator
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import Any, TypedDict
 
 import gymnasium
 import numpy as np
@@ -22,14 +22,12 @@ from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
 from wcsim.server.links.base import WorldLink
+from wcsim.server.links.open import SeatGroup, open_group
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import Observation, imu_size, observation_space
-from wcsim.supervisor.reward_terms import RewardTerm, is_reward_term
+from wcsim.supervisor.rewards import RewardTerm, is_reward_term
 from wcsim.users.recorded import find_user
-
-if TYPE_CHECKING:
-    from wcsim.server.links.group import SeatGroup
 
 RENDER_MODES = ("rgb_array",)
 RENDER_FPS = 10  # of a tick of 0.1 s; an environment has the one of its own tick
@@ -219,8 +217,6 @@ class Chairs:
         if not self.open:
             self.close()
         if self._group is None:
-            from wcsim.server.links.group import open_group  # and a simulator, which a joined client must not load
-
             self._group = open_group(self.face.order(seed, len(self.all)))
             frames = self._group.join()
         else:

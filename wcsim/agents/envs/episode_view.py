@@ -20,8 +20,7 @@ from wcsim.errors import BadActionError, ConfigMismatchError, ProtocolError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import judge, observation_of
 from wcsim.supervisor.observation import Observation
-from wcsim.supervisor.reward_terms import RewardTerm
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm
 from wcsim.types import ClientSnapshot, Drawn, Joystick, RewardTerms
 
 Info = dict[str, Any]

@@ -36,7 +36,7 @@ from wcsim.server.links.base import Waits, WorldLink
 from wcsim.server.links.open import open_link
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.supervisor.observation import Observation
-from wcsim.supervisor.reward_terms import RewardTerm
+from wcsim.supervisor.rewards import RewardTerm
 from wcsim.types import ClientSnapshot
 
 

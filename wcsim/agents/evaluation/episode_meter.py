@@ -9,8 +9,8 @@ import numpy as np
 
 from wcsim.agents.evaluation.suite.records import CRASHED
 from wcsim.config import RewardConfig
-from wcsim.supervisor.fault import fault, hardest
 from wcsim.supervisor.kpi import FOLLOWED, PUSHES, STANDS_MPS, KpiMeter, KpiStep, StepLog, summarise
+from wcsim.supervisor.rewards import fault, hardest
 
 _STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
 _PATH_S: Final = 1.0  # a point of the path every so often

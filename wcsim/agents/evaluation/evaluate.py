@@ -15,8 +15,8 @@ from wcsim.agents.evaluation.suite.rows import Row, row_of
 from wcsim.agents.policy_api import Helping, Policy, SeesTruth, calling, tell_delay
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.fault import blamed
 from wcsim.supervisor.kpi import KpiRow, StepLog, joined, summarise
+from wcsim.supervisor.rewards import blamed
 
 Watch = Callable[[float], object]
 _AS_IN_SUITES = (

@@ -15,13 +15,14 @@ from torch import nn
 
 from wcsim.agents.danger.features import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.roll_outs import EACH_SLICE, HOLD_S, SLICES, STEP_S, hull_and_wheels
 from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,
+    EACH_SLICE,
     HALF_M,
     HEAD_M,
+    HOLD_S,
     KEEP_TICKS,
     LOW_M,
     MOVER_M,
@@ -29,8 +30,11 @@ from wcsim.agents.danger.street_map import (
     RASTER,
     REACH_M,
     SIDE,
+    SLICES,
     SPAN_M,
+    STEP_S,
     TRAIL_TICKS,
+    hull_and_wheels,
     kinds_of_ground,
     movers,
 )
@@ -366,7 +370,7 @@ class DangerGraph(nn.Module):
         return said.clamp(-2.0, 2.0)
 
     def _swept(self, rolled: Places) -> torch.Tensor:
-        """As `roll_outs.sweep`: (1, A, n) int64."""
+        """As `street_map.sweep`: (1, A, n) int64."""
         x, y, yaw = (part[:, :, None] for part in rolled)
         cos, sin = torch.cos(yaw), torch.sin(yaw)
         x = x + cos * self.chair[:, 0] - sin * self.chair[:, 1]

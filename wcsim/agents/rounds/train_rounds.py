@@ -44,9 +44,8 @@ from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
 from wcsim.server.workers.crew import WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
-from wcsim.towns.making.asked_town import asked_town
+from wcsim.towns.making.asked_town import Wishes, asked_town
 from wcsim.towns.making.maker import make_town
-from wcsim.towns.making.wishes import Wishes
 from wcsim.towns.scenario.town import Town, find_town, open_town, streets_hash
 
 LEARNED: Final = "learned_data.json"

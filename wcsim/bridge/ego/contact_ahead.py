@@ -71,11 +71,14 @@ def meets_body(
         old = before.get(actor.id)
         was_x, was_y, _ = (actor.p_W_m - dt_s * actor.v_W_mps if old is None else old.p_W_m).tolist()
         way_m = math.hypot(x_m - was_x, y_m - was_y)
+        # A rough square first: few of the actors are anywhere near.
         near_m = 0.5 * length_m + width_m + way_m + 1.5
         for box in boxes:
             if abs(x_m - box[0]) < near_m and abs(y_m - box[1]) < near_m:
                 cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
                 aside_m = abs((y_m - was_y) * cos - (x_m - was_x) * sin)
+                # The box around all that the body sweeps in the tick. It is too large rather than too small: fine steps
+                # are always right.
                 long_m, wide_m = 0.5 * (length_m + way_m), 0.5 * (width_m + aside_m)
                 if boxes_touch(0.5 * (x_m + was_x), 0.5 * (y_m + was_y), cos, sin, long_m, wide_m, *box):
                     return True

@@ -70,6 +70,7 @@ class CrossingWatch:
     def _gets_over(self, x_m: float, y_m: float, on_road: bool) -> bool:
         """Whether the road ends here, on the other side of the crossing over which the chair came."""
         before, self._on_road = self._on_road, on_road
+        # In most ticks nothing can begin or end, and no places are looked up.
         if not self._entered and not (on_road and before is False):
             return False
         share, inside = self._places(x_m, y_m)
@@ -83,6 +84,7 @@ class CrossingWatch:
                 *((int(k), True) for k in np.flatnonzero(at_last)),
             )
         elif not inside.any():
+            # It left the strip on the road, so it does not come over by this crossing.
             self._entered = ()
         return False
 
@@ -101,6 +103,7 @@ class CrossingWatch:
         if not self._foot_on_road:
             self._foot_behind_s = time_s if before else since_s
             return False
+        # A footplate that rocks over the kerb line passes it once. Times are sums of ticks, hence the hair.
         if before is False and time_s - since_s > AGAIN_S - 1e-6:
             share, inside = self._places(*foot_m)
             there = np.flatnonzero(inside & (np.minimum(share, 1.0 - share) <= ENTRY_SHARE))
@@ -180,6 +183,7 @@ class CrossingButton:
             self._at, self._since_s, self._pressed = here, time_s, False
         if here is None:
             return None
+        # Who still rolls has not begun to wait.
         if not self._pressed and abs(speed_mps) > STANDS_MPS:
             self._since_s = time_s
         # Times are sums of ticks: without the hair rounding could put the press off by a tick.

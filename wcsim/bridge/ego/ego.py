@@ -31,9 +31,8 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.physics.wheelchair.wheel_track import fell
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.fault import crash_words
 from wcsim.supervisor.oracle import Oracle
-from wcsim.supervisor.rewards import crash_reason
+from wcsim.supervisor.rewards import crash_reason, crash_words
 from wcsim.towns.walking.routes import Router, edges_ahead
 from wcsim.types import (
     F64,
@@ -76,6 +75,7 @@ class ShownActors:
         """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
         seen = {name: tick for name, pixels in shown_px.items() if pixels >= self._least_px}
         kept = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
+        # What is seen now comes last, as it replaces an older tick.
         self._last = {**kept, **seen}
 
     def known(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
@@ -210,6 +210,7 @@ class Ego:
     def start_facing(self, xy: XY, goal: XY, taken: TakenNear) -> StartSpec | None:
         """A start at this place that faces its way to the goal; None where it is not clear, but for this chair."""
         yaw_rad = heading_rad(self._router.route(xy, goal), 0.0, np.array(xy))
+        # The chair leaves the place where it stands, so it is not in its own way.
         own, clear_m = chair_actor_id(self.index), CLEAR_SPAWN_M
 
         def others(xy_W_m: F64, radius_m: float) -> list[ActorState]:
@@ -226,6 +227,7 @@ class Ego:
             self.chair.become(self.fitting.spec, self.fitting.sensors)
             drawn = self.fitting.drawn.action_delay_ticks
             delay = delay if drawn is None else drawn
+        # Until the first command has come through, the stick is at rest.
         self._waiting = deque([AT_REST] * delay)
 
     def command(self, joystick: Joystick) -> None:
@@ -262,6 +264,7 @@ class Ego:
     def next_destination(self) -> None:
         """After an arrival, or when the user gave up: the episode goes on to another place."""
         x, y, _ = self.chair.state().p_WB_m.tolist()
+        # By step, as one episode may have several destinations.
         rng = seeding.generator(self._seed, "goal", self.index, self._episode, self._step)
         self._follow(self._router.route((x, y), self._draw_goal(rng, (x, y))))
 
@@ -366,6 +369,7 @@ class Ego:
     def as_actor(self) -> ActorState:
         """This chair as other users and the street see it; made once for each state of the chair."""
         plant = self.plant
+        # By identity: the chair makes a new state whenever it has moved.
         if self._shown is None or self._shown[0] is not plant:
             self._shown = (plant, _as_actor(chair_actor_id(self.index), plant, self.chair.outline))
         return self._shown[1]

@@ -12,8 +12,7 @@ from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import ProtocolError
 from wcsim.physics.engine import Engine
 from wcsim.physics.sensors.camera import CameraRig
-from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
-from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.physics.wheelchair.plant import plant_spec, refuse_cameras_inside
 from wcsim.towns.checks.validate import require_pavement
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.towns.walking.routes import Router, edges_ahead
@@ -68,6 +67,7 @@ class EgoSlots:
             raise ProtocolError(f"seat {number} is taken; expected one of the free ones {self._free() or '(none)'}")
         seat = self._seat(number, spec)
         seat.build(engine, rig, self._seed, self._begun[number])
+        # Commands and snapshots are in the order of the seats, whoever came last.
         self.present = tuple(sorted((*self.present, seat), key=lambda item: item.index))
         return seat
 
@@ -82,6 +82,7 @@ class EgoSlots:
         self.present = tuple(seat for seat in self.present if seat is not gone)
         gone.chair.remove()
         for seat in self.present:
+            # The next chair in this seat has the same id, and no part in who touched whom before.
             seat.chair.forget(chair_actor_id(number))
 
     def _seat(self, number: int, spec: SeatSpec) -> Ego:

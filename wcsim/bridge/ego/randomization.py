@@ -13,8 +13,7 @@ from wcsim.config import CameraConfig, RunConfig, SensorConfig, SensorsConfig, p
 from wcsim.config.randomization import VaryConfig
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
-from wcsim.physics.wheelchair.camera_mounts import refuse_cameras_inside
-from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, varied
+from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, refuse_cameras_inside, varied
 from wcsim.physics.wheelchair.plant_body import check_springs
 from wcsim.types import Drawn
 
@@ -97,6 +96,7 @@ def _draw(vary: VaryConfig, cameras: int, seed: int, seat: int, episode: int, at
     shifts = numbers("camera_shift_m", vary.camera_shift_m, 3 * cameras)
     turns = numbers("camera_turn_deg", vary.camera_turn_deg, 2 * cameras)
     ticks = vary.action_delay_ticks
+    # Without the attempt: no delay keeps a chair from standing, so it is never drawn again.
     rng = seeding.generator(seed, "vary", seat, episode, "action_delay_ticks")
     return Drawn(
         light=_first(numbers("light", vary.light)),

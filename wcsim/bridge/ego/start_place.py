@@ -49,6 +49,7 @@ def is_clear(grid: Ground, outline: Outline, xy_W_m: F64, yaw_rad: float, clear_
     middle_m, half_m, side_m = outline.middle_x_m, 0.5 * outline.length_m, 0.5 * outline.width_m
     footprint_B_m = [(middle_m + x * half_m, y * side_m) for x in (-1, 0, 1) for y in (-1, 0, 1)]
     hull = xy_W_m + np.array(footprint_B_m) @ np.array([[cos, sin], [-sin, cos]])
+    # Level to one step of the raster, which has whole centimetres.
     if float(np.ptp(grid.raised_at(hull))) > 0.011 or float(grid.clearance_at(hull).min()) < 0.2:
         return False
     middle = xy_W_m + middle_m * np.array([cos, sin])

@@ -87,6 +87,7 @@ class ObstacleWatch:
         if not len(way):
             return [], NOTHING
         grid = self._ground.around(0.5 * (way.min(axis=0) + way.max(axis=0)))
+        # Most of a way is clear, which its clearance tells without any search.
         if float(grid.clearance_at(way).min()) > NEAR_WAY_M + 0.6:
             return [], NOTHING
         margin_m = NEAR_WAY_M + AROUND_M
@@ -102,6 +103,7 @@ class ObstacleWatch:
         near = gap_m.min(axis=1) < NEAR_WAY_M
         points, things = points[near], numbers[rows[near], cols[near]]
         along_m = route.arc_m[piece][gap_m[near].argmin(axis=1)]
+        # `unique` takes the first point of each square, so the choice depends on the raster alone.
         _, keep = np.unique(np.floor(points / THIN_M).astype(np.int64), axis=0, return_index=True)
         # In the order of the way, as `on_way` bisects it; stable, so that ties stay in the order of the squares.
         keep = keep[np.argsort(along_m[keep], kind="stable")]
@@ -115,6 +117,7 @@ class ObstacleWatch:
         numbers = np.full(solid.shape, -1.0)
         for label in range(1, count):
             cells = np.argwhere(labels == label)
+            # Coarse squares: a thing is known again by a part of it, whatever else of it lies near the way.
             squares = (cells + np.array([row0, col0])) // KEY_CELLS
             keys = {(int(row), int(col)) for row, col in np.unique(squares, axis=0)}
             known = [self._numbers[key] for key in keys if key in self._numbers]

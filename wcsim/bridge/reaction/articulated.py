@@ -58,6 +58,7 @@ class Articulation:
         A vehicle that was not near before is straight along SUMO's angle until it has moved on.
         """
         long = {a.id: a for a in actors if a.size_lwh_m[0] > RIGID_M.get(a.kind, math.inf)}
+        # Only of who is near: the way of one that was out of sight would have a gap in it.
         self._ways = {name: self._way(actor) for name, actor in sorted(long.items())}
         if not long:
             return actors
@@ -129,6 +130,8 @@ def _reach(way: list[F64], first: int, start: F64, length: float) -> tuple[int, 
             continue
         ab, sa = b - a, a - start
         p, q, r = float(ab @ ab), float(sa @ ab), float(sa @ sa) - length * length
+        # The later of two solutions, where the way leaves the sphere. At a touch rounding may make the root's argument
+        # negative.
         share = (-q + math.sqrt(max(q * q - p * r, 0.0))) / p if p > 0.0 else 0.0
         return i, a + min(max(share, 0.0), 1.0) * ab
     end = way[-1] - way[-2]

@@ -38,6 +38,7 @@ class Attention:
         if known is None:
             if len(self._chances) > MOST_KNOWN:  # of those who have left long ago; the draw can be made again
                 self._chances.clear()
+            # A generator for each id: who looks does not depend on who came before.
             known = self._chances[actor_id] = float(seeding.generator(self._seed, "attention", actor_id).random())
         return known
 

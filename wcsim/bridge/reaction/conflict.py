@@ -198,6 +198,8 @@ class ConflictCheck:
         """Where its way touches the chair when it drives `left_m` left of the middle of its lane."""
         long_m, width_m, _ = self.actor.size_lwh_m
         last = min(len(self.tube.poses), self.now + int(look_m(self.speed_mps, 3.0) / STEP_M) + 2)
+        # At least 0.5 m/s: one that stands would otherwise never reach the next pose, and the chair could be anywhere
+        # by then.
         pace = (self.front_m - self.tube.first_m) / STEP_M, STEP_M / max(self.speed_mps, 0.5)
         body = 0.5 * long_m, 0.5 * width_m, left_m, 0.0 if straight else self.skew
         span = max(0, self.now), last
@@ -262,5 +264,6 @@ def approach_mps(room_m: float, brake_mps2: float, tick_s: float, end_mps: float
     >>> approach_mps(0.0, 4.5, 0.1)
     0.0
     """
+    # A commanded speed is driven for a whole tick before the next look.
     b = brake_mps2 * tick_s
     return max(0.0, math.sqrt(b * b + 2.0 * brake_mps2 * max(0.0, room_m) + end_mps**2) - b)

@@ -95,6 +95,7 @@ def crowd_of(
     if not far:
         return crowd
     beside = [_walker(actor, (0.0, 0.0), False, chair_m) for actor, chair_m in others if _is_beside(actor, far)]
+    # By id again: orders to SUMO must come in one order.
     return sorted(crowd + beside, key=lambda walker: walker.id)
 
 
@@ -157,6 +158,7 @@ def queue_behind(behind: dict[str, str], ends: set[str]) -> set[str]:
     queue: set[str] = set()
     for first in behind:
         name, way = first, {first}
+        # People may stand behind one another in a ring, hence the set of those on the way.
         while (name := behind.get(name, CHAIR)) and name not in way and name not in ends and name not in queue:
             way.add(name)
         if name in ends or name in queue:

@@ -290,6 +290,7 @@ class PedestrianAvoidance:
                 self._begin_beside(walker, chairs, crowd, vehicles)
             return
         hits = self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+        # Only a jump into somebody is undone: who overlaps already has to get out.
         if hits and not self._overlaps(walker, before, chairs, crowd, vehicles):
             walker.ox, walker.oy = before[0] - walker.x, before[1] - walker.y
 
@@ -297,6 +298,7 @@ class PedestrianAvoidance:
         self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
     ) -> None:
         """SUMO has just put this person where somebody is that it does not see there: it comes into being beside."""
+        # Near before far, and right before left, as people keep to the right.
         for left_m in BEGIN_BESIDE_M:
             walker.ox, walker.oy = -left_m * walker.sin, left_m * walker.cos
             free = not self._overlaps(walker, walker.at, chairs, crowd, vehicles)
@@ -407,6 +409,7 @@ class PedestrianAvoidance:
             if (other.chair_m, other.id) > (walker.chair_m, walker.id) and other.id not in self._standing_s:
                 continue
             along = walker.cos * other.cos + walker.sin * other.sin
+            # Who walks ahead at nearly the same pace is not in the way until it is close.
             same_way = along > 0.5 and other.speed_mps > 0.5 * walker.speed_mps > 0.0
             x, y = other.at
             dx, dy = x - walker.x, y - walker.y

@@ -129,10 +129,12 @@ def _lay_out(lanes: Sequence[LaneShape], along_m: float, length_m: float, tail_W
     for lane in lanes:
         if len(points):
             arc_m += math.dist(points[-1], lane.points_W_m[0])
+        # A route may lead over one lane twice; the vehicle is at its first place.
         starts.setdefault(lane.id, (arc_m, _scale(lane)))
         arc_m += _line_m(lane.points_W_m)
         points = np.concatenate([points, lane.points_W_m])
     arcs_m = np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T).cumsum()])
+    # Lanes end where the next begin: a doubled point would be a piece without direction.
     keep = np.concatenate([[True], np.diff(arcs_m) > 1e-9])
     points, arcs_m = points[keep], arcs_m[keep]
     first_m = starts[lanes[0].id][0] + _scale(lanes[0]) * along_m - TAIL_M
@@ -167,6 +169,7 @@ def moved_line(tube: Tube, arc_m: F64, points_W_m: F64, length_m: float) -> Tube
 
 def _poses(points: F64, arc_m: F64, first_m: float, length_m: float) -> F64:
     front_m = np.arange(first_m, max(first_m, float(arc_m[-1])) + STEP_M, STEP_M)
+    # Bounded, as a single lane of a motorway may be kilometres long.
     front_m = front_m[: math.ceil((AHEAD_M + 2.0 * TAIL_M) / STEP_M) * 4]
     front = _at(points, arc_m, front_m)
     chord = front - _at(points, arc_m, front_m - length_m)

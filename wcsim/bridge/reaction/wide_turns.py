@@ -65,6 +65,7 @@ def _offsets_m(line_W_m: F64, body_m: tuple[float, float], ground: Ground, held_
     if len(line_W_m) <= behind + 2:
         return found
     wide_m, left = (body_m[0], body_m[1] + 2.0 * MARGIN_M), _normals(line_W_m)
+    # Most ways are wide enough: no line is searched where the middle of the lane will do.
     if not _covered_m2(line_W_m + found[:, None] * left, wide_m, ground).any():
         return found
     best, least = found, np.inf
@@ -72,6 +73,7 @@ def _offsets_m(line_W_m: F64, body_m: tuple[float, float], ground: Ground, held_
         moved = line_W_m + found[:, None] * left
         off_m2 = _covered(_profiles(moved, behind, wide_m, ground, _STATES), wide_m[1])
         now = float(off_m2[:, off_m2.shape[1] // 2].sum())
+        # Rounds may swing between two lines, so the best one is kept and the first that is no better ends them.
         if now < least - 1e-9:
             best, least = found, now
         else:
@@ -120,6 +122,7 @@ def _fill(
             ahead = -half_m + (k + 0.5) * along_m
             col = math.floor((x + ahead * cos - aside * sin - first_x) / cell_m)
             line = math.floor((y + ahead * sin + aside * cos - first_y) / cell_m)
+            # Beyond the raster nothing is known to be pavement.
             if 0 <= col < cols and 0 <= line < rows and not is_low[classes[line, col]]:
                 row[i] += along_m * SIDE_STEP_M
 
@@ -127,6 +130,7 @@ def _fill(
 def _covered(profile: F64, width_m: float) -> F64:
     """(poses, offsets) square metres off the carriageway that the body covers when it is moved to the left by each."""
     wide = _half_strips(width_m)
+    # Running sums: what a body covers at any offset is a single difference.
     sums = np.concatenate([np.zeros((len(profile), 1)), np.cumsum(profile, axis=1)], axis=1)
     at = np.arange(profile.shape[1] - 2 * wide)
     return np.asarray(sums[:, at + 2 * wide + 1] - sums[:, at])
@@ -176,6 +180,7 @@ def _path(cost: F64, held: int) -> F64:
             new[state], came[place, state] = best + cost[place, state], step
         total = new
     chosen = np.zeros(count)
+    # At a tie the first, which is the one furthest to the right.
     at = np.argmin(total)
     for place in range(count - 1, -1, -1):
         chosen[place] = at

@@ -15,8 +15,7 @@ import numpy as np
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import CameraConfig, ImuConfig, RunConfig
-from wcsim.core.frames import wrap
-from wcsim.core.rotations import quaternion
+from wcsim.core.frames import quaternion, wrap
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole
 from wcsim.types import F32, F64, ClientSnapshot, Joystick
 from wcsim.users.recording.drive_types import DriveRecording, RecordedTick

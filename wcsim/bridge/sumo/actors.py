@@ -206,6 +206,7 @@ class ActorReader:
                 gap_m -= self._long_m.get(name, 0.0)
             if gap_m <= 0.0:
                 found.append((name, (x - ox, y - oy, z - oz)))
+            # Nobody can be here sooner than at the fastest speed, so it is not asked for its place before.
             if gap_m < 2.0 * closing_m:
                 soon.append(name)
             else:
@@ -285,6 +286,7 @@ class SignalReader:
 
     def __init__(self, libsumo: Any, origin_m: tuple[float, float]) -> None:
         self._api = libsumo
+        # By id, as SUMO lists them in an order of its own.
         self._names: list[str] = sorted(libsumo.trafficlight.getIDList())
         boxes = [_box(libsumo, name) for name in self._names]
         self._boxes_W_m = np.array(boxes).reshape(-1, 4) - np.array([*origin_m, *origin_m])
@@ -298,6 +300,7 @@ class SignalReader:
             self._from_W_m, self._within_m = near_W_m.copy(), radius_m
             points = near_W_m[:, None, :2]
             out_m = np.maximum(np.maximum(self._boxes_W_m[:, :2] - points, points - self._boxes_W_m[:, 2:]), 0.0)
+            # A little farther than asked: the list holds until a chair has moved by `_MOVED_M`.
             close = ((out_m**2).sum(-1) <= (radius_m + 2.0 * _MOVED_M) ** 2).any(axis=0)
             self._close = [self._names[i] for i in np.flatnonzero(close)]
         return tuple(self._state(name) for name in self._close)

@@ -55,11 +55,13 @@ def open_scenario(town: Town, settings: Settings, place: RunPlace, held: ExitSta
 
 def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
     """Run the scenario's first steps in a child, once for each state of its files. Raises TownError."""
+    # With SUMO's version: another one may die of what this one runs.
     key = hashlib.sha256(f"{digest} {version('libsumo')} {_TRIAL_STEPS} {_BEGUN_ANEW}".encode()).hexdigest()[:32]
     verdict = cache_folder() / f"scenario-{key}.ok"
     if verdict.is_file():
         return
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
+        # One seed for all, as the verdict is on the files and kept for every seed.
         staged = stage_scenario(town, replace(settings, seed=1), Path(work))
         try:
             run = _trial(staged.sumocfg, settings.step_s)
@@ -85,6 +87,7 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
 def _trial(sumocfg: Path, step_s: float) -> ToolRun:
     command = [sys.executable, "-m", "wcsim.bridge.sumo.first_steps", str(sumocfg), repr(step_s), str(_TRIAL_STEPS)]
     command.append(_BEGUN_ANEW)
+    # The child has to find the packages that this process found, however it was started.
     env = os.environ | {"PYTHONPATH": os.pathsep.join(item for item in sys.path if item)}
     return run_child("sumo", command, sumocfg.parent, env, _LIMITS)
 
@@ -104,6 +107,7 @@ def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
     if not fails(len(files)):
         return town.sumocfg
     low, high = -1, len(files)  # with `high` files it fails; with `low` it runs
+    # More files never mend it: once it fails, it fails with every larger count.
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if fails(middle) else (middle, high)

@@ -170,7 +170,9 @@ class SumoSession(Closing):
         self.buttons.forget()
         self._teleports, self._so_far, self._come = 0, (0, 0), frozenset()
         self._collisions, self._colliding = 0, frozenset()
+        # `load` takes options alone, where `start` wants the program's name before them.
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
+        # Another object: what a hook has learned is of the run that is over.
         self._hook = open_hook(self._options.hook, libsumo)
 
     def time_s(self) -> float:

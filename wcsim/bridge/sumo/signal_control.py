@@ -105,6 +105,7 @@ class SignalControl:
         kinds = self._api.constants
         actuated = logic.type in (kinds.TRAFFICLIGHT_TYPE_ACTUATED, kinds.TRAFFICLIGHT_TYPE_DELAYBASED)
         coordinated = is_true(dict(logic.subParameter).get("coordinated", ""))
+        # A coordinated program keeps step with its neighbours, and a request would put it out.
         if coordinated or not (actuated or logic.type == kinds.TRAFFICLIGHT_TYPE_STATIC):
             return None
         program, count = [], len(logic.phases)

@@ -64,6 +64,7 @@ class VehicleControl:
         for target, *_, via, _state, _way, _length in self._api.vehicle.getNextLinks(name)[:_FURTHEST_LINKS]:
             if known_m > ahead_m:
                 break
+            # The way through a junction has brought it along already.
             if target in lanes:
                 continue
             more = [lane for lane in (self._through_junction(via, target) if via else [target]) if lane not in lanes]
@@ -106,6 +107,7 @@ class VehicleControl:
         """A vehicle's brakes."""
         name, vehicle = actor_id.partition(":")[2], self._api.vehicle
         service = float(vehicle.getDecel(name))
+        # A vehicle type may name an emergency brake that is weaker than its service brake.
         return Brakes(service_mps2=service, emergency_mps2=max(service, float(vehicle.getEmergencyDecel(name))))
 
     def allowed_mps(self, actor_id: str) -> float:
@@ -144,6 +146,7 @@ class VehicleControl:
         vehicle = self._api.vehicle
         modes = self._modes.get(name)
         if modes is None:
+            # As they were before the first order, since a scenario may have set its own.
             modes = self._modes[name] = (vehicle.getSpeedMode(name), vehicle.getLaneChangeMode(name))
         speed_mode, lane_mode = modes
         if order.hard:
@@ -169,9 +172,11 @@ class VehicleControl:
             links = self._api.lane.getLinks(lanes[-1])
             if not links:
                 break
+            # The lane inside the junction (`via`) where there is one, else the lane behind it.
             lanes.append(links[0][4] or links[0][0])
         return lanes if not target or lanes[-1] == target else [*lanes, target]
 
     def _permits(self, lane_id: str, kind: str) -> bool:
         allowed = self._api.lane.getAllowed(lane_id)
+        # SUMO lists no class as allowed where all of them are.
         return kind in allowed if allowed else kind not in self._api.lane.getDisallowed(lane_id)

@@ -23,8 +23,8 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
         in_bounds(option, asked, 1, MOST_JOBS)
     if not cluster:
         return Machines(count=worlds_of(asked))
-    from wcsim.server.workers.cluster.joining import LOCAL
-    from wcsim.server.workers.cluster.ray_workers import require_address
+    from wcsim.server.workers.cluster_link import LOCAL
+    from wcsim.server.workers.ray_workers import require_address
 
     count = worlds_of(asked) if cluster == LOCAL else asked or 1
     if cluster != LOCAL and count > 1:

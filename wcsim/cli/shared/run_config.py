@@ -18,7 +18,7 @@ from wcsim.core import reading, seeding
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.server.specs import RunInfo
-from wcsim.supervisor.reward_terms import find_reward_term
+from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash

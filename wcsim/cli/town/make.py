@@ -16,7 +16,7 @@ from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.cli.town.trial import checked
 from wcsim.towns.importing.folder_texts import check_words
-from wcsim.towns.making.wishes import Wishes, check_wishes
+from wcsim.towns.making.asked_town import Wishes, check_wishes
 
 
 @dataclass

@@ -27,7 +27,7 @@ from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
-from wcsim.supervisor.fault import blamed
+from wcsim.supervisor.rewards import blamed
 from wcsim.towns.checks.cures import pave_cure, slowest_street_mps, walkers_cure
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.towns.sumo.net import LaneKind, read_net

@@ -41,9 +41,8 @@ from wcsim.server.journal.journal import JOURNAL, JournalWriter
 from wcsim.server.journal.ledger import LedgerWriter
 from wcsim.server.journal.parts import part_files
 from wcsim.server.journal.torn import told_torn
-from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.launch.launcher import Launcher
-from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
 from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.transport.world_folder import workplace

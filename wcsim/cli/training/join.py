@@ -109,7 +109,7 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
     from wcsim.agents.learning.train import train
     from wcsim.agents.networks.device import checked_device
     from wcsim.server.links.socket import open_seat
-    from wcsim.supervisor.reward_terms import find_reward_term
+    from wcsim.supervisor.rewards import find_reward_term
 
     checked_device(config.learn.device)
     config = with_window(config)

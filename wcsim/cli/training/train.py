@@ -285,7 +285,7 @@ def train_in(
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train
-    from wcsim.supervisor.reward_terms import find_reward_term
+    from wcsim.supervisor.rewards import find_reward_term
 
     config, info = run.config, run.info
     terms = tuple(find_reward_term(name) for name in info.rewards)

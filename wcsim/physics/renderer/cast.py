@@ -78,6 +78,7 @@ class _SignalLamps:
         if signals is not self._signals:
             self._light(signals)
         gap = eyes_W_m[:, None, :2] - self._p_W_m[:, :2]
+        # From behind a lamp is hidden by its head, so only the half space ahead of it counts.
         towards = np.einsum("kij,ij->ki", gap, self._ahead_W) > 0.0
         seen = towards & (np.einsum("kij,kij->ki", gap, gap) < range_m * range_m)
         rows = np.flatnonzero(seen.any(axis=0))
@@ -87,7 +88,9 @@ class _SignalLamps:
         """Take the template of every head from the states of now."""
         self._signals = signals
         lights = tuple([(signal.tls_id, len(signal.colours)) for signal in signals])
+        # One letter more, which means off: heads without a light point at it.
         letters = np.frombuffer("".join([signal.colours for signal in signals]).encode("latin-1") + b"O", np.uint8)
+        # Letters change every few seconds, the set of lights hardly ever: places are looked up only for a new one.
         if lights != self._lights or len(self._letter) != len(self._heads):
             self._lights, self._letter = lights, self._places(lights)
         code = letters[self._letter]
@@ -163,6 +166,7 @@ class Cast:
         lamps, shining = self._lamps.near(eyes_W_m, range_m, signals)
         shown = np.ones((len(seats), len(moving) + len(chairs) + len(lamps)), np.bool_)
         for column, chair in enumerate(chairs, len(moving)):
+            # The cameras sit within the model of their own chair, which would cover the picture.
             if chair.seat in seats:
                 shown[seats.index(chair.seat), column] = False
         shown[:, len(moving) + len(chairs) :] = shining

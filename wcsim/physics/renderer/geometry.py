@@ -47,9 +47,11 @@ def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> _SurfacePain
     """Paint (V, 3) vertices, (F, 3) faces with (F,) classes."""
     corners = vertices_W_m[faces].astype(np.float64)  # (F, 3 corners, 3)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # A face without area has no normal: zeros instead of a division by zero.
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     thing = _connected_parts(vertices_W_m, faces, face_class)
     foot, top = _extent(corners[:, :, 2], thing)
+    # What is steeper than 60 degrees is a wall, the rest of a building its roof.
     steep = np.abs(normal[:, 2]) < 0.5
     east, north = (np.subtract(*_extent(corners[:, :, axis], thing)[::-1]) for axis in (0, 1))
     colour = _colours(face_class, _dice(corners, thing), steep, np.maximum(east, north) < _TRUNK_WIDE_M)
@@ -78,6 +80,7 @@ def _bays(corners: F64, axis: F64, windows: Bool) -> tuple[F64, F64]:
     """
     along = np.einsum("fcx,fx->fc", corners[:, :, :2], axis)
     length = np.maximum(np.ptp(along, axis=1), 1e-6)
+    # Whole bays only: no window is cut in two by the corner of a house.
     bays = np.where(windows, np.maximum(np.rint(length / BAY_M), 1.0) / length, 1.0)
     start = np.where(windows, along.min(axis=1) * bays, 0.0)
     return bays[:, None], start[:, None]
@@ -111,6 +114,7 @@ def _welded(vertices_W_m: F32) -> I64:
     """A number for the place of every vertex (V,); vertices of one WELD_M cell share it."""
     cell = np.rint(vertices_W_m.astype(np.float64) / WELD_M).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
+    # Three numbers as one in a mixed radix: `unique` over rows would take many times as long.
     spans = cell.max(axis=0, initial=0) + 1
     _, place = np.unique((cell[:, 0] * spans[1] + cell[:, 1]) * spans[2] + cell[:, 2], return_inverse=True)
     return place.astype(np.int64)
@@ -129,7 +133,9 @@ def _dice(corners: F64, thing: I64) -> I64:
     """A number for the thing of every face (F,), from where its corners (F, 3, 3) begin, whatever else is drawn."""
     first = np.full((int(thing.max(initial=-1)) + 1, 2), np.inf)
     np.minimum.at(first, thing, corners[:, :, :2].min(axis=1))
+    # To 0.1 m: a rounding of the corners must not repaint a house.
     place = np.rint(first * 10.0).astype(np.int64).astype(np.uint64)
+    # A spatial hash by two primes, then Knuth's multiplier, whose high bits are the well mixed ones.
     mixed = (place[:, 0] * np.uint64(73856093) ^ place[:, 1] * np.uint64(19349663)) * np.uint64(2654435761)
     return (mixed[thing] >> np.uint64(40)).astype(np.int64)
 
@@ -244,6 +250,7 @@ def _by_cell(mesh: StreetMesh, chunk_m: float) -> tuple[npt.NDArray[np.int64], I
     cell = np.floor(middle / chunk_m).astype(np.int64)
     cell -= cell.min(axis=0, initial=0)
     key = cell[:, 0] * (cell[:, 1].max(initial=0) + 1) + cell[:, 1]
+    # Stable: in a cell faces keep the mesh's order, and of equal depths the first drawn stays.
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     return order, np.append(starts, len(key)).astype(np.int32)
@@ -253,6 +260,7 @@ def _own_vertices(mesh: StreetMesh, order: npt.NDArray[np.int64], chunk_faces: I
     """Vertices chunk by chunk (shared ones copied), faces that count from the chunk's first vertex, vertex starts."""
     count = max(len(mesh.vertices_W_m), 1)
     chunk = np.repeat(np.arange(len(chunk_faces) - 1), np.diff(chunk_faces))
+    # A vertex that two chunks share is copied: each chunk is transformed alone, and only when it is in view.
     pairs, place = np.unique(chunk[:, None] * count + mesh.faces[order], return_inverse=True)
     starts = np.searchsorted(pairs, np.arange(len(chunk_faces)) * count)
     faces = place.reshape(-1, 3) - starts[chunk][:, None]
@@ -265,6 +273,7 @@ def _spheres(vertices: F32, starts: I32) -> F32:
     if len(starts) < 2:
         return np.zeros((0, 4), np.float32)
     first = starts[:-1]
+    # Not the smallest ball, but one pass over the vertices; a larger ball only culls less.
     centre = 0.5 * (np.minimum.reduceat(vertices, first) + np.maximum.reduceat(vertices, first))
     away = np.linalg.norm(vertices - np.repeat(centre, np.diff(starts), axis=0), axis=1)
     radius = np.maximum.reduceat(away, first) * 1.0001 + 1e-3  # room for float32 rounding

@@ -113,6 +113,7 @@ def chair_instances(chairs: Sequence[ChairPose]) -> Instances:
 def joined(*parts: Instances) -> Instances:
     """The rows of all parts, at least one, one part after another."""
     some = [part for part in parts if len(part)]
+    # One part alone is handed on as it is: its models are placed already.
     if len(some) == 1 or not some:
         return (*some, *parts)[0]
     return Instances(
@@ -178,4 +179,5 @@ def _placed(rows: Instances) -> InstanceArrays:
 
 def _rows(vectors: Sequence[F64]) -> F64:
     """Vectors (3,) as the rows of one array (n, 3)."""
+    # An empty array more, as concatenate refuses an empty list.
     return np.concatenate([*vectors, np.zeros(0)]).reshape(-1, 3)

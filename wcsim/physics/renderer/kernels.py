@@ -56,6 +56,7 @@ Word = np.uint32 | int
 
 COLOURED = np.uint32(0x80000000)
 SKY_ID = np.uint8(23)
+# Near to far only roughly: it saves writes, while the depth test decides what is seen.
 BUCKETS = 256
 OUT = np.float32(-1e30)  # the depth of what is out of view
 PLAIN, STRIPES, WINDOWS = 0, 1, 2  # how a face of the street is patterned
@@ -191,6 +192,8 @@ def _clip_and_fill(p: F32, a: int, b: int, c: int, class_id: int, word: Word, vi
         a, b, c = b, c, a
     elif (p[c, 2] < near) == odd_behind:
         a, b, c = c, a, b
+    # Cut before the projection: what is behind the eye would come out mirrored. No divisor is 0, as a is alone on its
+    # side.
     ax, ay, az = np.float64(p[a, 0]), np.float64(p[a, 1]), np.float64(p[a, 2])
     t, s = (near - az) / (p[b, 2] - az), (near - az) / (p[c, 2] - az)
     wn = 1.0 / near
@@ -232,6 +235,7 @@ def _on_screen(x0: float, y0: float, x1: float, y1: float, x2: float, y2: float,
     top, bottom, left, right = min(y0, y1, y2), max(y0, y1, y2), min(x0, x1, x2), max(x0, x1, x2)
     if top > height - 0.5 or bottom < 0.5 or left > width - 0.5 or right < 0.5:
         return False
+    # With the rounding of `_fill`: a triangle between two rows of pixel middles covers none.
     return bool(np.ceil(top - 0.5) < np.ceil(bottom - 0.5) and np.ceil(left - 0.5) < np.ceil(right - 0.5))
 
 
@@ -297,6 +301,7 @@ def _draw_model(
         ux, uy, uz = p[b, 0] - ax, p[b, 1] - ay, p[b, 2] - az
         vx, vy, vz = p[c, 0] - ax, p[c, 1] - ay, p[c, 2] - az
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        # The eye is the origin, so the sign tells whether a face looks away from it.
         if solid and nx * ax + ny * ay + nz * az >= 0.0:
             continue
         if max(az, p[b, 2], p[c, 2]) < view.near_m:
@@ -312,6 +317,7 @@ def _draw_model(
             paint = _lit_paint(int(models.face_paint[face]), lamps)
             if paint >= SHINING:
                 shade = 1.0
+            # Other bits of the seed for each paint: shirts vary apart from trousers.
             variant = ((seed ^ (seed >> 9)) >> (paint * 2)) & (models.paints.shape[1] - 1)
             word = COLOURED
             for k in range(3):
@@ -444,6 +450,7 @@ def draw(
 def _finish(view: View, out: Target) -> None:
     """Turn 1/z into depth; what lies beyond the range is sky."""
     height, width = out.inverse_z.shape
+    # Selections instead of branches, as in `_fill`, for the sake of vectors.
     limit, far = np.float32(1.0 / view.range_m), np.float32(view.range_m)
     for row in range(height):
         w_row, class_row = out.inverse_z[row], out.class_id[row]

@@ -110,6 +110,7 @@ def warm_up(renderer: RasterRenderer) -> None:
 def _inverse(T_CW: F64) -> F64:
     """Camera to world, (3, 4), of a rigid T_CW."""
     T_WC = np.empty((3, 4))
+    # A rotation's inverse is its transpose: exact, and without a solver.
     R_WC = T_CW[:, :3].T
     T_WC[:, :3], T_WC[:, 3] = R_WC, -R_WC @ T_CW[:, 3]
     return T_WC

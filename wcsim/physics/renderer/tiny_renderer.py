@@ -71,9 +71,7 @@ class TinyRenderer:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def render(
-        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
-    ) -> None:
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out`; see `Renderer.render`, and the module on where pixels are sampled."""
         check_images(camera, out)
         self._place(instances, range(len(instances)) if shown is None else np.flatnonzero(shown).tolist())
@@ -88,6 +86,7 @@ class TinyRenderer:
             physicsClientId=self._client,
         )
         near, far = camera.near_m, camera.range_m
+        # OpenGL's depth buffer is not linear: this undoes `projection_matrix`.
         z = far * near / (far - (far - near) * np.asarray(depth, np.float64).reshape(height, width))
         number = np.asarray(body, np.int64).reshape(height, width)
         hit = (number >= 0) & (z < far)
@@ -105,6 +104,7 @@ class TinyRenderer:
         self._used = dict.fromkeys(self._pool, 0)
         self._instance_of.clear()
         for i in rows:
+            # Rounded: a model in the pool fits every actor of this size, whatever float32 made of it.
             length, width, height = (round(float(side), 6) for side in instances.scale_m[i])
             colour = int(instances.colour_seed[i]) % VARIANTS
             model = _Model(int(instances.template[i]), (length, width, height), colour)

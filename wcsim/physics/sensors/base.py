@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from wcsim.core.rotations import LEVEL, Rotation, Vec3
+from wcsim.core.frames import LEVEL, Rotation, Vec3
 from wcsim.types import ActorState, PlantState, SignalState
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """The cameras of the wheelchairs: where each one looks, when it takes an image, and the buffers it writes into.
 
-The errors of one camera, made of its configuration and laid over the true pictures.
+The errors of a camera are made of its configuration and laid over the true pictures. Before that it is counted how much
+of each actor a picture shows.
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ from functools import lru_cache
 from types import TracebackType
 
 import numpy as np
+import numpy.typing as npt
 
 from wcsim.config import CameraConfig, CameraNoiseConfig, ClassNoiseConfig, DepthNoiseConfig
 from wcsim.core import frames, seeding
+from wcsim.core.jit import kernel
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
@@ -22,7 +25,6 @@ from wcsim.physics.renderer.cast import Cast, names
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances
 from wcsim.physics.renderer.raster import RasterRenderer, brighten, warm_up
-from wcsim.physics.renderer.visible_pixels import shown_px
 from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
 from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
@@ -35,7 +37,36 @@ from wcsim.physics.sensors.pixel_noise import (
     disturb_depth,
     quantiles,
 )
-from wcsim.types import F64, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
+from wcsim.types import F64, I32, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
+
+_STATED_PX = 320 * 240
+"""The picture for which numbers of pixels are stated; in one of another size they are scaled by its share of this."""
+
+
+@kernel
+def _count(instance: I32, counts: npt.NDArray[np.int64]) -> None:
+    for row in range(instance.shape[0]):
+        for i in instance[row]:
+            if 0 <= i < len(counts):
+                counts[i] += 1
+
+
+def _shown_px(instance: I32, names: Sequence[str]) -> dict[str, float]:
+    """Pixels of each actor that is in the picture, by its name, as they would be in one of 320x240.
+
+    Args:
+        instance: (H, W) int32, the row of the instance that each pixel shows, -1 where it shows none.
+        names: of the actors in the first rows, not necessarily different ones: those of one name are added up. The
+            rows behind them are nobody's.
+    """
+    counts = np.zeros(len(names), np.int64)
+    _count(instance, counts)
+    scale = _STATED_PX / instance.size
+    shown: dict[str, float] = {}
+    for i in np.flatnonzero(counts).tolist():
+        shown[names[i]] = shown.get(names[i], 0.0) + scale * float(counts[i])
+    return shown
+
 
 DEPTH, CLASSES, RGB = 0, 1, 2  # each picture has a key of its own
 FULL_SCALE = 255.0
@@ -146,7 +177,7 @@ class _Shot:
             instance = np.empty(self.out.class_id.shape, np.int32)
             numbered = replace(self.out, instance=instance)
             self.renderer.render(self.camera, self.T_CW, self.instances, numbered, self.shown)
-            counts = shown_px(instance, self.names)
+            counts = _shown_px(instance, self.names)
         self.shutter.shown_px = counts
         if self.out.rgb is not None and self.light != 1.0:
             brighten(self.out.rgb, _brightened(self.light))
@@ -227,6 +258,7 @@ class CameraRig:
         """Draw this part of the street from now on."""
         self._let_go()
         self.store = street if isinstance(street, GeometryStore) else GeometryStore(street)
+        # Sorted: the order of a set of strings differs from process to process.
         self._renderers = {name: _renderer(name, self.store) for name in sorted({c.renderer for c in self.cameras})}
 
     def begin(self, seed: int) -> None:
@@ -265,6 +297,7 @@ class CameraRig:
 
     def frames(self, seat: int, scene: Surroundings) -> tuple[CameraFrame, ...]:
         """What the cameras of a seat see; those taken in this very scene by `shoot_all`, or else taken now."""
+        # By identity: a scene is made anew for every tick, and comparing arrays would cost more.
         if seat not in self._taken or self._taken[seat][0] is not scene:
             self.shoot_all({seat: scene})
         return self._taken[seat][1]
@@ -410,6 +443,7 @@ def _last(shutter: _Shutter, buffers: SeatBuffers | None, index: int) -> CameraF
     frame = shutter.last
     if frame is None:
         raise ValueError("a camera that took nothing has no last frame")
+    # A repeated picture lies in other buffers: whoever reads these needs a copy in them.
     if buffers is not None and not np.may_share_memory(buffers.images[index].depth_m, frame.depth_m):
         frame = shutter.last = copied(frame, buffers.images[index])
     return frame

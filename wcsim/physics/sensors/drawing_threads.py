@@ -24,6 +24,7 @@ class DrawingThreads:
         Raises what a piece raised, once no other piece is at work.
         """
         waiting = deque(work)
+        # One fewer: the calling thread draws too, where it would only wait.
         helpers = min(self._threads, len(waiting)) - 1
         if helpers < 1:
             if meanwhile is not None:
@@ -37,6 +38,7 @@ class DrawingThreads:
                 meanwhile()
             _work_off(waiting)
         finally:
+            # After an error nothing more is begun, but what has begun still writes into buffers: it is waited for.
             waiting.clear()
             begun = [helper for helper in helping if not helper.cancel()]
             wait(begun)
@@ -52,6 +54,7 @@ class DrawingThreads:
 
 def cores() -> int:
     """How many cores this process may use."""
+    # Of this process: a container or `taskset` may allow fewer cores than there are.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -23,9 +23,8 @@ import numpy as np
 
 from wcsim.config import ImuConfig
 from wcsim.core.constants import GRAVITY_MPS2
-from wcsim.core.frames import rad
+from wcsim.core.frames import Rotation, Vec3, euler, rad
 from wcsim.core.jit import exact_kernel
-from wcsim.core.rotations import Rotation, Vec3, euler
 from wcsim.errors import PhysicsError
 from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
 from wcsim.physics.sensors.camera_geometry import turn_of
@@ -98,8 +97,10 @@ class _TiltSensor:
         if self._config.tilt == "ideal":
             return true
         felt = _tilt_felt(force_B_mps2)
+        # The first reading has nothing to start from: it is the accelerometer's alone.
         if self._config.tilt == "complementary" and self._now is not None:
             ahead = _tilt_turned(self._now, w_B_radps, dt_s)
+            # The exact step of a first-order filter: its time constant does not depend on the tick.
             share = 1.0 - math.exp(-dt_s / self._config.tilt_tau_s)
             turn = math.remainder(felt[0] - ahead[0], 2.0 * math.pi)  # the short way round
             felt = (math.remainder(ahead[0] + share * turn, 2.0 * math.pi), ahead[1] + share * (felt[1] - ahead[1]))
@@ -201,6 +202,7 @@ class Imu(Sensor):
     def set_step(self, step_s: float) -> None:
         """See `Sensor`."""
         self._dt_s = step_s
+        # Exact for a held input: the cut-off stays where it is with any physics step.
         self._alpha = 1.0 - math.exp(-2.0 * math.pi * self._config.lowpass_hz * step_s)
 
     def start(self, noise_key: int | None) -> None:
@@ -239,6 +241,7 @@ class Imu(Sensor):
         self._low = np.empty((count, 3))
         felt, g = self._felt_mps2, self._gravity_mps2
         sums = _filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
+        # One number that is not finite makes the sum so: a single test serves all.
         if not math.isfinite(sums.sum()):
             raise PhysicsError("the wheelchair's motion is not finite; expected finite numbers: rebuild the world")
         means = sums / max(count, 1)

@@ -72,11 +72,13 @@ class Odometry(Sensor):
             left_mps, right_mps = (self._radii_m * (self._counts - before) / (self._per_rad * tick_s)).tolist()
             now = np.array([0.5 * (left_mps + right_mps), (right_mps - left_mps) / self._track_m])
             if noise_key is not None:
+                # A density: the longer the tick, the more of the noise is averaged away.
                 now += self._density / math.sqrt(2.0 * tick_s) * normals(noise_key, 2)
         self._late.append(now)
         return self._late.popleft()
 
     def _counted(self) -> F64:
         """(2,) whole marks that have passed by the encoders: left, right."""
+        # Whole marks only: the rest of a turn shows in the next tick, as with a real encoder.
         counts: F64 = np.floor(np.array(self._wheel_rad) * self._per_rad)
         return counts

@@ -130,8 +130,10 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
     least_px = match / range_m
     focal, per_focal = np.float32(noise.focal_px), np.float32(1.0 / noise.focal_px)
     flat = np.float32(noise.grazing_sin * noise.grazing_sin)
+    # Shares as 32 bits: random words are compared with them as they are, without a conversion.
     lost_below = np.uint64(noise.dropout * 4294967295.0)
     flat_below = np.uint64(noise.grazing_dropout * 4294967295.0)
+    # A place that no pixel has: patches draw apart from the noise of pixels.
     patch_key = _word(key, -2)
     patches = (width + noise.patch_px - 1) // noise.patch_px
     lost = np.empty(patches, np.uint64)
@@ -159,15 +161,18 @@ def disturb_depth(depth_m: F32, key: np.uint64, noise: DepthNoise, table: F32) -
                 continue
             if flat > 0.0 and bits & LOW32 < flat_below:
                 u = (np.float32(i) + HALF - HALF * np.float32(width)) * per_focal
+                # The smaller slope of both sides: beyond an edge the neighbour belongs to another surface.
                 a = focal * _least(inverse[row, min(i + 1, width - 1)] - q, q - inverse[row, max(i - 1, 0)])
                 b = focal * _least(inverse[below, i] - q, q - inverse[above, i])
                 c = q - u * a - v * b
                 if q * q < flat * (a * a + b * b + c * c) * (u * u + v * v + np.float32(1.0)):
                     depth_m[row, i] = 0.0
                     continue
+            # Normal in disparity, so that errors in depth grow with the square of the distance.
             px = match * q + sigma * _normal(_word(key, row * width + i) >> S32, table)
             if per_step > 0.0:
                 px = step * np.rint(px * per_step)
+            # Noise may push a disparity to 0 or below, which would be a depth behind the camera.
             measured = match / px if px > least_px else range_m
             depth_m[row, i] = measured if measured >= z_min else np.float32(0.0)
 
@@ -212,6 +217,7 @@ def disturb_colours(rgb: U8, key: np.uint64, sigma: float, table: F32) -> None:
     scale = np.float32(sigma)
     for row in range(height):
         for i in range(width):
+            # One word of 64 bits has 21 for each of the three colours.
             bits = _word(key, row * width + i)
             for k in range(3):
                 value = np.float32(rgb[row, i, k]) + scale * _normal((bits & LOW21) << S11, table)

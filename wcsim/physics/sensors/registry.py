@@ -106,6 +106,7 @@ class SensorSet:
         """What all say of the tick: what they felt in it, or see now; cameras and IMU have fields of their own."""
         seen = {name: sensor.look(scene) for name, sensor in self._sensors.items()}
         said = {name: self._felt[name] if sight is None else sight for name, sight in seen.items()}
+        # By name: recordings must not depend on the order of the configuration's sections.
         others = sorted(said.keys() - {"cameras", "imu"})
         readings = tuple([Reading(name=name, values=said[name]) for name in others])
         return SensorFrame(tick=scene.tick, cameras=said["cameras"], imu=said["imu"], readings=readings)

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
-from wcsim.core.rotations import Quat, Vec3, added, matrix, rotate_back, turned
+from wcsim.core.frames import Quat, Vec3, added, matrix, rotate_back, turned
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import BodyTag, Role
 from wcsim.types import Contact
@@ -79,6 +79,7 @@ class ContactLog:
         self._impulse_Ns.clear()
         self._tags.clear()
         self._cause.clear()
+        # By name: PyBullet lists contacts by the numbers of bodies, and these depend on which pooled body came first.
         return tuple(sorted(found, key=lambda item: (item.kind, item.actor_id, item.part)))
 
     def forget(self, actor_id: str) -> None:

@@ -70,6 +70,7 @@ def stopping_distance_m(v_mps: float, decel_mps2: float, jerk_mps3: float) -> fl
     >>> round(stopping_distance_m(1.67, 1.5, 4.0), 3)
     1.243
     """
+    # From a low speed the chair stands before its jerk has built up the whole deceleration.
     full = min(decel_mps2, math.sqrt(jerk_mps3 * abs(v_mps)))
     return 0.5 * v_mps * v_mps / full + 0.5 * abs(v_mps) * full / jerk_mps3
 
@@ -120,6 +121,7 @@ def _control(state: F64, v_mps: float, setting: F64) -> None:
     out = forward * state[A_REF_MPS2] + PI_KP_PER_S * error
     if out >= 0.0:
         charge, rest = THROTTLE_MPS2, BRAKE_MPS2
+        # Twice the limit: the reference's acceleration takes up to one of it, the error needs the other.
         low, high = 0.0, 2.0 * setting[_ACCEL]
     else:
         charge, rest = BRAKE_MPS2, THROTTLE_MPS2
@@ -146,6 +148,7 @@ def _steered(ahead_radps: float, push_radps: float) -> float:
 def _damped(state: F64, x: float, y: float, setting: F64) -> None:
     """The controller's low-pass against a trembling hand."""
     share = setting[_SMOOTHING]
+    # Without damping the stick goes through to the bit.
     if share >= 1.0:
         state[STICK_X] = x
         state[STICK_Y] = y

@@ -1,19 +1,19 @@
 """The wheelchair as it is built: every parameter of its file, and the geometry that follows from them.
 
-Body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle.
-
-Whether a plant can be built and stand: refused before anything moves, with the value, its unit and its bounds.
+Body frame B: x forward, y left, z up, origin on the ground below the middle of the drive axle. Whether a plant can be
+built and stand, and where a camera may sit on it, is checked before anything moves; a refusal has the value, its unit
+and its bounds.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import combinations
-from typing import Final
+from typing import Final, Protocol
 
-from wcsim.config import ChairConfig
+from wcsim.config import CameraConfig, ChairConfig
 from wcsim.config.plant import (
     AntitipPart,
     CasterPart,
@@ -27,9 +27,44 @@ from wcsim.config.plant import (
     read_plant,
     with_values,
 )
+from wcsim.core.frames import Vec3
 from wcsim.errors import ConfigError
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.types import Outline
+
+
+class _BodyBox(Protocol):
+    """A box of the chair or its user, in B."""
+
+    @property
+    def centre_m(self) -> Vec3:
+        """Its middle."""
+
+    @property
+    def size_m(self) -> Vec3:
+        """Its edges."""
+
+
+def refuse_cameras_inside(cameras: Sequence[CameraConfig], boxes: Iterable[_BodyBox]) -> None:
+    """Check that no camera sits inside the chair or its user.
+
+    Raises:
+        ConfigError: One does; names the camera, its place and the box.
+    """
+    solid = tuple(boxes)
+    for camera in cameras:
+        for box in solid:
+            if all(abs(p - c) < 0.5 * s for p, c, s in zip(camera.p_BC_m, box.centre_m, box.size_m, strict=True)):
+                spans = ", ".join(
+                    f"{axis} {c - 0.5 * s:.2f} to {c + 0.5 * s:.2f} m"
+                    for axis, c, s in zip("xyz", box.centre_m, box.size_m, strict=True)
+                )
+                place = ", ".join(f"{p:g}" for p in camera.p_BC_m)
+                raise ConfigError(
+                    f"camera {camera.name!r} at p_BC_m ({place}) m is inside the chair's body, the box {spans}; "
+                    "expected a place outside: move it"
+                )
+
 
 _LEAST_FRAME_KG: Final = 30.0
 _MOST_PUSH: Final = 0.8  # of the weight, by the springs of all casters
@@ -149,7 +184,6 @@ def _sweep_m(pair: CasterPart) -> float:
     return math.hypot(pair.trail_m + pair.radius_m, 0.5 * pair.width_m)
 
 
-Vec3 = tuple[float, float, float]
 FORK_M: Final = 0.10  # a fork's swivel lies this far above the middle of its caster
 FORK_COM_M: Final = 0.05  # and its centre of mass this far below the swivel
 _LIMITS: Final = (

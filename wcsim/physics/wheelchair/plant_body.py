@@ -25,6 +25,7 @@ _ORIGIN: Final[Vec3] = (0.0, 0.0, 0.0)
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
 BEAM_INERTIA_KGM2: Final = 0.01  # about its length, small beside everything else
 _ARM_INERTIA_KGM2: Final = 0.01
+# URDF demands limits of force and speed; springs and stops act long before these.
 _ARM_EFFORT_N: Final = 1e4
 _ARM_MPS: Final = 20.0
 _BEAM_EFFORT_NM: Final = 1e4
@@ -114,6 +115,7 @@ def _rolling(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
     inertia = _disc_inertia_kgm2(mass_kg, radius_m, width_m)
     return (
         f'<link name="{name}">{_inertial(mass_kg, inertia, _ORIGIN)}'
+        # A cylinder of URDF stands along z; a wheel's axle is y.
         '<collision><origin rpy="1.5707963267948966 0 0"/>'
         f'<geometry><cylinder radius="{radius_m}" length="{width_m}"/></geometry></collision></link>'
     )
@@ -138,6 +140,7 @@ def _inertial(mass_kg: float, inertia_kgm2: Vec3, com_m: Vec3) -> str:
 
 
 def _text(vector: Vec3) -> str:
+    # All digits, so that PyBullet reads the very number.
     return " ".join(repr(float(value)) for value in vector)
 
 
@@ -227,6 +230,7 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
 
 
 def _load(text: str, client: int) -> int:
+    # Otherwise Bullet guesses inertias from the shapes, and takes a wheel for a prism that rattles.
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
     with tempfile.TemporaryDirectory(prefix="wcsim-") as folder:
         path = Path(folder) / "chair.urdf"

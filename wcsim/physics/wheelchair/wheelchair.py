@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.core.rotations import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.core.frames import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
@@ -118,7 +118,9 @@ class Wheelchair:
             ConfigError: Its springs are too stiff for the engine's step; the chair stays what it was.
             PhysicsError: PyBullet refused the body.
         """
+        # Before anything is changed, so that a refused plant leaves the chair as it was.
         check_springs(spec, self._engine.step_s)
+        # The text is all that Bullet builds a body from: with equal texts the old body will do.
         if urdf(spec) != urdf(self._spec):
             self._engine.remove_body(self._body.id)
             self._take(spec, load_body(self._engine, spec, self._chair.v_max_mps))
@@ -298,6 +300,7 @@ class Wheelchair:
         turn = matrix(quaternion(yaw_rad))
         wheels_W_m = np.array([added(p_W_m, rotate(turn, x, y, 0.0)) for x, y in wheels_B_m])
         heights = self._engine.ground_at(wheels_W_m)
+        # Where a wheel has no ground below there is no plane; on level ground rounding must not tilt the chair.
         if np.isnan(heights).any() or np.ptp(heights) < LEVEL_M:
             return p_W_m[2], quaternion(yaw_rad)
         columns = np.array([(1.0, x, y) for x, y in wheels_B_m])
@@ -374,9 +377,11 @@ class Wheelchair:
 
     def _touch(self, point: tuple[Any, ...]) -> None:
         """Count one contact point (PyBullet's fields: 2 other body, 3 own link, 5 place, 7 normal to us, 9 force)."""
+        # PyBullet lists points that are merely close, too; without a force nothing was touched.
         if point[9] <= 0.0:
             return
         tag = self._engine.tag_of(point[2])
+        # By the motion before the step: after it the chair has been pushed already.
         before = self._before
         part = self._body.part.get(point[3]) or self._frame_part(point[5])
         touch = ContactPoint(

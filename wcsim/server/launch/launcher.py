@@ -18,8 +18,7 @@ from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.spawner import Spawner, SubprocessSpawner
 from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.launch.supervised_client import SupervisedClient
-from wcsim.server.launch.supervised_world import SupervisedWorld
+from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
 from wcsim.server.specs import WorldSpec
 
 LOOK_S = 0.1

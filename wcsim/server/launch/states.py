@@ -1,4 +1,7 @@
-"""What a launcher is asked to run, and what it knows of its processes while they run."""
+"""What a launcher is asked to run, and what it knows of its processes while they run.
+
+When a process that died is started again, and when it is given up.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,46 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Literal
 
-from wcsim.server.launch.backoff import RestartRules
 from wcsim.server.specs import ClientStatus, WorldStatus
+
+_MOST_DOUBLINGS = 64  # beyond any wait, and still a number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestartRules:
+    """How patient a launcher is with a process."""
+
+    first_s: float = 0.5  # before the first restart; twice as long before each further one without progress
+    longest_s: float = 30.0
+    deaths: int = 5  # without progress; then it is given up
+
+
+class Restarts:
+    """Counts the deaths of one process.
+
+    >>> restarts = Restarts(RestartRules())
+    >>> [restarts.died(progressed=False) for _ in range(5)]
+    [0.5, 1.0, 2.0, 4.0, None]
+    >>> restarts.died(progressed=True)
+    0.5
+    >>> patient = Restarts(RestartRules(deaths=10_000))
+    >>> [patient.died(progressed=False) for _ in range(2_000)][-1]
+    30.0
+    """
+
+    def __init__(self, rules: RestartRules) -> None:
+        self.rules = rules
+        self.deaths = 0  # in all
+        self.in_vain = 0  # without progress, in a row
+
+    def died(self, progressed: bool) -> float | None:
+        """The process has died: seconds until it is to be started again, None when that is of no use any more."""
+        self.deaths += 1
+        self.in_vain = 1 if progressed else self.in_vain + 1
+        if self.in_vain >= self.rules.deaths:
+            return None
+        return min(self.rules.first_s * 2.0 ** min(self.in_vain - 1, _MOST_DOUBLINGS), self.rules.longest_s)
+
 
 WAIT_NO_MORE = signal.SIGUSR1
 """Asks a client to end that would else wait for a world which does not go on.
@@ -74,8 +115,8 @@ class LaunchRules:
     saving_s: float = 300.0  # clients that were asked to end, with all their replay to write
     leaving_s: float = 2.0  # for the world to hear that all clients have left
     ending_s: float = 30.0  # a world that was asked to end
-    client: RestartRules = RestartRules()  # noqa: RUF009 - frozen
-    world: RestartRules = RestartRules()  # noqa: RUF009 - frozen
+    client: RestartRules = RestartRules()
+    world: RestartRules = RestartRules()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

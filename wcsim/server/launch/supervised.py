@@ -1,25 +1,150 @@
-"""A process over all its lives, as a launcher keeps it: started, heard, asked to end, started again when it died."""
+"""The processes of a launch over all their lives: started, heard, found to hang, started again or given up.
+
+A child as its launcher holds it has its output in a log file, status lines in a pipe, and its end from its handle.
+"""
 
 from __future__ import annotations
 
+import os
+import re
 import selectors
+import signal
+import sys
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from wcsim.errors import ConfigError
-from wcsim.server.launch.backoff import RestartRules, Restarts
-from wcsim.server.launch.child import Child, how_it_ended
+from wcsim.errors import ConfigError, WcsimError
+from wcsim.server.journal.journal import JOURNAL, EpochBegun, Ticked, iter_part
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.spawner import Spawner
-from wcsim.server.launch.states import Standing
-from wcsim.server.specs import ClientStatus, WorldStatus, of_line
+from wcsim.server.launch.states import (
+    ClientExit,
+    ClientPlan,
+    ClientState,
+    LaunchRules,
+    RestartRules,
+    Restarts,
+    Standing,
+    WorldExit,
+)
+from wcsim.server.specs import ClientStatus, WorldSpec, WorldStatus, of_line, to_line, write_order
+
+_READ_BYTES = 1 << 16
+_MOST_BYTES = 1 << 20  # of a line that does not end
+
+
+class _Child:
+    """A running process, whoever has started it."""
+
+    def __init__(
+        self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector, spawner: Spawner
+    ) -> None:
+        """Start it.
+
+        Args:
+            argv_of: The command line, given the number of the pipe's end that status lines go to.
+            log: Where its output is appended.
+            selector: Wakes when there is something to read, or the process has ended.
+            spawner: Starts it.
+        """
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self.log = log
+        self._selector = selector
+        self._pipe, theirs = os.pipe()
+        os.set_blocking(self._pipe, False)
+        try:
+            log.touch()
+            self.log_begin = log.stat().st_size
+            self._process = spawner.start(argv_of(theirs), None, log, theirs)
+        except BaseException:
+            os.close(self._pipe)
+            raise
+        finally:
+            os.close(theirs)
+        self.pid = self._process.pid
+        self._end_fd = self._process.end_fd
+        self._rest = b""
+        self._reads = True
+        selector.register(self._pipe, selectors.EVENT_READ)
+        if self._end_fd is not None:
+            selector.register(self._end_fd, selectors.EVENT_READ)
+
+    def lines(self) -> list[bytes]:
+        """The whole status lines that have come since the last call; does not wait."""
+        while self._reads:
+            try:
+                data = os.read(self._pipe, _READ_BYTES)
+            except BlockingIOError:
+                break
+            if not data or len(self._rest) > _MOST_BYTES:
+                self._stop_reading()
+            self._rest += data
+        *whole, self._rest = self._rest.split(b"\n")
+        return whole
+
+    def ended(self) -> int | None:
+        """The exit code, or the negative number of the signal that ended it; None while it runs."""
+        return self._process.poll()
+
+    def terminate(self) -> None:
+        """Ask it to end; nothing happens when it has ended."""
+        self._process.terminate()
+
+    def wait_no_more(self) -> None:
+        """Ask it not to wait for others before it ends; nothing happens when it has ended."""
+        self._process.wait_no_more()
+
+    def kill(self) -> None:
+        """End it now; nothing happens when it has ended."""
+        self._process.kill()
+
+    def close(self) -> None:
+        """Kill it if it still runs, and let go of its pipe."""
+        if self._process.poll() is None:
+            self._process.kill()
+        if self._end_fd is not None:
+            self._selector.unregister(self._end_fd)
+            os.close(self._end_fd)
+            self._end_fd = None
+        self._process.wait()
+        self._stop_reading()
+
+    def last_words(self) -> str:
+        """What it said of itself in the end: the last `wcsim: ...` line that it wrote, or the last line of all."""
+        with self.log.open("rb") as file:
+            file.seek(max(self.log_begin, self.log.stat().st_size - _READ_BYTES))
+            lines = file.read().decode(errors="replace").splitlines()
+        told = [line for line in lines if line.startswith("wcsim: ")] or [line for line in lines if line.strip()]
+        return told[-1].removeprefix("wcsim: ") if told else ""
+
+    def _stop_reading(self) -> None:
+        if self._reads:
+            self._reads = False
+            self._selector.unregister(self._pipe)
+            os.close(self._pipe)
+
+
+def _how_it_ended(code: int) -> str:
+    """An exit code in words.
+
+    >>> _how_it_ended(-9), _how_it_ended(3)
+    ('was killed by SIGKILL', 'ended with code 3')
+    """
+    if code >= 0:
+        return f"ended with code {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
+
 
 Status = TypeVar("Status", ClientStatus, WorldStatus)
 
 
-class Supervised(ABC, Generic[Status]):
+class _Supervised(ABC, Generic[Status]):
     """One process, restarted while that is of use; what its status and its end mean is said by a world or a client."""
 
     def __init__(
@@ -37,7 +162,7 @@ class Supervised(ABC, Generic[Status]):
         self._says: type[Status] = says
         self._selector, self._spawner = selector, spawner
         self._restarts = Restarts(rules)
-        self._child: Child | None = None
+        self._child: _Child | None = None
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
         self.fault = ""  # why there is no use in going on with the whole run
@@ -68,7 +193,7 @@ class Supervised(ABC, Generic[Status]):
 
     def start(self, now_s: float) -> None:
         """Begin a life."""
-        self._child = Child(self._command, self._log_file, self._selector, self._spawner)
+        self._child = _Child(self._command, self._log_file, self._selector, self._spawner)
         self._log.add("restart" if self._lives else "start", who=self._name, pid=self._child.pid)
         self._lives += 1
         self.standing, self._due_s = "starting", None
@@ -126,14 +251,14 @@ class Supervised(ABC, Generic[Status]):
         """It has said something."""
 
     @abstractmethod
-    def _watch(self, child: Child, now_s: float) -> None:
+    def _watch(self, child: _Child, now_s: float) -> None:
         """It lives: does it hang?"""
 
     @abstractmethod
     def _ended(self, code: int, words: str, now_s: float) -> None:
         """It has ended, with these last words."""
 
-    def _hangs(self, child: Child, **told: float) -> None:
+    def _hangs(self, child: _Child, **told: float) -> None:
         self._log.add("hang", who=self._name, **told)
         child.kill()
 
@@ -145,7 +270,7 @@ class Supervised(ABC, Generic[Status]):
 
     def _died(self, code: int, words: str, now_s: float, **told: int) -> str:
         """Take note of a death; returns it in words."""
-        reason = f"{how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
+        reason = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
         self._died_s = now_s if self._died_s is None else self._died_s
         self._log.add("death", who=self._name, code=code, reason=reason, **told)
         return reason
@@ -157,3 +282,258 @@ class Supervised(ABC, Generic[Status]):
             return False
         self.standing, self._due_s = "down", now_s + wait_s
         return True
+
+
+_SAVED = (ClientExit.STOPPED, ClientExit.SERVER_GONE, ClientExit.EVICTED, ClientExit.GROWN)
+MOST_LEFT_ALONE = 20  # deaths for want of a world that a client is forgiven
+
+
+class SupervisedClient(_Supervised[ClientStatus]):
+    """Also ends a client that hangs, and forgives one that died for want of a world."""
+
+    def __init__(
+        self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, spawner: Spawner, log: RunLog
+    ) -> None:
+        super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, spawner, log)
+        self.plan, self._rules = plan, rules
+        self.reason = self.unsaved = ""
+        self._crash = ""  # how its last life ended, until the next one is heard
+        self._world: WorldStatus | None = None  # as last seen
+        self._best_step = 0  # of the lives before this one
+        self._left_alone = 0  # deaths in a row that were the world's fault
+        self._seat_epoch: int | None = None  # of the world in which it had its seat last in this life
+        self._gathering = False  # its world waits for all to come
+        self._unseated_s: float | None = None  # since when the world has gone on without it, or has waited for all
+        self._replaced = 0  # lives that ended as planned, because their process had grown
+
+    @property
+    def restarts(self) -> int:
+        """How often it was started again after a death."""
+        return super().restarts - self._replaced
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is not there and will not come back."""
+        return self.standing in ("done", "stopped", "given up")
+
+    @property
+    def state(self) -> ClientState:
+        """As the launcher sees it."""
+        return ClientState(
+            name=self.plan.name,
+            seat=self.plan.seat,
+            standing=self.standing,
+            pid=self.pid,
+            restarts=self.restarts,
+            status=self.status,
+            reason=self.reason,
+            unsaved=self.unsaved,
+        )
+
+    def see(self, world: WorldStatus | None) -> None:
+        """What its world says of itself now; None while there is none."""
+        self._world = world
+
+    def ask_to_end(self) -> None:
+        """Ask it to save its work and leave; it is not started again."""
+        super().ask_to_end()
+        if not (self.running or self.settled):
+            self.standing, self.unsaved = "stopped", self._crash
+
+    def wait_no_more(self) -> None:
+        """Have one that was asked to end do so without its world, which does not go on."""
+        if self._child is not None:
+            self._child.wait_no_more()
+
+    def _command(self, status_fd: int) -> tuple[str, ...]:
+        if self.plan.order_file is not None:
+            write_order(self.plan.order_file, self.plan.order)
+        resume = ("--resume",) if self._lives or self.plan.resume else ()
+        return (*self.plan.argv, *resume, "--status-fd", str(status_fd))
+
+    def _begun(self, now_s: float) -> None:
+        self._seat_epoch, self._unseated_s = None, None
+
+    def _heard(self, status: ClientStatus, now_s: float) -> None:
+        self.standing, self._crash = "running", ""
+        self._recovered(now_s, step=status.step)
+
+    @property
+    def _step(self) -> int:
+        return 0 if self.status is None else self.status.step
+
+    def _ended(self, code: int, words: str, now_s: float) -> None:
+        if code == ClientExit.DONE:
+            self.standing = "done"
+            self._log.add("done", who=self.plan.name, step=self._step)
+        elif self._ending:
+            self.standing = "stopped"
+            if code not in _SAVED and self._step > 0:
+                self.unsaved = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
+            self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
+        elif code == ClientExit.GROWN:
+            self._replaced, self._crash = self._replaced + 1, ""
+            self._log.add("replaced", who=self.plan.name, reason=words, step=self._step)
+            self.standing, self._due_s, self._died_s = "down", now_s, now_s
+        elif code == ClientExit.USER_ERROR:
+            self.standing, self.reason = "given up", words
+            self.fault = words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
+            self._log.add("refused", who=self.plan.name, reason=words)
+        elif code == ClientExit.DISK_FULL:
+            self.standing, self.reason = "given up", f"has no disk space to save: {words}"
+            self._log.add("given up", who=self.plan.name, reason=self.reason)
+        else:
+            self._crashed(code, words, now_s)
+
+    def _crashed(self, code: int, words: str, now_s: float) -> None:
+        no_world = self._world is None or self._world.stage == "loading"
+        self._left_alone = self._left_alone + 1 if code == ClientExit.SERVER_GONE and no_world else 0
+        excused = 0 < self._left_alone <= MOST_LEFT_ALONE  # it could not have done better
+        progressed = self._step > self._best_step or excused
+        self._best_step = max(self._best_step, self._step)
+        self.reason = self._died(code, words, now_s, step=self._step)
+        self._crash = self.reason if self._step > 0 else ""
+        if not self._start_later(now_s, progressed):
+            self.standing = "given up"
+            self._log.add("given up", who=self.plan.name, deaths=self._restarts.deaths)
+
+    def _watch(self, child: _Child, now_s: float) -> None:
+        """End a client that the world gives no seat to, or took it from, and that does not notice by itself."""
+        world, begun, seated = self._world, self._gathering, self._seat_epoch is not None
+        self._gathering = world is not None and world.stage == "empty" and world.epoch != self._seat_epoch
+        if world is None or world.stage == "loading" or self._gathering != begun or (self._gathering and not seated):
+            self._unseated_s = None
+        elif self.plan.name in world.members:
+            self._seat_epoch, self._unseated_s = world.epoch, None
+        elif self._unseated_s is None:
+            self._unseated_s = now_s
+        elif now_s - self._unseated_s > self._may_take_s:
+            self._hangs(child, without_seat_s=round(now_s - self._unseated_s, 3))
+            self._unseated_s = now_s
+
+    @property
+    def _may_take_s(self) -> float:
+        """How long it may be without its seat: where all are still waited for it may just wait as well."""
+        lost = self._seat_epoch is not None and not self._gathering
+        return self._rules.client_lease_s if lost else self._rules.joining_s
+
+
+WORLD_ARGV = (sys.executable, "-m", "wcsim.server.host.process")
+WORLD = "world"  # its name in logs and events
+_ERROR_NAME = re.compile(r"^[A-Za-z]+Error: ")
+MOST_READ_BYTES = 8 << 20  # of a journal, between a death and a restart
+A_START = 10  # ticks; a life that ends before has achieved nothing
+
+
+class SupervisedWorld(_Supervised[WorldStatus]):
+    """Also ends a world that hangs, and gives one up that dies again and again at the same tick."""
+
+    def __init__(
+        self,
+        order: WorldSpec,
+        order_file: Path,
+        log_file: Path,
+        rules: LaunchRules,
+        selector: selectors.BaseSelector,
+        spawner: Spawner,
+        log: RunLog,
+    ) -> None:
+        super().__init__(WORLD, WorldStatus, log_file, rules.world, selector, spawner, log)
+        self._order, self._order_file, self._rules = order, order_file, rules
+        self.refused = False  # ended by a fault for which the user has to do something
+        self._heard_s = 0.0
+        self._loaded = False  # in any life
+        self._death_tick = -1
+        self._replaced = 0  # lives that ended as planned, at the end of an epoch
+
+    @property
+    def restarts(self) -> int:
+        """How often it was started again after a death."""
+        return super().restarts - self._replaced
+
+    @property
+    def ticks(self) -> bool:
+        """Whether it is there and has begun to tick."""
+        return self.running and self.status is not None and self.status.ticks > 0
+
+    def close(self) -> None:
+        """Let go of everything."""
+        super().close()
+        self._order_file.unlink(missing_ok=True)
+
+    def _command(self, status_fd: int) -> tuple[str, ...]:
+        write_order(self._order_file, to_line(replace(self._order, begins=not self._loaded, status_fd=status_fd)))
+        return (*WORLD_ARGV, str(self._order_file))
+
+    def _begun(self, now_s: float) -> None:
+        self.status, self._heard_s = None, now_s
+
+    def _heard(self, status: WorldStatus, now_s: float) -> None:
+        self._heard_s = now_s
+        if status.stage != "loading":
+            self.standing, self._loaded = "running", True
+            if status.listening:  # its clients know no other port than the one that was found first
+                self._order = replace(self._order, listen=status.listening)
+        if status.ticks > 0:
+            self._recovered(now_s, epoch=status.epoch, tick=status.tick)
+
+    def _watch(self, child: _Child, now_s: float) -> None:
+        if not self._order_file.parent.is_dir():  # with the socket: nobody could come back to this world
+            self._log.add("place lost", who=WORLD, place=str(self._order_file.parent))
+            write_order(self._order_file, b"")
+            child.kill()
+            return
+        lease_s = self._rules.world_lease_s if self.ticks else self._rules.loading_lease_s
+        if now_s - self._heard_s > lease_s:
+            self._hangs(child, silent_s=round(now_s - self._heard_s, 3))
+            self._heard_s = now_s
+
+    def _ended(self, code: int, words: str, now_s: float) -> None:
+        words = _ERROR_NAME.sub("", words)
+        if self._ending:
+            self.standing = "stopped"
+            self._log.add("end", who=WORLD, code=code)
+            return
+        if code == WorldExit.EPOCH_OVER:
+            self._replace(words, now_s)
+            return
+        tick = self._last_tick()
+        reason = self._died(code, words, now_s, tick=tick)
+        if code == WorldExit.DISK_FULL:
+            self._give_up(f"{words}; then continue (with --resume, where the command has that)", refused=False)
+            return
+        if code == WorldExit.USER_ERROR or (code == WorldExit.FAILED and not self._loaded):
+            self._give_up(words or f"the world {reason}; see {self._log_file}", refused=True)
+            return
+        ticks = 0 if self.status is None else self.status.ticks
+        progressed = tick != self._death_tick and ticks >= A_START
+        self._death_tick = tick
+        if not self._start_later(now_s, progressed):
+            deaths = self._restarts.in_vain
+            self._give_up(f"the world died {deaths} times at tick {tick} ({reason}); see {self._log_file}", False)
+
+    def _replace(self, words: str, now_s: float) -> None:
+        """Its epoch is over: no death, and no reason to wait."""
+        self._log.add("replaced", who=WORLD, reason=words)
+        self._replaced += 1
+        self._death_tick, self._died_s = -1, now_s
+        self.standing, self._due_s = "down", now_s
+
+    def _give_up(self, fault: str, refused: bool) -> None:
+        self.standing, self.fault, self.refused = "given up", fault, refused
+        self._log.add("given up", who=WORLD, reason=fault)
+
+    def _last_tick(self) -> int:
+        """The last tick of its epoch that is known to have been done, exactly where there is a journal."""
+        tick = 0 if self.status is None else self.status.tick
+        journal = Path(self._order.run) / JOURNAL
+        if not self._order.run or not journal.is_file() or journal.stat().st_size > MOST_READ_BYTES:
+            return tick
+        done = 0
+        try:
+            for record in iter_part(journal):  # a world that died while it loaded has not said which epoch it was in
+                if isinstance(record, Ticked | EpochBegun):
+                    done = record.tick if isinstance(record, Ticked) else 0
+        except WcsimError:
+            return tick
+        return done

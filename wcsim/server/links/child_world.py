@@ -14,14 +14,13 @@ from pathlib import Path
 import msgspec
 
 from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
-from wcsim.server.links.group import SeatGroup
 from wcsim.server.links.local import local_rules
+from wcsim.server.links.open import SeatGroup
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
-from wcsim.server.transport.shm_folder import RingFolder, remove_stale_rings
-from wcsim.server.transport.world_folder import endpoint_in
+from wcsim.server.transport.world_folder import RingFolder, endpoint_in, remove_stale_rings
 from wcsim.types import SeatSpec
 
 _OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up

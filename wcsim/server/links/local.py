@@ -13,6 +13,7 @@ from wcsim.errors import ProtocolError, TickTimeoutError
 from wcsim.server.host.made_world import made_world
 from wcsim.server.host.world_host import WorldHost
 from wcsim.server.links.base import WorldLink, new_session
+from wcsim.server.links.open import SeatGroup
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received, Rules
@@ -141,3 +142,26 @@ class LocalLink(_LocalSeat):
 
     def _end(self) -> None:
         self._own.close()
+
+
+class LocalGroup(SeatGroup):
+    """A group whose world is in this process; raises WorldInUseError while another one lives here."""
+
+    def __init__(self, order: WorldOrder) -> None:
+        super().__init__()
+        self._order = order
+        self._server = LocalServer(made_world(order), order.seats, expected=order.seats)
+        self._connect()
+
+    def close(self) -> None:
+        """See `SeatGroup.close`."""
+        self._server.close()
+        self.links = ()
+
+    def _renew(self, seed: int) -> None:
+        self._server.begin_again(seed)
+        self._connect()
+
+    def _connect(self) -> None:
+        seats = range(self._order.seats)
+        self.links = [self._server.link(self._order.seat, seat, f"chair-{seat}") for seat in seats]

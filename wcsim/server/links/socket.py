@@ -1,17 +1,22 @@
 """A seat in a world process, over ZeroMQ: on the same machine with the pictures in shared memory, else inside messages.
 
 A process that forks after it has opened a link must not use it in the child: ZeroMQ's threads are not there.
+
+A thread that listens while its caller works; the two never use the same thing at the same time.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
@@ -19,13 +24,52 @@ from zmq.utils.monitor import recv_monitor_message
 from wcsim.errors import AccessError, ConfigError, ProtocolError
 from wcsim.server.journal.ledger import LedgerWriter
 from wcsim.server.links.base import WorldLink, new_session
-from wcsim.server.links.listener import Listener
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen
 from wcsim.server.specs import SeatRequest
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.types import ClientSnapshot
+
+
+class _Listener:
+    """A context manager: what is to be heard is heard by another thread from its begin to its end.
+
+    The thread ends by itself once it has heard what it listens for, and the context waits for that; a failure of the
+    work, or an interrupt, recalls it. What it raised is raised here.
+    """
+
+    def __init__(self, listen: Callable[[Callable[[], bool]], None]) -> None:
+        """`listen` gets a function that says whether it was recalled, and looks at it now and then."""
+        self._listen = listen
+        self._recalled = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="wcsim-listener", daemon=True)
+        self.ended_s = 0.0  # of `time.perf_counter`, when it had heard all
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._recalled = error is not None
+        try:
+            self._thread.join()
+        except BaseException:  # an interrupt
+            self._recalled = True
+            self._thread.join()
+            raise
+        if error is None and self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            self._listen(lambda: self._recalled)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self.ended_s = time.perf_counter()
+
 
 _POLL_MS = 200
 _BYE_S = 1.0
@@ -88,7 +132,7 @@ class SocketSeat(WorldLink):
 
     def while_waiting(self, work: Callable[[], object]) -> None:
         """See `WorldLink`: a thread of its own hears the world; there is none when this returns."""
-        listener = Listener(self._listened)
+        listener = _Listener(self._listened)
         begun_s = time.perf_counter()
         with listener:
             work()

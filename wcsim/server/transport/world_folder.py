@@ -1,12 +1,110 @@
-"""The folder of a running world: its socket, its shared memory, the orders of its processes; gone when they are."""
+"""The folder of a running world: its socket, its shared memory, the orders of its processes; gone when they are.
+
+It lies in memory where the machine has such a place. A folder belongs to whoever holds the lock of a file in it. The
+kernel takes a lock back when its holder ends, and shows it to processes that cannot see each other's numbers, as in
+containers that share the place.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import os
+import re
+import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from wcsim.server.transport.shm_folder import RingFolder, remove_stale_rings
+from wcsim.errors import DiskFullError
+
+_PREFIX = "wcsim-ring-"
+LOCK = ".lock"
+_SHARED = Path("/dev/shm")  # noqa: S108 - the folder made in it is new, and its owner's alone
+_NAME = re.compile(re.escape(_PREFIX) + r"(\d+)-\w+")  # the process number is for people to read
+
+
+class RingFolder:
+    """A new folder that only its user can enter; `close` removes it."""
+
+    def __init__(self, home: Path | None = None) -> None:
+        """Make a folder; it appears under its name with its lock held. Raises DiskFullError when there is no room."""
+        home = _home() if home is None else home
+        try:
+            new = Path(tempfile.mkdtemp(prefix=f".{_PREFIX}", dir=home))
+            self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            number = new.name.removeprefix(f".{_PREFIX}")
+            self.path = new.rename(new.with_name(f"{_PREFIX}{os.getpid()}-{number}"))
+        except OSError as error:
+            raise DiskFullError(
+                f"{home}: a folder for pictures cannot be created ({error.strerror}); make room"
+            ) from None
+
+    def close(self) -> None:
+        """Remove the folder; whoever still reads pictures of it keeps them. A second call does nothing."""
+        if self._lock >= 0:
+            _remove(self.path)
+            os.close(self._lock)
+            self._lock = -1
+
+
+def remove_stale_rings(home: Path | None = None) -> int:
+    """Remove this user's folders whose owners have ended; returns how many."""
+    removed = 0
+    for folder in (_home() if home is None else home).glob(f"{_PREFIX}*"):
+        if _NAME.fullmatch(folder.name) and _mine(folder):
+            removed += _removed_if_stale(folder)
+    return removed
+
+
+def _removed_if_stale(folder: Path) -> bool:
+    """Whether a folder's lock could be taken and the folder is gone now.
+
+    One without a lock is somebody's whose removal was cut short when it is empty; else nobody can say whose it is.
+    """
+    try:
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+            return True
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(lock).st_ino != os.lstat(folder / LOCK).st_ino:  # removed meanwhile, and made again by another
+            return False
+        _remove(folder)
+    except OSError:
+        return False
+    finally:
+        os.close(lock)
+    return True
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder whose lock is held; the lock goes last, so that nobody takes half a folder for another's."""
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            if entry.is_dir(follow_symlinks=False):
+                shutil.rmtree(entry.path, ignore_errors=True)
+            elif entry.name != LOCK:
+                Path(entry.path).unlink()
+        (folder / LOCK).unlink(missing_ok=True)
+        folder.rmdir()
+
+
+def _home() -> Path:
+    usable = _SHARED.is_dir() and os.access(_SHARED, os.W_OK | os.X_OK)
+    return _SHARED if usable else Path(tempfile.gettempdir())
+
+
+def _mine(folder: Path) -> bool:
+    with contextlib.suppress(OSError):
+        return folder.lstat().st_uid == os.getuid() and not folder.is_symlink()
+    return False
 
 
 @contextmanager

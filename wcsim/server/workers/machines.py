@@ -1,14 +1,148 @@
-"""Where work is done: in processes of this machine, or on those of a Ray cluster. The rest of wcsim need not know."""
+"""Where work is done: in processes of this machine, or on those of a Ray cluster. The rest of wcsim need not know.
+
+A worker works in a folder named by its process, which goes with the piece, or with the next on the machine.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import re
+import shutil
+import signal
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
+from time import sleep
 from typing import Final
 
-from wcsim.server.workers.processes import ProcessWorkers
-from wcsim.server.workers.worker_api import Workers
+from wcsim.core.files import WORK_PREFIX
+from wcsim.server.launch.stop_signals import die_with_parent, unheard_by_children
+from wcsim.server.workers.worker_api import Work, WorkEnd, Workers
+
+_NAMED: Final = re.compile(rf"{WORK_PREFIX}(\d+)-(\d+)-(\d+)-")  # namespace of its number, number, birth
+
+
+@contextmanager
+def work_folder() -> Iterator[Path]:
+    """A folder that is there while this is open; those of processes that were killed go first. Raises OSError.
+
+    Meanwhile it is this process's place for temporary files, so that what a killed worker leaves is found again.
+    """
+    _sweep()
+    own = f"{WORK_PREFIX}{_namespace()}-{os.getpid()}-{_born(os.getpid())}-"
+    with tempfile.TemporaryDirectory(prefix=own, ignore_cleanup_errors=True) as folder:
+        before, tempfile.tempdir = tempfile.tempdir, folder
+        try:
+            yield Path(folder)
+        finally:
+            tempfile.tempdir = before
+
+
+def find_in_work(name: str) -> Path | None:
+    """A file of that name in the folder of whoever works on this machine now, or did when it was killed."""
+    return next(Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*/{name}"), None)
+
+
+def _sweep() -> None:
+    """Remove what processes have left that are gone."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*"):
+        named = _NAMED.match(folder.name)
+        if named is not None and int(named[1]) == _namespace() and named[3] != _born(int(named[2])):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _namespace() -> int:
+    """In which numbers of processes mean what they do here: containers may share a folder; 0 where it is unknown."""
+    with suppress(OSError):
+        return Path("/proc/self/ns/pid").stat().st_ino
+    return 0
+
+
+def _born(pid: int) -> str:
+    """When a process began, in ticks of the machine's clock, so that its number is no other's; "0" for none."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[19]
+    return "0"
+
+
+class _ProcessWorkers:
+    """So many processes, each started when it first has something to do.
+
+    Args:
+        count: How many.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._names = tuple(f"process {number + 1}" for number in range(count))
+        self._pools: dict[str, ProcessPoolExecutor] = {}
+        self._under_way: dict[Future[bytes], tuple[str, str]] = {}
+
+    def names(self) -> tuple[str, ...]:
+        """All of them: one that has died is started again with its next piece."""
+        return self._names
+
+    def begin(self, worker: str, work: Work) -> None:
+        """Give a piece to a process."""
+        with unheard_by_children():
+            try:
+                future = self._pool(worker).submit(_do, work)
+            except BrokenProcessPool:  # it died while it had nothing to do
+                self._drop(worker)
+                future = self._pool(worker).submit(_do, work)
+        self._under_way[future] = worker, work.key
+
+    def ended(self, timeout_s: float) -> list[WorkEnd]:
+        """What has come back; waits a while for it."""
+        if not self._under_way:
+            sleep(timeout_s)
+            return []
+        done, _ = wait(self._under_way, timeout=timeout_s, return_when=FIRST_COMPLETED)
+        return [self._ended(future, *self._under_way.pop(future)) for future in done]
+
+    def stop(self, worker: str) -> None:
+        """Kill a process."""
+        pool = self._pools.get(worker)
+        for process in list((pool._processes or {}).values()) if pool is not None else ():
+            process.kill()
+
+    def close(self) -> None:
+        """Kill all of them."""
+        for worker in list(self._pools):
+            self.stop(worker)
+            self._drop(worker)
+        self._under_way.clear()
+
+    def _pool(self, worker: str) -> ProcessPoolExecutor:
+        if worker not in self._pools:
+            # A process that waits for work would not notice that nobody is left to give it any.
+            self._pools[worker] = ProcessPoolExecutor(
+                1, mp_context=get_context("spawn"), initializer=die_with_parent, initargs=(signal.SIGKILL,)
+            )
+        return self._pools[worker]
+
+    def _drop(self, worker: str) -> None:
+        self._pools.pop(worker).shutdown(wait=False, cancel_futures=True)
+
+    def _ended(self, future: Future[bytes], worker: str, key: str) -> WorkEnd:
+        error = future.exception()
+        if error is None:
+            return WorkEnd(worker=worker, key=key, data=future.result())
+        if isinstance(error, BrokenProcessPool):
+            self._drop(worker)
+            return WorkEnd(worker=worker, key=key, lost="its process died")
+        return WorkEnd(worker=worker, key=key, error=error)
+
+
+def _do(work: Work) -> bytes:
+    """In the process."""
+    with work_folder():
+        return work.call(work.piece, str)
+
 
 LOGS: Final = "cluster"  # of a run or a result: its folder for what Ray said, and who did what
 
@@ -30,8 +164,8 @@ class Machines:
             ConfigError: There is no Ray, or no cluster at that address, or none of its nodes can be used.
         """
         if not self.cluster:
-            return ProcessWorkers(self.count)
-        from wcsim.server.workers.cluster.ray_workers import RayWorkers
+            return _ProcessWorkers(self.count)
+        from wcsim.server.workers.ray_workers import RayWorkers
 
         return RayWorkers(self.cluster, self.count, folder / LOGS, self.say)
 

@@ -1,8 +1,8 @@
 """Import a town from OpenStreetMap: read, clean, netconvert, polyconvert, demand, and a folder that opens in sumo-gui.
 
-Everything is made in a folder beside the target and moved into place at the end; the same order gives the same bytes.
-
-A town's net is built without parts that cannot be reached on foot.
+Everything is made in a folder beside the target and moved into place at the end; the same order gives the same bytes. A
+town's net is built without parts that cannot be reached on foot. SUMO's own tools make it of cleaned data, with cures
+for their crashes.
 """
 
 from __future__ import annotations
@@ -37,22 +37,25 @@ from wcsim.towns.importing.folder_texts import (
     town_toml_text,
 )
 from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
-from wcsim.towns.importing.netconvert import NetOrder, convert_net, convert_polygons
 from wcsim.towns.osm.area import Box, Side, bbox_option, box_centre, check_box, side_at, size_m
-from wcsim.towns.osm.clean import cut_bridges, filter_osm, strip_orphans, unpaved_ways, wrongly_paved
-from wcsim.towns.osm.left_out import (
+from wcsim.towns.osm.clean import (
     LeftOut,
     NetWays,
     count_inside,
+    cut_bridges,
+    filter_osm,
     find_left_out,
     left_out_notes,
+    strip_orphans,
+    unpaved_ways,
     ways_inside,
+    wrongly_paved,
 )
 from wcsim.towns.osm.read import Extract, read_extract
 from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
-from wcsim.towns.sumo.tools import by_file
+from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip, xml_bytes
 from wcsim.towns.walking.islands import (
     Islands,
@@ -65,13 +68,122 @@ from wcsim.towns.walking.islands import (
 
 log = logging.getLogger("wcsim.towns")
 
+_TYPEMAPS = ("osmNetconvert.typ.xml", "osmNetconvertUrbanDe.typ.xml", "osmNetconvertBicycle.typ.xml")
+_NETCONVERT = [
+    "--sidewalks.guess",
+    "--sidewalks.guess.max-speed",
+    "22.3",  # 80 km/h: outside Europe a city's main streets are faster than SUMO's 50 km/h, and have pavements
+    "--osm.sidewalks",
+    "--crossings.guess",
+    "--crossings.guess.speed-threshold",
+    "18",
+    "--walkingareas",
+    "--osm.bike-access",
+    "--geometry.remove",
+    "--junctions.join",
+    "--junctions.corner-detail",
+    "5",
+    "--roundabouts.guess",
+    "--tls.guess-signals",
+    "--tls.discard-simple",
+    "--tls.default-type",
+    "actuated",
+    "--no-turnarounds.tls",
+    "--keep-edges.components",
+    "1",
+    "--remove-edges.isolated",
+    "--proj.utm",
+    "--output.street-names",
+    "--output.original-names",
+]
+_POLYCONVERT = [
+    "--osm.keep-full-type",
+    "--osm.merge-relations",
+    "1",
+    "--all-attributes",
+    "--discard",
+    "--prune.in-net",
+    "--prune.in-net.offsets",
+    "40,40,40,40",
+]
+_LEFT_OUT = ("highway.steps", "highway.service", "highway.track")
+_LIMITS = Limits(wall_s=120.0, cpu_s=120)
+# What is left out when netconvert fails, mildest first: it crashes on some crossings, and on some joins of junctions.
+_LADDER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+    ((), ()),
+    (("--osm.crossings",), ()),
+    (("--osm.crossings",), ("--ignore-errors",)),
+    (("--osm.crossings", "--junctions.join"), ("--ignore-errors",)),
+    (("--osm.crossings", "--junctions.join", "--roundabouts.guess", "--osm.bike-access"), ("--ignore-errors",)),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _NetOrder:
+    """How a net is to be made."""
+
+    name: str  # <name>.net.xml is written
+    box: Box
+    lefthand: bool
+    keep_service: bool = False  # driveways and yards too, each with a crossing of its own
+    chair_ways: tuple[str, ...] = chair_ways(cycle_paths=False)
+    more: tuple[str, ...] = ()  # netconvert options
+
+
+def _convert_net(order: _NetOrder, extract: str, folder: Path) -> Path:
+    """Run netconvert on `extract` in `folder`, with fewer options when it fails. Raises SumoError."""
+    options = _net_options(order, extract)
+    first: ToolRun | None = None
+    for left_out, added in _LADDER:
+        run = run_tool("netconvert", [*(o for o in options if o not in left_out), *added], folder, _LIMITS)
+        if not run.returncode:
+            if first is not None:
+                log.warning("town %s: %s; the net was built without %s", order.name, first.reason(), " ".join(left_out))
+            return folder / f"{order.name}.net.xml"
+        first = first or run
+        if "No edges" in run.output or "No nodes" in run.output:
+            break
+    assert first is not None  # noqa: S101 - the ladder is not empty
+    raise SumoError(f"no net could be built: {first.reason()}; check the extract and the bounding box")
+
+
+def _net_options(order: _NetOrder, extract: str) -> list[str]:
+    maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in _TYPEMAPS)
+    left_out = _LEFT_OUT[:1] if order.keep_service else _LEFT_OUT
+    options = ["--osm-files", extract, "--type-files", maps, *_NETCONVERT, "--osm.crossings"]
+    options += ["--remove-edges.by-type", ",".join(left_out)]
+    options += ["--keep-edges.in-geo-boundary", ",".join(map(str, order.box)), "-o", f"{order.name}.net.xml"]
+    options += ["--lefthand"] * order.lefthand
+    return [*options, *order.more]
+
+
+def _convert_polygons(name: str, extract: str, folder: Path, what: str = "poly") -> Path:
+    """Run polyconvert on `extract` in `folder`, pruned to the net <name>.net.xml. Raises SumoError.
+
+    Args:
+        name: The town's.
+        extract: OpenStreetMap data.
+        folder: Where both are; <name>.<what>.xml is written.
+        what: "poly" for what stands in a town, "ground" for squares and crossings.
+    """
+    types = Path(__file__).parent / f"{what}types.xml"
+    options = ["--osm-files", extract, "--net-file", f"{name}.net.xml", "--type-file", str(types)]
+    options += [*_POLYCONVERT, "-o", f"{name}.{what}.xml"]
+    run = run_tool("polyconvert", options, folder, _LIMITS)
+    if run.returncode:
+        run = run_tool("polyconvert", [*options, "--ignore-errors"], folder, _LIMITS)
+    if run.returncode:
+        raise SumoError(f"buildings could not be read: {run.reason()}; check the extract")
+    return folder / f"{name}.{what}.xml"
+
+
 _GOOD_SHARE = 0.965  # of the walkable ground in one part: below it roads on islands go too
 _LEAST_LEFT = 0.3  # of the walkable area: a town is not cut down to less than this for the sake of the share
 EXTRACT = "clean.osm.xml"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BuiltNet:
+class _BuiltNet:
     """A net, and the share of its walkable ground that hangs together."""
 
     net: Net
@@ -80,7 +192,7 @@ class BuiltNet:
     ways: NetWays = field(default_factory=NetWays)
 
 
-def _build_net(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
+def _build_net(order: _NetOrder, root: Element, folder: Path) -> _BuiltNet:
     """Write <name>.net.xml and the cleaned extract that it was made of; `root` is changed.
 
     Raises:
@@ -107,7 +219,7 @@ def _ids(root: Element) -> frozenset[str]:
     return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way"))
 
 
-def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
+def _hanging_together(order: _NetOrder, root: Element, folder: Path) -> _BuiltNet:
     net = _converted(order, root, folder)
     found = islands_by_links(net, folder / f"{order.name}.net.xml")
     if found.footways:
@@ -120,10 +232,10 @@ def _hanging_together(order: NetOrder, root: Element, folder: Path) -> BuiltNet:
             if smaller is not None:
                 return smaller
             net = _converted(order, root, folder)
-    return BuiltNet(net=net, share=largest_share(parts))
+    return _BuiltNet(net=net, share=largest_share(parts))
 
 
-def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> BuiltNet | None:
+def _smaller(order: _NetOrder, root: Element, folder: Path, before: Islands) -> _BuiltNet | None:
     """The net without the ways on islands, or None when that is no gain; then `root` is as before."""
     everything = list(root)
     dropped = before.footways | before.roads
@@ -134,20 +246,20 @@ def _smaller(order: NetOrder, root: Element, folder: Path, before: Islands) -> B
         parts = []
     if largest_share(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:
         log.info("town %s: %d ways on islands were left out", order.name, len(dropped))
-        return BuiltNet(net=net, share=largest_share(parts))
+        return _BuiltNet(net=net, share=largest_share(parts))
     root[:] = everything
     return None
 
 
-def _converted(order: NetOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
+def _converted(order: _NetOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
     root[:] = [item for item in root if item.tag != "way" or item.get("id", "").lstrip("-") not in dropped]
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(xml_bytes(root))
-    net = _read(convert_net(order, EXTRACT, folder))
+    net = _read(_convert_net(order, EXTRACT, folder))
     if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
         config = folder / "unpaved.netccfg"
         more = (*order.more, *by_file("sidewalks.guess.exclude", paved, config))
-        net = _read(convert_net(replace(order, more=more), EXTRACT, folder))
+        net = _read(_convert_net(replace(order, more=more), EXTRACT, folder))
         config.unlink()
     if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
         raise TownError("the area has no pavements; choose a larger or another bounding box")
@@ -263,7 +375,7 @@ def _build(
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
     dem = make_dem(order.relief, extract.box, order.seed)
-    net_order = NetOrder(
+    net_order = _NetOrder(
         name=name,
         box=extract.box,
         lefthand=side.lefthand,
@@ -307,9 +419,9 @@ def _build(
     )
 
 
-def _marks(name: str, built: BuiltNet, work: Path) -> MapMarks:
+def _marks(name: str, built: _BuiltNet, work: Path) -> MapMarks:
     """Make <name>.poly.xml, and read what else the extract says; the extract is not needed any more then."""
-    poly, ground = (convert_polygons(name, EXTRACT, work, what) for what in ("poly", "ground"))
+    poly, ground = (_convert_polygons(name, EXTRACT, work, what) for what in ("poly", "ground"))
     marks = map_marks(built.net, poly, ground)
     for path in (work / EXTRACT, ground):
         path.unlink()
@@ -341,7 +453,7 @@ def _size(box: Box) -> str:
     return f"{wide_m / 1e3:.1f} x {high_m / 1e3:.1f} km"
 
 
-def _notes(order: ImportOrder, built: BuiltNet, ways: tuple[Way, ...]) -> tuple[str, ...]:
+def _notes(order: ImportOrder, built: _BuiltNet, ways: tuple[Way, ...]) -> tuple[str, ...]:
     """What the map or the order has and the town has not."""
     found = []
     if built.bridges:
@@ -358,7 +470,7 @@ def _unfinished(work: Path, order: ImportOrder) -> Town:
     return replace(town, routes=())
 
 
-def _write_demand(order: ImportOrder, work: Path, built: BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
+def _write_demand(order: ImportOrder, work: Path, built: _BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
     """Write the flows, without the walking ways on which people get stuck."""
 
     def text_of(some: tuple[Way, ...]) -> str:
@@ -377,7 +489,7 @@ def _write_folder(order: ImportOrder, extract: Extract, work: Path, elements: tu
     (work / "osm" / "bbox").write_text(",".join(map(str, extract.box)) + "\n", encoding="utf-8")
 
 
-def _write_manifest(order: ImportOrder, side: Side, work: Path, built: BuiltNet, box: Box) -> None:
+def _write_manifest(order: ImportOrder, side: Side, work: Path, built: _BuiltNet, box: Box) -> None:
     corners_m = np.concatenate([lane.points_m for edge in built.net.edges for lane in edge.lanes])
     middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
     text = town_toml_text(

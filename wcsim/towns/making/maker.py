@@ -30,9 +30,9 @@ from wcsim.towns.importing.folder_texts import (
     town_toml_text,
 )
 from wcsim.towns.importing.map_marks import Parking, find_parking, map_marks
+from wcsim.towns.making.asked_town import KINDS, Wishes, check_wishes
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.plan import ShapedPlan, draw_plan, shape_plan
-from wcsim.towns.making.wishes import KINDS, Wishes, check_wishes
 from wcsim.towns.scenario.manifest import chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net

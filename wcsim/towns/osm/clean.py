@@ -12,11 +12,16 @@ speed alone, and crossings wherever two pavements face each other across a slow 
 Buildings: courtyards and parts are put into tags that polyconvert keeps. polyconvert 1.28 gives the tags of a
 multipolygon to its inner ways as well, so a courtyard would become a building; and it knows no key building:part. Both
 get a value of `building` that `towns/furniture/buildings.py` understands: courtyard and part.
+
+What of a map's streets and ways on foot is not in the net that was made of it.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
+from collections.abc import Collection
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +31,7 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
+from wcsim.towns.osm.area import Box, is_within, size_m
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
@@ -88,7 +94,7 @@ _NO_BUILDING = {"entrance", "underpass_entrance", "roof", "no"}
 
 def filter_osm(root: Element) -> None:
     """Drop ways that are not at street level, and the crossing tag of nodes that lie on no street; changes `root`."""
-    root[:] = [item for item in root if item.tag != "way" or not is_hidden(read_tags(item))]
+    root[:] = [item for item in root if item.tag != "way" or not _is_hidden(_read_tags(item))]
     for item in (*root.iterfind("way"), *root.iterfind("node")):
         item[:] = [tag for tag in item if tag.tag != "tag" or not _is_senseless(tag.get("k", ""), tag.get("v", ""))]
     strip_orphans(root)
@@ -119,12 +125,12 @@ def _is_senseless(key: str, value: str) -> bool:
     return not (_NUMBER.match(plain) or plain in _WORDS or ":" in plain)  # as "DE:urban"
 
 
-def read_tags(item: Element) -> dict[str, str]:
+def _read_tags(item: Element) -> dict[str, str]:
     """The tags of a node or a way."""
     return {tag.get("k", ""): tag.get("v", "") for tag in item.iterfind("tag")}
 
 
-def is_hidden(tag: dict[str, str]) -> bool:
+def _is_hidden(tag: dict[str, str]) -> bool:
     """True for what is neither seen nor driven on from the street."""
     if "building" in tag or "building:part" in tag:
         return (
@@ -155,7 +161,7 @@ def _level(tag: dict[str, str], key: str) -> float:
 def _quicken_motorways(root: Element) -> None:
     """Make slow motorways of an extract as fast as netconvert needs to leave out crossings on foot."""
     for way in root.iterfind("way"):
-        if not _is_motorway(read_tags(way)):
+        if not _is_motorway(_read_tags(way)):
             continue
         for tag in [tag for tag in way.findall("tag") if tag.get("k") in _SPEEDS]:
             if _kmh(tag.get("v", "")) < _SLOWEST_KMH:
@@ -164,7 +170,7 @@ def _quicken_motorways(root: Element) -> None:
 
 def unpaved_ways(root: Element) -> frozenset[str]:
     """Ids, without a sign, of the ways of an extract that have no pavement of their own."""
-    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way") if _is_unpaved(read_tags(way)))
+    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way") if _is_unpaved(_read_tags(way)))
 
 
 def wrongly_paved(net: Net, net_path: Path, ways: frozenset[str]) -> tuple[str, ...]:
@@ -242,7 +248,7 @@ def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
     scale_m = _M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
     found: list[_Way] = []
     for element in root.iterfind("way"):
-        tag = read_tags(element)
+        tag = _read_tags(element)
         nodes = tuple(ref for nd in element.iterfind("nd") if (ref := nd.get("ref", "")) in places)
         if len(nodes) < 2 or len(nodes) != len(element.findall("nd")) or not _is_built(tag, keep_service):
             continue
@@ -317,5 +323,192 @@ def _remove(root: Element, cuts: list[tuple[_Way, set[int]]]) -> None:
 
 
 def _called(way: Element) -> str:
-    tag = read_tags(way)
+    tag = _read_tags(way)
     return tag.get("name") or tag.get("ref") or f"a {tag.get('highway') or tag.get('railway')} without a name"
+
+
+LEAST_M = 50.0  # what is less is lost at the edges of any box
+TOLD = 5  # names
+TOLD_LOST = 10  # ways on foot
+_STREETS = frozenset(
+    (
+        "motorway", "trunk", "primary", "secondary", "tertiary", "unclassified", "residential", "living_street",
+        "motorway_link", "trunk_link", "primary_link", "secondary_link", "tertiary_link"
+    )
+)  # fmt: skip
+_FOOTWAYS = frozenset(("footway", "pedestrian", "path", "steps"))
+_CLOSED = ("no", "private")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MapWay:
+    """A street or a way on foot of a map."""
+
+    id: str  # without a sign; of a relation with the word before it
+    street: bool
+    name: str
+    inside_m: float  # how much of it lies in the box; of an area, its outline
+    nodes: frozenset[str] = frozenset()
+    leaves: bool = False  # the box
+    why: str = ""  # it may be missing, by its tags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetWays:
+    """What became of the ways of a map, by their ids without a sign."""
+
+    given: frozenset[str] = frozenset()  # to netconvert
+    bridges: frozenset[str] = frozenset()  # over other streets, which were not given
+    drawn: frozenset[str] = frozenset()  # in the net
+    walked: frozenset[str] = frozenset()  # of these, those with lanes for walkers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LostWay:
+    """A way on foot that the net has not."""
+
+    id: str
+    name: str
+    inside_m: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftOut:
+    """What the map has inside the box, and how much of it the net has not."""
+
+    streets_m: float = 0.0
+    footways_m: float = 0.0
+    streets_left_out_m: float = 0.0
+    footways_left_out_m: float = 0.0
+    names: tuple[str, ...] = ()  # of streets that are left out, longest first
+    footways: tuple[_LostWay, ...] = ()  # all that are left out, longest first
+
+
+def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
+    """The streets of an extract at street level, and its ways on foot; `root` is as it was read."""
+    places = {
+        node.get("id", ""): (float(node.get("lon", "0")), float(node.get("lat", "0"))) for node in root.iterfind("node")
+    }
+    lines = {
+        way.get("id", ""): [ref for node in way.iterfind("nd") if (ref := node.get("ref", "")) in places]
+        for way in root.iterfind("way")
+    }
+    found = []
+    for item in (*root.iterfind("way"), *root.iterfind("relation")):
+        tags = _read_tags(item)
+        street = tags.get("highway") in _STREETS and not _is_hidden(tags) and tags.get("area") != "yes"
+        if not street and not _is_footway(tags):
+            continue
+        parts = [lines[item.get("id", "")]] if item.tag == "way" else _outline(item, lines)
+        nodes = frozenset(itertools.chain(*parts))
+        way = _MapWay(
+            id=f"{'relation ' * (item.tag == 'relation')}{item.get('id', '').lstrip('-')}",
+            street=street,
+            name=tags.get("name", ""),
+            inside_m=sum(_inside_m([places[node] for node in part], box) for part in parts),
+            nodes=nodes,
+            leaves=any(not is_within(places[node], box) for node in nodes),
+            why=_why_by_tags(tags),
+        )
+        found.append(way)
+    return tuple(way for way in found if way.inside_m > 0.0)
+
+
+def _is_footway(tags: dict[str, str]) -> bool:
+    shared = tags.get("highway") == "cycleway" and tags.get("foot") in ("yes", "designated")
+    return shared or (tags.get("highway") in _FOOTWAYS and tags.get("foot") != "no")
+
+
+def _outline(relation: Element, lines: dict[str, list[str]]) -> list[list[str]]:
+    outer = [
+        m.get("ref", "") for m in relation.iterfind("member") if m.get("type") == "way" and m.get("role") != "inner"
+    ]
+    return [lines[ref] for ref in outer if ref in lines] if _read_tags(relation).get("type") == "multipolygon" else []
+
+
+def _why_by_tags(tags: dict[str, str]) -> str:
+    if _is_hidden(tags):
+        return "a tunnel, indoors, or on another level"
+    if tags["highway"] == "steps":
+        return "steps"
+    if tags.get("area") == "yes" or tags.get("type") == "multipolygon":
+        return "an open area" if tags["highway"] == "pedestrian" else "an area"
+    return "closed to the public" if tags.get("foot", tags.get("access")) in _CLOSED else ""
+
+
+def count_inside(root: Element, box: Box, highway: str) -> int:
+    """How many nodes with this value of `highway` the map has in the box; crossings without paint count too."""
+    nodes = (node for node in root.iterfind("node") if _read_tags(node).get("highway") == highway)
+    return sum(is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box) for node in nodes)
+
+
+def find_left_out(ways: Collection[_MapWay], made: NetWays) -> LeftOut:
+    """What of `ways` is not in the net."""
+    gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
+    by_name: dict[str, float] = {}
+    for way in gone:
+        if way.name and way.street:
+            by_name[way.name] = by_name.get(way.name, 0.0) + way.inside_m
+    rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
+    lost = [
+        _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
+        for way in gone
+        if not way.street
+    ]
+    return LeftOut(
+        streets_m=sum(way.inside_m for way in ways if way.street),
+        footways_m=sum(way.inside_m for way in ways if not way.street),
+        streets_left_out_m=sum(way.inside_m for way in gone if way.street),
+        footways_left_out_m=sum(way.inside_m for way in lost),
+        names=tuple(sorted(by_name, key=lambda name: (-by_name[name], name))),
+        footways=tuple(sorted(lost, key=lambda way: (-way.inside_m, way.id))),
+    )
+
+
+def _why(way: _MapWay, made: NetWays, rest: frozenset[str]) -> str:
+    """Why a way of the map cannot be walked in the net; `rest` are the nodes of all ways of the net."""
+    if way.why or way.id in made.bridges:
+        return way.why or "a bridge over another street"
+    if way.id in made.drawn:
+        return "closed to pedestrians in the net"
+    if way.leaves:
+        return "cut by the edge of the box"
+    joined = way.id in made.given and way.nodes & rest
+    return "part of a junction, or left out by netconvert" if joined else "not connected to the rest in the box"
+
+
+def left_out_notes(found: LeftOut) -> tuple[str, ...]:
+    """What is left out: streets where they are more than next to nothing, and each way on foot or the longest."""
+    notes = []
+    if found.streets_left_out_m >= LEAST_M:
+        names = ", ".join(found.names[:TOLD]) + " and more" * (len(found.names) > TOLD)
+        notes.append(
+            f"left out: {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and streets "
+            f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox or "
+            "--keep-service may connect them"
+        )
+    if lost := found.footways:
+        listed = ", ".join(
+            f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
+        )
+        more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
+        more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
+        notes.append(
+            f"left out: {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of footways in the box, by map id: "
+            f"{listed}{more}"
+        )
+    return tuple(notes)
+
+
+def _inside_m(points: list[tuple[float, float]], box: Box) -> float:
+    """Length in m of the parts between points (longitude, latitude) that have their middles in the box."""
+    total_m = 0.0
+    for (x1, y1), (x2, y2) in itertools.pairwise(points):
+        if is_within(((x1 + x2) / 2, (y1 + y2) / 2), box):
+            total_m += math.hypot(*size_m((x1, y1, x2, y2)))
+    return total_m
+
+
+def _km(length_m: float) -> str:
+    return f"{length_m / 1e3:.2f} km"

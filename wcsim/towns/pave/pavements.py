@@ -31,8 +31,7 @@ from wcsim.towns.checks.cures import (
     speeds_mps,
 )
 from wcsim.towns.importing.adopt import copy_scenario
-from wcsim.towns.pave.elements import Paving, find_edits, find_links, note_routes
-from wcsim.towns.pave.lanes import lane_map
+from wcsim.towns.pave.elements import Paving, find_edits, find_links, lane_map, note_routes
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net

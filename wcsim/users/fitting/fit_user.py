@@ -21,9 +21,16 @@ from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.types import F64, Bool, Joystick
-from wcsim.users.fitting.habits import correction_s, stretches
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
-from wcsim.users.fitting.hand_series import SHORTEST_S, HandSeries, at_switches, check_stick, hand_series
+from wcsim.users.fitting.hand_series import (
+    SHORTEST_S,
+    HandSeries,
+    at_switches,
+    check_stick,
+    correction_s,
+    hand_series,
+    stretches,
+)
 from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
 from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
 from wcsim.users.profiles import PROFILE_LIMITS, UserProfile

@@ -16,7 +16,7 @@ from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_alone, needs_of, piece_of, run_suite, town_addresses
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.errors import ConfigError
-from wcsim.server.workers.cluster import bundle
+from wcsim.server.workers import cluster_node
 from wcsim.server.workers.machines import Machines
 from wcsim.supervisor.actions import action_set
 
@@ -40,10 +40,10 @@ def test_a_block_with_what_travels_gives_the_same_records(corner, run, tmp_path)
         piece = piece_of(order, 0, policy, towns, judged=False)
         places = {}
         for parcel in needs_of(piece):
-            there = work / bundle.digest_of(parcel.folder, parcel.names) / parcel.folder.name
+            there = work / cluster_node.digest_of(parcel.folder, parcel.names) / parcel.folder.name
             there.mkdir(parents=True)
-            bundle.unpack(bundle.packed(parcel), there)
-            assert bundle.digest_of(there, parcel.names) == bundle.digest_of(parcel.folder, parcel.names)
+            cluster_node._unpack(cluster_node.packed(parcel), there)
+            assert cluster_node.digest_of(there, parcel.names) == cluster_node.digest_of(parcel.folder, parcel.names)
             places[parcel.address] = str(there / parcel.inner)
         assert len(places) == (1 if policy == "dwa" else 2)
         there_found = drive_alone(piece, lambda address, places=places: places.get(address, address))

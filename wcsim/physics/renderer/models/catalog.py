@@ -179,6 +179,7 @@ def _table(models: Sequence[tuple[Sequence[BodyPart], tuple[F64, F64]]]) -> Acto
         vertices_of=np.array(vertices_of, np.int32),
         faces_of=np.array(faces_of, np.int32),
     )
+    # All renderers of the process share it, some of them in threads.
     for array in (table.vertices, table.faces, table.face_class, table.face_paint, table.vertices_of, table.faces_of):
         array.setflags(write=False)
     return table
@@ -188,6 +189,7 @@ def _paints(piece: BodyPart) -> U8:
     """Paint of every face of a piece (T,)."""
     a, b, c = (piece.part.vertices_m[piece.part.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
+    # The cosine times the length, not divided by it: a face without area has no top.
     upward = normal @ piece.top_along > piece.top_from * np.linalg.norm(normal, axis=1)
     top = piece.paint if piece.top is None else piece.top
     return np.where(upward, top, piece.paint).astype(np.uint8)

@@ -140,6 +140,7 @@ def paint_table() -> F32:
     table = np.zeros((len(Paint), VARIANTS, 3), np.float32)
     for paint, colours in choices.items():
         for variant in range(VARIANTS):
+            # Round and round: fewer colours than variants repeat, so every number that is drawn has one.
             table[paint, variant] = colours[variant % len(colours)]
     return table
 

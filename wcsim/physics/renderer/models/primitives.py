@@ -74,6 +74,7 @@ def limb(start: Point, end: Point, start_radius: float, end_radius: float, sides
     """A tapered rod between two points: arms, legs, tubes of a frame."""
     a, b = np.array(start), np.array(end)
     axis = (b - a) / np.linalg.norm(b - a)
+    # Any direction across will do but one along the axis, whose cross product is 0.
     side = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     other = np.cross(axis, side)
@@ -131,6 +132,7 @@ def _outward(vertices: F64, faces: Sequence[tuple[int, int, int]]) -> Part:
     """Turn every face of a convex piece so that its normal points away from the middle."""
     index = np.array(faces, np.int64)
     a, b, c = (vertices[index[:, k]] for k in range(3))
+    # In a convex piece every face looks away from the middle, so lists of corners may have any order.
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0 - vertices.mean(axis=0)) < 0.0
     index[inward] = index[inward][:, [0, 2, 1]]
     return Part(vertices, index)

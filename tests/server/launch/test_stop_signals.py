@@ -8,12 +8,12 @@ import sys
 CHILD = """
 import signal, sys, time
 from pathlib import Path
-from wcsim.server.launch import parent_death
+from wcsim.server.launch import stop_signals
 def asked(number, frame):
     Path(sys.argv[1], "asked").touch()
 signal.signal(signal.SIGUSR1, asked)
-parent_death._LOOK_S = parent_death._MOMENT_S = 0.05
-parent_death.outlive_parent_by(1.0, 9, signal.SIGUSR1)
+stop_signals._LOOK_S = stop_signals._MOMENT_S = 0.05
+stop_signals.outlive_parent_by(1.0, 9, signal.SIGUSR1)
 Path(sys.argv[1], "began").touch()
 time.sleep(120.0)
 Path(sys.argv[1], "outlived").touch()

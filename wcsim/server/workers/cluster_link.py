@@ -1,28 +1,232 @@
 """The process that speaks to Ray: gives work to nodes, notices those that come and go, passes on what they answer.
 
 It is a process of its own because Ray ends the process that it is in when it loses its cluster, takes over its signals,
-and talks to its terminal. The run hears of the cluster by a pipe.
+and talks to its terminal. The run hears of the cluster by a pipe. Whatever Ray says against joining becomes one line.
+What must be the same on all machines of a run is asked of each node, so that work is the same wherever it is done.
 """
 
 from __future__ import annotations
 
 import os
+import platform
+import re
 import secrets
+import shutil
 import signal
+import socket
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib import metadata
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final
 
+from wcsim.core.files import home
+from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError, WorkersError
-from wcsim.server.workers.cluster.bundle import digest_of, packed
-from wcsim.server.workers.cluster.joining import LOCAL, LinkSpec, join
-from wcsim.server.workers.cluster.node_facts import facts_here, facts_of, notes_on, why_refused
-from wcsim.server.workers.cluster.on_node import Reply, SentParcel, SentWork, do_work, kill_worker
+from wcsim.server.workers.cluster_node import Reply, SentParcel, SentWork, digest_of, do_work, kill_worker, packed
 from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
+
+LOCAL: Final = "local"
+STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small
+_PATIENCE: Final = {"RAY_gcs_rpc_server_connect_timeout_s": "60", "RAY_raylet_start_wait_time_s": "80"}
+"""For busy machines, where Ray's own 5 s for a process to start are too short."""
+_LOOPBACK: Final = re.compile(r"127\.\d+\.\d+\.\d+|localhost|\[?::1\]?")
+_VERSIONS: Final = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkSpec:
+    """What the process that speaks to Ray is told."""
+
+    address: str  # HOST:PORT, or `local`
+    count: int  # processes of a local cluster
+    run: str  # a word that no other run has
+    log: Path  # for what Ray says
+
+
+def _join(spec: LinkSpec) -> Any:
+    """The module `ray`, joined. To be called once, in a process that is there for nothing else.
+
+    Raises:
+        ConfigError: Ray cannot join; with the cure.
+    """
+    _prepare(spec)
+    import ray
+
+    before = spec.log.stat().st_size if spec.log.exists() else 0
+    try:
+        if spec.address == LOCAL:
+            ray.init(
+                address=LOCAL,
+                num_cpus=spec.count,
+                num_gpus=0,
+                include_dashboard=False,
+                object_store_memory=STORE_BYTES,
+                log_to_driver=False,
+                configure_logging=False,
+                _temp_dir=str(Path(tempfile.gettempdir()) / f"wcsim-ray-{os.getuid()}"),
+            )
+        else:
+            ray.init(address=spec.address, log_to_driver=False, configure_logging=False)
+    except Exception as error:
+        raise ConfigError(_told(spec, error, ray, _logged(spec.log, before))) from None
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # Ray's own handler waits
+    return ray
+
+
+def _prepare(spec: LinkSpec) -> None:
+    """What Ray reads of its environment when it is loaded; this process and those that it starts are its only users."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    for name, seconds in _PATIENCE.items():
+        os.environ.setdefault(name, seconds)
+    if spec.address == LOCAL or _is_loopback(spec.address):
+        os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # Ray's word for: on 127.0.0.1, not on all addresses
+    if spec.address == LOCAL:
+        os.environ["RAY_AUTH_MODE"] = "token"
+        os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)  # known to nobody else, and on no disk
+    elif _has_token():
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # without a word Ray shows a token to no cluster that it joins
+
+
+def _has_token() -> bool:
+    """Whether this user has one, in any of the places where Ray looks."""
+    own = home()
+    named = any(os.environ.get(name) for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH"))
+    return named or (own is not None and (own / ".ray" / "auth_token").is_file())
+
+
+def _is_loopback(address: str) -> bool:
+    """Whether a HOST:PORT is of this machine alone.
+
+    >>> _is_loopback("127.0.0.1:6379"), _is_loopback("10.0.0.1:6379")
+    (True, False)
+    """
+    return _LOOPBACK.fullmatch(address.rpartition(":")[0]) is not None
+
+
+def _logged(log: Path, before: int) -> str:
+    """What Ray has written beside what it raises, which names no token where none was shown."""
+    with suppress(OSError), log.open("rb") as file:
+        file.seek(before)
+        return file.read(1 << 20).decode("utf-8", "replace")
+    return ""
+
+
+def _told(spec: LinkSpec, error: Exception, ray: Any, logged: str = "") -> str:
+    text = str(error)
+    found = _VERSIONS.findall(text)
+    if "ersion mismatch" in text and found:
+        (theirs, python), ours = found[0], _VERSIONS.findall(text)[-1]
+        return (
+            f"--cluster {spec.address} runs Ray {theirs} with Python {python}; expected Ray {ours[0]} with Python "
+            f"{ours[1]}, as here: install that on its nodes, or python -m pip install 'ray=={theirs}' here"
+        )
+    kind = type(error).__name__
+    if kind == "AuthenticationError" or "auth" in text.lower() or "InvalidAuthToken" in logged:
+        return (
+            f"--cluster {spec.address} needs its token, and this user has none or another one; copy the "
+            "head's file ~/.ray/auth_token to this machine, readable by you alone (chmod 600)"
+        )
+    first = next((line.strip() for line in text.splitlines() if line.strip()), kind)
+    return (
+        f"--cluster {spec.address}: Ray {ray.__version__} cannot join ({kind}: {first[:200]}); expected the address of "
+        f"a head, and a node on this machine: `ray start --address={spec.address}`; Ray's messages are in {spec.log}"
+    )
+
+
+_PACKAGES: Final = (
+    *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "numpy", "numba", "opencv-python-headless"),
+    *("shapely", "networkx", "zstandard", "gymnasium"),
+)
+_EXTRAS: Final = ("onnxruntime",)  # asked for where this machine has them
+LEAST_SHM_BYTES: Final = 256 << 20
+_SHM: Final = Path("/dev/shm")  # noqa: S108 - it is only looked at
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _NodeFacts:
+    """A machine, as a process of it sees it."""
+
+    host: str
+    python: str
+    versions: tuple[tuple[str, str], ...]  # of packages, sorted
+    code: str  # SHA-256 of wcsim's own
+    cpu: str
+    shm_bytes: int
+
+
+def _facts_here() -> _NodeFacts:
+    """Those of this machine."""
+    return _NodeFacts(
+        host=socket.gethostname(),
+        python=platform.python_version(),
+        versions=tuple(sorted((name, _version(name)) for name in (*_PACKAGES, *_EXTRAS))),
+        code=code_digest(),
+        cpu=_cpu(),
+        shm_bytes=shutil.disk_usage(_SHM).total if os.path.isdir(_SHM) else 0,  # noqa: PTH112
+    )
+
+
+def _facts_of(found: Any) -> _NodeFacts:
+    """What a node has said of itself, in a shape that no version need share. Raises ConfigError for anything else."""
+    if isinstance(found, str):
+        raise ConfigError(found)
+    try:
+        return _NodeFacts(**found)
+    except TypeError:
+        raise ConfigError("it has another version of wcsim; install the same one as here") from None
+
+
+def _why_refused(node: _NodeFacts, here: _NodeFacts) -> str:
+    """What a node has other than this machine and must not, "" for nothing."""
+    there, ours = dict(node.versions), dict(here.versions)
+    if there.get("wcsim") != ours["wcsim"] or node.code != here.code:
+        return (
+            f"it has wcsim {there.get('wcsim')}, code {node.code[:12]}; expected wcsim {ours['wcsim']}, code "
+            f"{here.code[:12]}, as here: install the same there, then `ray stop` and `ray start` it again"
+        )
+    asked = [name for name in ours if ours[name] or name not in _EXTRAS]
+    differ = [name for name in asked if there.get(name, "") != ours[name]]
+    other = [f"{name} {there.get(name) or 'none'} (here {ours[name] or 'none'})" for name in differ]
+    if node.python.split(".")[:2] != here.python.split(".")[:2]:
+        other.append(f"Python {node.python} (here {here.python})")
+    if other:
+        return f"it has {', '.join(other)}; expected the same as here: install from the same constraints.txt"
+    return ""
+
+
+def _notes_on(node: _NodeFacts, here: _NodeFacts) -> tuple[str, ...]:
+    """What is worth a line, and no reason to refuse a node."""
+    notes = []
+    if node.shm_bytes < LEAST_SHM_BYTES:
+        notes.append(
+            f"{_SHM} has {node.shm_bytes >> 20} MiB; expected {LEAST_SHM_BYTES >> 20}: Ray then stores its objects on "
+            "disk, which is slower; start the container with --shm-size=1g"
+        )
+    if node.cpu != here.cpu:
+        notes.append(f"its processor is different ({node.cpu}; here {here.cpu}): the last bits of its data may differ")
+    return tuple(notes)
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package).partition("+")[0]  # torch 2.13.0+cpu is 2.13.0
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _cpu() -> str:
+    for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.machine()
+
 
 _LOOK_S: Final = 2.0  # at which nodes there are
 _WAIT_S: Final = 0.05
@@ -58,7 +262,7 @@ def run_link(pipe: Connection, spec: LinkSpec) -> None:
     os.dup2(log, sys.stdout.fileno())
     os.dup2(log, sys.stderr.fileno())
     try:
-        ray = join(spec)
+        ray = _join(spec)
     except WcsimError as error:
         pipe.send(("refused", str(error)))
         return
@@ -77,7 +281,7 @@ class _Link:
 
     def __init__(self, pipe: Connection, spec: LinkSpec, ray: Any) -> None:
         self._pipe, self._spec, self._ray = pipe, spec, ray
-        self._here = facts_here()
+        self._here = _facts_here()
         self._nodes: dict[str, _Node] = {}
         self._probes: dict[Any, str] = {}
         self._begun: dict[Any, _Begun] = {}
@@ -206,8 +410,8 @@ class _Link:
         if node is None:
             return
         try:
-            facts = facts_of(self._ray.get(ref, timeout=_GET_S))
-            why = why_refused(facts, self._here)
+            facts = _facts_of(self._ray.get(ref, timeout=_GET_S))
+            why = _why_refused(facts, self._here)
         except ConfigError as error:
             why = str(error)
         except Exception as error:
@@ -222,7 +426,7 @@ class _Link:
         else:
             if self._spec.address != LOCAL:
                 self._say(f"node {node.name} ({facts.host}) works with {node.cpus} CPUs")
-            for note in notes_on(facts, self._here):
+            for note in _notes_on(facts, self._here):
                 self._say(f"node {node.name}: {note}")
         self._tell_workers()
 
@@ -237,7 +441,7 @@ def _look_at_node() -> Callable[[], Any]:
         try:
             from dataclasses import asdict
 
-            from wcsim.server.workers.cluster.node_facts import facts_here as facts
+            from wcsim.server.workers.cluster_link import _facts_here as facts
 
             return asdict(facts())
         except Exception as error:

@@ -14,9 +14,8 @@ from wcsim.cli.main import main
 from wcsim.cli.shared.machine_options import machines_of
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
-from wcsim.server.workers.cluster import joining, ray_workers
-from wcsim.server.workers.cluster.joining import LinkSpec
-from wcsim.server.workers.cluster.node_facts import facts_here, facts_of, notes_on, why_refused
+from wcsim.server.workers import cluster_link, ray_workers
+from wcsim.server.workers.cluster_link import LinkSpec, _facts_here, _facts_of, _notes_on, _why_refused
 
 
 @pytest.mark.parametrize("address", ["ray://10.0.0.1:10001", "auto", "10.0.0.1", "10.0.0.1:0", "10.0.0.1:70000", "-"])
@@ -80,23 +79,23 @@ def test_what_lies_on_this_machine_alone_is_refused():
 
 
 def test_a_node_of_another_version_or_code_is_refused_and_a_small_one_is_not():
-    here = facts_here()
-    assert why_refused(here, here) == ""
-    assert "code 0000" in why_refused(replace(here, code="0000"), here)
+    here = _facts_here()
+    assert _why_refused(here, here) == ""
+    assert "code 0000" in _why_refused(replace(here, code="0000"), here)
     other = tuple((name, "9.9" if name == "libsumo" else version) for name, version in here.versions)
-    assert "libsumo 9.9" in why_refused(replace(here, versions=other), here)
+    assert "libsumo 9.9" in _why_refused(replace(here, versions=other), here)
     bare = tuple((name, "" if name == "onnxruntime" else version) for name, version in here.versions)
     if dict(here.versions)["onnxruntime"]:
-        assert "onnxruntime none" in why_refused(replace(here, versions=bare), here)
-    assert why_refused(here, replace(here, versions=bare)) == "", "nobody needs it who has it not here"
-    assert "wcsim 9.9" in why_refused(replace(here, versions=tuple((n, "9.9") for n, _ in here.versions)), here)
-    assert "Python 3.12.1" in why_refused(replace(here, python="3.12.1"), here)
-    small = notes_on(replace(here, shm_bytes=64 << 20, cpu="another"), here)
+        assert "onnxruntime none" in _why_refused(replace(here, versions=bare), here)
+    assert _why_refused(here, replace(here, versions=bare)) == "", "nobody needs it who has it not here"
+    assert "wcsim 9.9" in _why_refused(replace(here, versions=tuple((n, "9.9") for n, _ in here.versions)), here)
+    assert "Python 3.12.1" in _why_refused(replace(here, python="3.12.1"), here)
+    small = _notes_on(replace(here, shm_bytes=64 << 20, cpu="another"), here)
     assert "64 MiB" in small[0] and "--shm-size=1g" in small[0] and "another" in small[1]
     with pytest.raises(ConfigError, match="another version"):
-        facts_of({"host": "old"})
+        _facts_of({"host": "old"})
     with pytest.raises(ConfigError, match="cannot be loaded"):
-        facts_of("wcsim cannot be loaded there")
+        _facts_of("wcsim cannot be loaded there")
 
 
 class _Ray:
@@ -121,17 +120,19 @@ def test_what_ray_says_against_it_becomes_one_line(error, told, tmp_path):
     import re
 
     spec = LinkSpec(address="10.0.0.1:6379", count=1, run="x", log=tmp_path / "ray.log")
-    text = joining._told(spec, error, _Ray)
+    text = cluster_link._told(spec, error, _Ray)
     assert re.search(told, text) and "\n" not in text and "abc" not in text
 
 
 def test_a_token_that_was_asked_for_is_found_in_what_ray_wrote_for_this_try_alone(tmp_path):
     spec = LinkSpec(address="10.0.0.1:6379", count=1, run="x", log=tmp_path / "ray.log")
-    assert joining._logged(spec.log, 0) == ""
+    assert cluster_link._logged(spec.log, 0) == ""
     spec.log.write_text("W 1 Unauthenticated: RPC error: InvalidAuthToken: Authentication token is missing\n")
     before, error = spec.log.stat().st_size, ConnectionError("Failed to connect to Ray cluster")
-    assert "~/.ray/auth_token" in joining._told(spec, error, _Ray, joining._logged(spec.log, 0))
-    assert "cannot join (ConnectionError" in joining._told(spec, error, _Ray, joining._logged(spec.log, before))
+    assert "~/.ray/auth_token" in cluster_link._told(spec, error, _Ray, cluster_link._logged(spec.log, 0))
+    assert "cannot join (ConnectionError" in cluster_link._told(
+        spec, error, _Ray, cluster_link._logged(spec.log, before)
+    )
 
 
 def test_help_and_refusals_load_no_ray():
@@ -156,10 +157,10 @@ def test_who_has_a_token_shows_it_and_a_word_of_the_users_own_stays(tmp_path, mo
     elif place:
         monkeypatch.setenv(place, str(token))
     spec = LinkSpec(address="10.0.0.1:6379", count=0, run="r", log=tmp_path / "log")
-    for name in ("RAY_USAGE_STATS_ENABLED", *joining._PATIENCE):  # what is set beside is taken back at the end
+    for name in ("RAY_USAGE_STATS_ENABLED", *cluster_link._PATIENCE):  # what is set beside is taken back at the end
         monkeypatch.setenv(name, "1")
-    joining._prepare(spec)
+    cluster_link._prepare(spec)
     assert os.environ.get("RAY_AUTH_MODE") == ("token" if place else None)
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    joining._prepare(spec)
+    cluster_link._prepare(spec)
     assert os.environ["RAY_AUTH_MODE"] == "disabled"

@@ -14,8 +14,8 @@ import zstandard
 
 from tests.support.cluster.workpieces import blunder, read_parcel, refuse
 from wcsim.errors import ConfigError, TownError
-from wcsim.server.workers.cluster import bundle, on_node
-from wcsim.server.workers.cluster.on_node import SentParcel, SentWork, do_work, kill_worker
+from wcsim.server.workers import cluster_node
+from wcsim.server.workers.cluster_node import SentParcel, SentWork, do_work, kill_worker
 from wcsim.server.workers.worker_api import Parcel
 
 
@@ -35,7 +35,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def sent(parcel: Parcel, call=read_parcel) -> SentWork:
-    digest = bundle.digest_of(parcel.folder, parcel.names)
+    digest = cluster_node.digest_of(parcel.folder, parcel.names)
     one = SentParcel(
         address=parcel.address, digest=digest, name=parcel.folder.name, inner=parcel.inner, kept=parcel.kept, ref=("r",)
     )
@@ -47,7 +47,7 @@ def test_a_town_is_fetched_once_and_again_when_it_was_changed(parcel, cache):
 
     def fetch(ref: str) -> bytes:
         fetched.append(ref)
-        return bundle.packed(parcel)
+        return cluster_node.packed(parcel)
 
     first = do_work(sent(parcel), fetch)
     where, *texts = first.data.decode().splitlines()
@@ -68,7 +68,7 @@ def test_one_content_under_two_names_is_kept_under_both(parcel, tmp_path):
 
         def fetch(ref: str, one: Parcel = one) -> bytes:
             fetched.append(one.folder.name)
-            return bundle.packed(one)
+            return cluster_node.packed(one)
 
         places.append(Path(do_work(sent(one), fetch).data.decode().splitlines()[0]))
     assert fetched == ["corner", "another"]
@@ -78,21 +78,21 @@ def test_one_content_under_two_names_is_kept_under_both(parcel, tmp_path):
 
 def test_a_network_is_there_for_its_piece_alone(parcel):
     loose = Parcel(address=parcel.address, folder=parcel.folder, names=parcel.names)
-    reply = do_work(sent(loose), lambda ref: bundle.packed(loose))
+    reply = do_work(sent(loose), lambda ref: cluster_node.packed(loose))
     assert not Path(reply.data.decode().splitlines()[0]).exists()
 
 
 @pytest.mark.parametrize("name", ["../x", "danger/../../x", "/x"])
 def test_a_name_that_leads_elsewhere_is_not_written(tmp_path, name):
     with pytest.raises(ValueError, match="points outside"):
-        bundle.unpack(packed_as(zipfile.ZipInfo(name), b""), tmp_path)
+        cluster_node._unpack(packed_as(zipfile.ZipInfo(name), b""), tmp_path)
 
 
 def test_a_link_is_not_written(tmp_path):
     link = zipfile.ZipInfo("danger")
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
     with pytest.raises(ValueError, match="is a link"):
-        bundle.unpack(packed_as(link, b"/"), tmp_path)
+        cluster_node._unpack(packed_as(link, b"/"), tmp_path)
     assert not list(tmp_path.glob("danger*"))
 
 
@@ -104,20 +104,20 @@ def packed_as(info: zipfile.ZipInfo, data: bytes) -> bytes:
 
 
 def test_a_parcel_that_would_be_too_large_is_refused_before_it_is(tmp_path, monkeypatch):
-    monkeypatch.setattr(bundle, "MOST_BYTES", 50)
+    monkeypatch.setattr(cluster_node, "MOST_BYTES", 50)
     with pytest.raises(ValueError, match="more than 100 bytes"):
-        bundle.unpack(zstandard.compress(bytes(1 << 20)), tmp_path)
+        cluster_node._unpack(zstandard.compress(bytes(1 << 20)), tmp_path)
 
 
 def test_too_much_is_not_sent(parcel, monkeypatch):
-    monkeypatch.setattr(bundle, "MOST_BYTES", 3)
+    monkeypatch.setattr(cluster_node, "MOST_BYTES", 3)
     with pytest.raises(ConfigError, match="--cluster"):
-        bundle.packed(parcel)
+        cluster_node.packed(parcel)
 
 
 def test_a_node_tells_what_the_user_can_mend_from_what_only_another_node_can(parcel, monkeypatch):
     def fetch(ref: str) -> bytes:
-        return bundle.packed(parcel)
+        return cluster_node.packed(parcel)
 
     assert isinstance(do_work(sent(parcel, refuse), fetch).error, TownError)
     assert "ZeroDivisionError" in do_work(sent(parcel, blunder), fetch).fault
@@ -125,6 +125,6 @@ def test_a_node_tells_what_the_user_can_mend_from_what_only_another_node_can(par
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(on_node, "_received", full)
+    monkeypatch.setattr(cluster_node, "_received", full)
     assert "No space" in do_work(sent(parcel), fetch).lost
     assert not kill_worker("t", "a/1", "1")
