@@ -11,10 +11,9 @@ from pathlib import Path
 import torch
 
 from wcsim.agents.collecting.data_folder import packed_segment, read_segment, segment_path
-from wcsim.agents.collecting.drive_segment import MakeLearned
+from wcsim.agents.collecting.drive_segment import MakeLearned, collect
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder
-from wcsim.agents.collecting.work import collect
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import exploring
 from wcsim.agents.danger.saved import load_net
