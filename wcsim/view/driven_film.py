@@ -20,12 +20,12 @@ from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.playback import PlayedStep
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Policy, SeesTruth, Warns, calling
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
 from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.observation import Observation, decode_depth
+from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
 from wcsim.types import U8, Joystick, Route, SeatSpec
 from wcsim.view.filming import MAP_SPAN_M, SIGHT_M
