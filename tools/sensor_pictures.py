@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.chart import Line, Panel, chart
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.chair_check.rig import plane_street, step_street
 from wcsim.config import CameraConfig, CameraNoiseConfig, ChairConfig, ImuConfig, RunConfig
 from wcsim.core import seeding

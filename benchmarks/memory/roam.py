@@ -14,8 +14,8 @@ from itertools import cycle
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core import seeding
 from wcsim.towns.ground.tiles import TileStore
 from wcsim.types import F64, TileKey, WayKind

@@ -16,9 +16,9 @@ import numpy as np
 import psutil  # type: ignore[import-untyped]
 
 from benchmarks.interleave import Contestant, in_turns
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.types import Command, SeatSpec

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.tick.bridgeless_world import settle
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, with_overrides
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import Town

@@ -16,8 +16,8 @@ import numpy as np
 
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.start_place import is_clear
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import TownError

@@ -88,7 +88,7 @@ FIRST_TICKS = """
 import resource, sys, time
 start = time.perf_counter()
 import psutil
-from wcsim.bridge.rollout import rollout
+from wcsim.bridge.world_rollout import rollout
 from wcsim.bridge.world import World
 from wcsim.config import load_run_config
 from wcsim.towns.scenario.town import find_town

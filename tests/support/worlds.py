@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from wcsim.bridge.recording.trace import state_hash
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, load_run_config
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec, Snapshot

@@ -15,10 +15,10 @@ import numpy as np
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of, state_hash
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import SumoError

@@ -140,8 +140,8 @@ def _ticks(town: str, seed: int) -> Finding:
     from wcsim.types import SeatSpec
 
     try:
-        from wcsim.bridge.rollout import rollout  # SumoError where libsumo cannot be loaded
         from wcsim.bridge.world import World
+        from wcsim.bridge.world_rollout import rollout  # SumoError where libsumo cannot be loaded
 
         started = time.perf_counter()
         with World(find_town(town), load_run_config("quick"), (SeatSpec(),), seed) as world:

@@ -14,8 +14,8 @@ import numpy as np
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.bridge.drives.beside import let_wait
 from wcsim.bridge.ego.start_place import bearing_rad
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveEvent, DriveMetrics, DrivenTick, DriveObserver, DriverKind, EventKind

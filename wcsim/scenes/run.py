@@ -21,8 +21,8 @@ import numpy as np
 
 from wcsim.bridge.recording.fingerprint import engines_fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
-from wcsim.bridge.rollout import RolloutStep, rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.errors import TownError, WcsimError

@@ -21,8 +21,8 @@ from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth

@@ -11,8 +11,8 @@ from typing import Self
 
 import numpy as np
 
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, with_overrides
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError

@@ -20,8 +20,8 @@ from wcsim.bridge.drives.record_user import (
 )
 from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import content_hash, find_town

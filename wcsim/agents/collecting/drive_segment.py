@@ -19,8 +19,8 @@ from wcsim.agents.collecting.segment_places import SegmentOrder, SegmentPlace, p
 from wcsim.agents.envs.episode_view import EpisodeStep, Info, delay_ticks
 from wcsim.agents.envs.seat_driver import SeatDriver
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.supervisor.actions import action_set

@@ -11,8 +11,8 @@ from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import SeatDriver
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.towns.scenario.town import find_town

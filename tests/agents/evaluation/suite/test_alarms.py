@@ -8,7 +8,7 @@ import pytest
 from tests.agents.evaluation.suite.lists import POINTS
 from tests.support.worlds import open_world
 from wcsim.agents.evaluation.suite.alarms import ALONE_S, crash_alone_s, users_alone
-from wcsim.bridge.rollout import rollout
+from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 
 

@@ -21,7 +21,7 @@ from tests.support.worlds import open_world
 from wcsim.agents.evaluation.suite.alarms import users_alone
 from wcsim.agents.evaluation.suite.drive import drive_block, refused
 from wcsim.agents.policies.baselines import baseline
-from wcsim.bridge.rollout import rollout
+from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 from wcsim.users.user import SimulatedUser
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, Intervention
-from wcsim.bridge.rollout import Driver, rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import Driver, rollout
 from wcsim.errors import PhysicsError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import ClientSnapshot, Joystick

@@ -25,8 +25,8 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns
-from wcsim.bridge.rollout import rollout
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
