@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.chart import Line, Panel, chart
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.chair_check.rig import plane_street, step_street
 from wcsim.config import CameraConfig, CameraNoiseConfig, ChairConfig, ImuConfig, RunConfig
 from wcsim.core import seeding
@@ -48,10 +49,10 @@ def cameras() -> np.ndarray:
     with World(find_town(TOWN), RunConfig(cameras=rig), (SeatSpec(profile="competent"),), SEED) as world:
         best, most = world.snapshot.clients[0].sensors.cameras, -1.0
         for _ in range(DRIVE_TICKS):
-            frames = world.tick(as_users_wish(world.snapshot)).clients[0].sensors.cameras
-            busy = float(np.isin(frames[0].class_id, range(ClassId.PERSON, ClassId.BICYCLE + 1)).mean())
-            if min(busy, 0.2) > most:
-                best, most = tuple(copied(frame) for frame in frames), min(busy, 0.2)
+            frames = next(rollout(world)).after.clients[0].sensors.cameras
+            busy = min(0.2, float(np.isin(frames[0].class_id, range(ClassId.PERSON, ClassId.BICYCLE + 1)).mean()))
+            if busy > most:
+                best, most = tuple(copied(frame) for frame in frames), busy
     return np.vstack([row(frame) for frame in best])
 
 

@@ -14,7 +14,8 @@ from itertools import cycle
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core import seeding
 from wcsim.towns.ground.tiles import TileStore
 from wcsim.types import F64, TileKey, WayKind
@@ -74,7 +75,7 @@ def roam(
             rows.append(_row(world, tick, len(seen)))
             say(rows[-1])
         if tick < ticks:
-            world.tick(as_users_wish(world.snapshot))
+            next(rollout(world))
             _jump(world, tick, places)
             seen |= set(world.tiles)
     return tuple(rows)

@@ -17,7 +17,8 @@ import psutil  # type: ignore[import-untyped]
 
 from benchmarks.interleave import Contestant, in_turns
 from wcsim.bridge.stage_timer import Stopwatch
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.types import Command, SeatSpec
@@ -94,7 +95,7 @@ class StopwatchedWorld:
         """Seconds of the tick: wall, processor (all threads), each stage; then actors in town, mirrored, memory."""
         self.world.stopwatch.take()
         wall_s, cpu_s, own_s = time.perf_counter(), time.process_time(), time.thread_time()
-        self.world.tick(as_users_wish(self.world.snapshot))
+        next(rollout(self.world))
         wall_s, cpu_s, own_s = time.perf_counter() - wall_s, time.process_time() - cpu_s, time.thread_time() - own_s
         spent = dict(self.world.stopwatch.take())
         # the stopwatch knows this thread alone; all others of the process draw, and do nothing else
@@ -117,7 +118,7 @@ class TimedTwin:
 
     def tick(self) -> tuple[float, ...]:
         """The processor seconds of SUMO's step and the physics steps."""
-        self.world.tick(as_users_wish(self.world.snapshot))
+        next(rollout(self.world))
         return (self.world.engines_s,)
 
     def close(self) -> None:
@@ -161,6 +162,6 @@ def typical(rows: list[tuple[float, ...]]) -> list[float]:
 def settle(world: World) -> None:
     """Let a world follow its users for a while; what it holds then is never looked through again, as in a server."""
     for _ in range(_SETTLE_TICKS):
-        world.tick(as_users_wish(world.snapshot))
+        next(rollout(world))
     gc.collect()
     gc.freeze()

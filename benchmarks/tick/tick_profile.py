@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.tick.bridgeless_world import settle
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, with_overrides
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import Town
@@ -89,7 +90,7 @@ def _dearest(rows: tuple[Dear, ...], zones: tuple[Dear, ...]) -> tuple[Dear, ...
 
 def _run(world: World, ticks: int) -> None:
     for _ in range(ticks):
-        world.tick(as_users_wish(world.snapshot))
+        next(rollout(world))
 
 
 def _functions(stats: pstats.Stats, ticks: int) -> Iterator[Dear]:

@@ -16,7 +16,8 @@ import numpy as np
 
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.ego.start_place import is_clear
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import TownError
@@ -191,7 +192,7 @@ def approach_crossings(
                     world.admit(seat, SeatSpec(profile=name, max_steps=ENDLESS, start=place.start))
                     taken = next(s for s in world.seats if s.index == seat)
                     watches[seat] = _Watch(taken, place, law_share)
-            snapshot = world.tick(as_users_wish(world.snapshot))
+            snapshot = next(rollout(world)).after
             for client in snapshot.clients:
                 watch = watches[client.seat]
                 watch.ticks += 1

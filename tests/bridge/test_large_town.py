@@ -88,17 +88,18 @@ FIRST_TICKS = """
 import resource, sys, time
 start = time.perf_counter()
 import psutil
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world_rollout import rollout
+from wcsim.bridge.world import World
 from wcsim.config import load_run_config
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 with World(find_town(sys.argv[1]), load_run_config("quick"), (SeatSpec(),), 0) as world:
-    world.tick(as_users_wish(world.snapshot))
+    next(rollout(world))
     first_tick_s = time.perf_counter() - start
     spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     cpu_s = sum(use.ru_utime + use.ru_stime for use in spent)
     for _ in range(20):
-        world.tick(as_users_wish(world.snapshot))
+        next(rollout(world))
     print(first_tick_s, cpu_s, psutil.Process().memory_info().rss / 1e6)
 """
 

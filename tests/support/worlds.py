@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from wcsim.bridge.recording.trace import state_hash
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, load_run_config
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec, Snapshot
@@ -31,7 +32,7 @@ def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec:
 
 def follow(world: World) -> Snapshot:
     """One tick in which everybody gets what their user asks for."""
-    return world.tick(as_users_wish(world.snapshot))
+    return next(rollout(world)).after
 
 
 def hashes(world: World, ticks: int) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of, state_hash
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import SumoError
@@ -187,18 +189,16 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
 
 def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
     meter = _Meter(world.snapshot.time_s, world.mishaps_so_far, world.town.file.origin_m, world.config.reward)
-    for tick in range(ticks):
-        commands = as_users_wish(world.snapshot)
-        after = world.tick(commands)
-        everyone = world.everyone()
+    for tick, step in enumerate(islice(rollout(world), ticks), start=1):
+        after, everyone = step.after, world.everyone()
         places_W_m = np.array([c.plant.p_WB_m[:2] for c in after.clients]).reshape(-1, 2)
         if not any(client.first is not None for client in after.clients):  # a chair that was moved sees others now
             _check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
-        writer.append(record_of(after, commands, as_recorded(after, everyone)))
+        writer.append(record_of(after, step.commands, as_recorded(after, everyone)))
         meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
         meter.add_chairs(after.clients, after.time_s)
         if progress is not None:
-            progress(tick + 1, ticks)
+            progress(tick, ticks)
     return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
 
 

@@ -441,12 +441,3 @@ class World(Closing):
         if self._epoch is None:
             raise ProtocolError("this world is closed; make a new one")
         return self._epoch
-
-
-def as_users_wish(snapshot: Snapshot) -> tuple[Command, ...]:
-    """Commands that give every user what the joystick says: the baseline `follow`, without the grid of actions."""
-    return tuple(
-        # Where an episode has ended, its user already sees the first frame of the next.
-        Command(seat=client.seat, tick=snapshot.tick, joystick=(client.first or client).user)
-        for client in snapshot.clients
-    )

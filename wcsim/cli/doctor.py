@@ -140,16 +140,18 @@ def _ticks(town: str, seed: int) -> Finding:
     from wcsim.types import SeatSpec
 
     try:
-        from wcsim.bridge.world import World, as_users_wish  # SumoError where libsumo cannot be loaded
+        from wcsim.bridge.world import World
+        from wcsim.bridge.world_rollout import rollout  # SumoError where libsumo cannot be loaded
 
         started = time.perf_counter()
         with World(find_town(town), load_run_config("quick"), (SeatSpec(),), seed) as world:
+            steps = rollout(world)
             for _ in range(_FIRST_TICKS):
-                world.tick(as_users_wish(world.snapshot))
+                next(steps)
             ready = time.perf_counter()
             ticks = 0
             while time.perf_counter() < ready + TICK_SECONDS:
-                world.tick(as_users_wish(world.snapshot))
+                next(steps)
                 ticks += 1
             rate = ticks / (time.perf_counter() - ready)
             says = f"{rate:.0f} ticks/s in {town}, ready after {ready - started:.1f} s; real time is 10"

@@ -11,16 +11,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, HeldLink
+from wcsim.agents.envs.episode_view import Chair
 from wcsim.bridge.drives.beside import let_wait
 from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveEvent, DriveMetrics, DrivenTick, DriveObserver, DriverKind, EventKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.supervisor.actions import action_set
-from wcsim.types import F64, ClientSnapshot, Command, Joystick, Route, StartSpec
+from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.users.hand import in_gate
 from wcsim.users.recording.drive_bytes import start_json
 
@@ -76,7 +77,7 @@ class DriveSession(Closing):
             self._held.callback(self.assistance.close)
             spec, config = self.place.spec, self.place.config
             self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
-            self._chair, self._link = Chair(config), HeldLink()
+            self._chair = Chair(config)
             self._begin()
             self.assistance.begin(self._client.drawn)
         except BaseException:
@@ -265,20 +266,16 @@ class DriveSession(Closing):
     def _see(self, stick: Joystick) -> None:
         """Look at the chair's frame of now with this stick in it; the step before is judged by it."""
         client = replace(self._client, user=stick)
-        self._link.now = client
         if self._fresh:
             self._seen, self._info = self._chair.begin(client)
             self._fresh = False
         else:
-            step = self._chair.receive(self._link)
+            step = self._chair.take(client)
             self._seen, self._info = step.observation, step.info
 
     def _move(self, answer: Answer) -> None:
-        self._chair.send(self._link, answer.sent)
-        given = Joystick(*self.actions.points[answer.sent].tolist())
-        now = self.world.snapshot
-        snapshot = self.world.tick((Command(seat=0, tick=now.tick, joystick=given),))
-        self._client = snapshot.clients[0]
+        given = self._chair.command(answer.sent).joystick
+        (self._client,) = next(rollout(self.world, {0: lambda now: given})).after.clients
         self._ended = self._client.first is not None
         if not self._ended:
             self._note_way()

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy as np
 from wcsim.bridge.recording.fingerprint import engines_fingerprint
 from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.errors import TownError, WcsimError
@@ -28,7 +30,7 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
-from wcsim.types import ClassId, ClientSnapshot, Command, Joystick, Snapshot, StartSpec
+from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import VideoWriter, captioned, side_by_side
 
@@ -57,11 +59,12 @@ def _run_scene(folder: Path, trace: Path) -> SceneFacts:
         meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
         digest = hashlib.blake2b(digest_size=8)
         last = _ticks(world, scene)
-        for snapshot, commands in play(world, scene):
+        for step in play(world, scene):
+            snapshot = step.after
             meter.add(snapshot, world.config.world.tick_s)
             digest.update(snapshot.state_hash.encode())
             if snapshot.tick % TRACE_EVERY == 0 or snapshot.tick == last:
-                writer.append(replace(record_of(snapshot, commands), state_hash=digest.hexdigest()))
+                writer.append(replace(record_of(snapshot, step.commands), state_hash=digest.hexdigest()))
         return meter.facts()
 
 
@@ -83,25 +86,18 @@ def _open_scene(folder: Path, cameras: tuple[CameraConfig, ...] = _SMALL_CAMERAS
             yield world, scene
 
 
-def play(world: World, scene: SceneFile) -> Iterator[tuple[Snapshot, tuple[Command, ...]]]:
-    """Every tick of a scene: the snapshot after it and the commands that led to it.
+def play(world: World, scene: SceneFile) -> Iterator[RolloutStep]:
+    """Every tick of a scene. Who has arrived stays there, and who has crashed is not driven any more."""
+    done = set(_done(world.snapshot, scene))
 
-    Who has arrived stays there, and who has crashed is not driven any more.
-    """
-    done: set[int] = set()
-    for _ in range(_ticks(world, scene)):
-        before = world.snapshot
-        at_s = before.tick * world.config.world.tick_s
-        done.update(_done(before, scene))
-        commands = tuple(
-            Command(
-                seat=client.seat,
-                tick=before.tick,
-                joystick=Joystick(0.0, 0.0) if client.seat in done else _joystick(client, wanted, at_s),
-            )
-            for client, wanted in zip(before.clients, scene.seats, strict=True)
-        )
-        yield world.tick(commands), commands
+    def drive(now: ClientSnapshot) -> Joystick:
+        at_s = now.tick * world.config.world.tick_s
+        return Joystick(0.0, 0.0) if now.seat in done else _joystick(now, scene.seats[now.seat], at_s)
+
+    drivers = dict.fromkeys(range(len(scene.seats)), drive)
+    for step in islice(rollout(world, drivers), _ticks(world, scene)):
+        done.update(_done(step.after, scene))
+        yield step
 
 
 def run_in_child(folder: Path, trace: Path) -> SceneFacts:
@@ -171,13 +167,13 @@ def _done(snapshot: Snapshot, scene: SceneFile) -> Iterator[int]:
             yield client.seat
 
 
-def _joystick(client: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
+def _joystick(now: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
     if wanted.joystick is not None:
         return Joystick(*wanted.joystick)
     if wanted.script:
         begun = [step for step in wanted.script if step[0] <= at_s + 1e-9]
         return Joystick(*begun[-1][1:]) if begun else Joystick(0.0, 0.0)
-    return (client.first or client).user
+    return now.user
 
 
 def film_scene(folder: Path, path: Path) -> None:
@@ -186,7 +182,7 @@ def film_scene(folder: Path, path: Path) -> None:
         chart = MapView(world.street.mesh, _FILM_CAMERA.height_px, _FILM_SPAN_M)
         size = (_FILM_CAMERA.width_px + _FILM_CAMERA.height_px, _FILM_CAMERA.height_px)
         with VideoWriter(path, 1.0 / world.config.world.tick_s, size) as video:
-            for snapshot, _ in play(world, scene):
+            for snapshot in (step.after for step in play(world, scene)):
                 frame = snapshot.clients[0].sensors.cameras[0]
                 if frame.rgb is not None:
                     picture = captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s")

@@ -16,18 +16,18 @@ from typing import Final, Self
 import cv2
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, HeldLink
-from wcsim.agents.evaluation.suite.forks import users_alone
+from wcsim.agents.envs.episode_view import Info
+from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.playback import PlayedStep
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, SeesTruth, Warns, calling, tell_delay
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import ConfigError
-from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.observation import Observation, decode_depth
+from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
-from wcsim.types import U8, ClientSnapshot, Joystick, Route, SeatSpec
+from wcsim.types import U8, Joystick, Route, SeatSpec
 from wcsim.view.filming import MAP_SPAN_M, SIGHT_M
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import VideoWriter, captioned, class_colours, depth_colours, side_by_side
@@ -47,17 +47,6 @@ class FilmDriver:
     profile: str  # of the user whose stick the policy sees
     network: str = ""  # a custom one, module:Class, that the policy may look with
     settings: tuple[str, ...] = ()  # section.key=value, laid over the policy's own
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Driven:
-    """One tick of the chair."""
-
-    client: ClientSnapshot
-    asked: Joystick  # by the user
-    given: Joystick  # by the policy
-    warning: bool
-    speed_mps: float
 
 
 class DrivenFilm:
@@ -80,19 +69,17 @@ class DrivenFilm:
         own = own.model_copy(update={"cameras": (*own.cameras, film)})
         self._policy = open_named(driver.policy, own, seed, driver.network or None)
         config = sensing(own, self._policy)
-        self.actions, self.tick_s = action_set(config.env.actions), config.world.tick_s
+        self.tick_s = config.world.tick_s
         truth = isinstance(self._policy, SeesTruth)
         spec = SeatSpec(profile=driver.profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)
         self._world = World(town, config, (spec,), seed)
-        self._chair, self._link = Chair(config), HeldLink()
         self._ticks = 0
         self.taken_over = 0.0  # how far the stick that was driven last was from the user's, 0 to 2 and more
         try:
             self._map = MapView(self._world.street.mesh, film.height_px, MAP_SPAN_M)
-            self._seen, self._info = self._chair.begin(self._world.snapshot.clients[0])
-            with calling(self._policy, "begin"):
-                self._policy.begin()
-            self._begin_episode()
+            agent = _OwnCode(PolicyAgent(self._policy), self._policy)
+            self._driver = SeatDriver(config, agent, self._world.snapshot.clients[0])
+            self._steps = rollout(self._world, {0: self._driver.choose})
             path.parent.mkdir(parents=True, exist_ok=True)  # last: what failed before leaves no file
             self._writer = VideoWriter(path, 1.0 / self.tick_s, (width + film.height_px, film.height_px))
         except BaseException as error:
@@ -101,43 +88,24 @@ class DrivenFilm:
                 raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
             raise
 
-    def _begin_episode(self) -> None:
-        tell_delay(self._policy, self._info["drawn"])
-        with calling(self._policy, "reset"):
-            self._policy.reset()
-
-    def drive(self) -> _Driven:
-        """Drive one tick without a picture."""
-        policy = self._policy
-        if isinstance(policy, SeesTruth):
-            policy.see(self._info["truth"])
-        with calling(policy, "act"):
-            asked, action = self._seen["joystick"], policy.act(self._seen)
-        warning = isinstance(policy, Warns) and policy.warning
-        self._chair.send(self._link, action)
-        snapshot = self._world.tick(users_alone(self._world.snapshot, self.actions, {0: action}))
-        self._link.now = client = snapshot.clients[0]
-        step = self._chair.receive(self._link)
-        self._seen, self._info = step.observation, step.info
+    def drive(self) -> Info:
+        """Drive one tick without a picture; what an environment's `info` says of it."""
+        (client,) = next(self._steps).after.clients
+        info = self._driver.take(client).info
         self._ticks += 1
-        given = Joystick(*self.actions.points[action].tolist())
-        wanted = Joystick(float(asked[0]), float(asked[1]))
-        self.taken_over = math.hypot(given.x - wanted.x, given.y - wanted.y)
-        speed_mps = float(step.info["speed_mps"])
-        if client.first is not None:
-            self._seen, self._info = self._chair.begin_next()
-            self._begin_episode()
-        return _Driven(client=client, asked=wanted, given=given, warning=warning, speed_mps=speed_mps)
+        self.taken_over = math.dist((info["given"].x, info["given"].y), (info["asked"].x, info["asked"].y))
+        return info
 
     def add(self) -> U8:
         """Drive one tick and add its picture, which is returned."""
-        now = self.drive()
-        rgb = now.client.sensors.cameras[-1].rgb
+        info, policy = self.drive(), self._policy
+        rgb = self._world.snapshot.clients[0].sensors.cameras[-1].rgb
         if rgb is None:
             raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
-        caption = f"{self._policy.name}   {self._ticks * self.tick_s:.1f} s   {now.speed_mps:.2f} m/s"
-        picture = captioned(rgb, caption + ("   CRASH" if now.client.events.crashed else ""))
-        _with_sticks(picture, now.asked, now.given, warning=now.warning)
+        caption = f"{policy.name}   {self._ticks * self.tick_s:.1f} s   {info['speed_mps']:.2f} m/s"
+        picture = captioned(rgb, caption + ("   CRASH" if info["events"].crashed else ""))
+        warning = isinstance(policy, Warns) and policy.warning
+        _with_sticks(picture, info["asked"], info["given"], warning=warning)
         frame = side_by_side(picture, map_view(self._map, self._world))
         self._writer.write(frame)
         return frame
@@ -149,6 +117,23 @@ class DrivenFilm:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._writer.__exit__(kind, error, at)
         self._world.close()
+
+
+class _OwnCode:
+    """Around an agent: what a user's own policy raises becomes a PolicyError that says where."""
+
+    def __init__(self, agent: Agent, policy: Policy) -> None:
+        self._agent, self._policy = agent, policy
+
+    def reset(self, info: Info) -> None:
+        """Begin an episode."""
+        with calling(self._policy, "reset"):
+            self._agent.reset(info)
+
+    def act(self, observation: Observation, info: Info) -> object:
+        """Ask the agent."""
+        with calling(self._policy, "act"):
+            return self._agent.act(observation, info)
 
 
 def _with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:

@@ -11,7 +11,8 @@ from typing import Self
 
 import numpy as np
 
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, with_overrides
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
@@ -54,7 +55,7 @@ class _FilmedDrive:
 
     def go_on(self) -> Snapshot:
         """One tick."""
-        return self.world.tick(as_users_wish(self.world.snapshot))
+        return next(rollout(self.world)).after
 
     def busiest_moment(self, seconds: float) -> Shot:
         """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""

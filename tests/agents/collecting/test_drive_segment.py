@@ -10,6 +10,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_drivers import DataDriver
+from wcsim.agents.collecting.drive_segment import collect
 from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
 from wcsim.agents.collecting.segment_places import (
     SegmentOrder,
@@ -19,7 +20,6 @@ from wcsim.agents.collecting.segment_places import (
     orders_of,
     places_of,
 )
-from wcsim.agents.rounds.workers import collect
 from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, with_overrides
 from wcsim.errors import ConfigError

@@ -16,8 +16,8 @@ from benchmarks.scripts.users import LONGEST_S, TINY_CAMERA, UsersOptions, summa
 from benchmarks.users.drives import drive_routes
 from benchmarks.users.table import Statistic, statistics
 from benchmarks.users.user_sheet import user_sheet, write_sheet
-from tests.support.worlds import open_world, quick_config
-from wcsim.bridge.world import World, as_users_wish
+from tests.support.worlds import follow, open_world, quick_config
+from wcsim.bridge.world import World
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -86,7 +86,7 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
     with open_world(corner, seed=2, spec=SeatSpec(profile="tremor")) as world:
         sticks = [world.seats[0].user.joystick]
         for _ in range(30):
-            world.tick(as_users_wish(world.snapshot))
+            follow(world)
             sticks.append(world.seats[0].user.joystick)
     file = tmp_path / "stick.csv"
     _write_recording(file, 0.1 * np.arange(len(sticks)), np.array([(j.x, j.y) for j in sticks]))
@@ -94,7 +94,7 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
     with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{file}")) as world:
         replayed, gave_up = [world.seats[0].user.joystick], []
         for _ in range(35):
-            snapshot = world.tick(as_users_wish(world.snapshot))
+            snapshot = follow(world)
             replayed.append(snapshot.clients[0].user)
             gave_up.append(snapshot.clients[0].events.gave_up)
     assert replayed[:31] == sticks

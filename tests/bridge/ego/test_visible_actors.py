@@ -10,10 +10,10 @@ import pytest
 
 from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
-from tests.support.worlds import open_world
+from tests.support.worlds import follow, open_world
 from tests.users.actors import USUAL_WHEELS_M, actor
 from wcsim.bridge.ego.ego import ShownActors
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.physics.sensors.camera import CameraRig
 from wcsim.supervisor.actions import action_set
@@ -170,7 +170,7 @@ def test_in_a_world_who_was_seen_is_known_for_a_second_and_for_no_other_episode(
 def truths(corner, ticks: int = 120) -> list[Truth | None]:
     spec = SeatSpec(truth_visible=True)
     with open_world(corner, "world.action_delay_ticks=2", seats=2, seed=4, spec=spec) as world:
-        return [c.truth for _ in range(ticks) for c in world.tick(as_users_wish(world.snapshot)).clients]
+        return [c.truth for _ in range(ticks) for c in follow(world).clients]
 
 
 def test_equal_seeds_give_equal_truths_and_the_blinded_oracle_fears_less(corner):
@@ -187,7 +187,7 @@ def test_equal_seeds_give_equal_truths_and_the_blinded_oracle_fears_less(corner)
 ])  # fmt: skip
 def test_each_part_of_the_truth_comes_only_when_it_is_asked_for(corner, asked, truth, visible):
     with open_world(corner, spec=SeatSpec(**asked)) as world:
-        (client,) = world.tick(as_users_wish(world.snapshot)).clients
+        (client,) = follow(world).clients
         assert (client.truth is not None) == truth
         assert (client.truth is not None and client.truth.visible is not None) == visible
         assert bool(world.seats[0]._shown_actors._last) <= visible

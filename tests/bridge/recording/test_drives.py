@@ -20,7 +20,8 @@ from wcsim.bridge.drives.record_user import (
 )
 from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-from wcsim.bridge.world import World, as_users_wish
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.town import content_hash, find_town
@@ -112,8 +113,8 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
                 recorder.note(RecordedEvent(tick=12, time_s=1.2, kind=RESPAWN))
                 world.respawn(0)
             before = world.snapshot.clients[0].first or world.snapshot.clients[0]
-            (command,) = as_users_wish(world.snapshot)
-            after = world.tick((command,)).clients[0]
+            step = next(rollout(world))
+            (command,), (after,) = step.commands, step.after.clients
             given = Given(commanded=command.joystick, chosen=command.joystick, action=-1)
             recorder.record(_seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
     drive = read_drive(path)

@@ -1,61 +1,69 @@
-"""Drives one segment: a fresh world, chairs with different users, everything that happens written down."""
+"""Drives one segment: fresh worlds, chairs with different users, everything that happens written down."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from wcsim.agents.collecting.data_drivers import Choice, DataDriver, Learned
-from wcsim.agents.collecting.segment import Segment, codes_of
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, HeldLink, delay_ticks
+from wcsim.agents.collecting.segment import Segment, SegmentKey, codes_of, joined
+from wcsim.agents.collecting.segment_places import SegmentOrder, SegmentPlace, places_of
+from wcsim.agents.envs.episode_view import EpisodeStep, Info, delay_ticks
+from wcsim.agents.envs.seat_driver import SeatDriver
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.supervisor.actions import action_set
-from wcsim.towns.scenario.town import Town
-from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Truth
+from wcsim.types import ClientSnapshot, Truth
 
 MakeLearned = Callable[[int], Learned]  # for a chair whose commands arrive so many ticks late
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SegmentPlace:
-    """Where a segment is driven."""
-
-    town: Town
-    config: RunConfig
-    seats: tuple[SeatSpec, ...]
-    ticks: int
-    seed: int  # of the world
-
-
-def drive_segment(place: SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
-    """Drive for so many ticks, with a new episode wherever one ends.
+def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
+    """The segment that an order asks for; the same one wherever and whenever it is driven.
 
     Args:
-        place: Where.
+        order: Its worlds are driven one after the other.
         make_learned: The network that drives some of the episodes, where there is one.
-        seed: Of who drives, and how.
 
     Raises:
-        TownError: The town cannot be opened.
+        TownError: A town cannot be opened.
         ConfigError: The chairs lack a sense that data needs.
     """
+    with TemporaryDirectory(prefix="wcsim-collect-") as work:
+        return joined(
+            [
+                _driven(place, make_learned, _driving_seed(order.key, number))
+                for number, place in enumerate(places_of(order, Path(work)))
+            ]
+        )
+
+
+def _driving_seed(key: SegmentKey, number: int) -> int:
+    """Of who drives, and how, in the world of that number of a segment."""
+    return seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)
+
+
+def _driven(place: SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
+    """Drive for so many ticks, with a new episode wherever one ends."""
     specs = tuple(replace(spec, truth=True, truth_visible=True) for spec in place.seats)
     with World(place.town, place.config, specs, place.seed) as world:
         seats = [
             _Seat(place.config, client, make_learned, seeding.generator(seed, "collect", number))
             for number, client in enumerate(world.snapshot.clients)
         ]
-        for _ in range(place.ticks):
-            tick = world.snapshot.tick
-            commands = [Command(seat=number, tick=tick, joystick=seat.choose()) for number, seat in enumerate(seats)]
-            for seat, client in zip(seats, world.tick(commands).clients, strict=True):
+        steps = rollout(world, {number: seat.driver.choose for number, seat in enumerate(seats)})
+        for step in islice(steps, place.ticks):
+            for seat, client in zip(seats, step.after.clients, strict=True):
                 seat.take(client)
     return _segment_of([seat.rows for seat in seats])
 
@@ -72,7 +80,7 @@ class _DrivenRow:
 
 
 class _Seat:
-    """One chair, and what it has written down."""
+    """One chair with its agent, and what it has written down."""
 
     def __init__(
         self, config: RunConfig, first: ClientSnapshot, make_learned: MakeLearned | None, rng: np.random.Generator
@@ -80,37 +88,28 @@ class _Seat:
         self.rows: list[_DrivenRow] = []
         self._config, self._make, self._rng = config, make_learned, rng
         self._actions = action_set(config.env.actions)
-        self._chair, self._link = Chair(config), HeldLink()
         self._delay = 0
-        self._seen: Observation
-        self._said: Truth
-        self._driver: DataDriver
-        self._begin(first)
+        self._choice: Choice
+        self._agent: DataDriver
+        self.driver = SeatDriver(config, self, first)
 
-    def choose(self) -> Joystick:
+    def reset(self, info: Info) -> None:
+        """Draw who drives the episode that begins."""
+        self._delay = delay_ticks(self._config, info["drawn"])
+        learned = None if self._make is None else self._make(self._delay)
+        self._agent = DataDriver(self._config.collect, self._actions, self._rng, learned)
+
+    def act(self, observation: Observation, info: Info) -> int:
         """Answer what is seen now."""
-        self._choice = self._driver.choose(self._seen, self._said.visible or self._said)
-        self._chair.send(self._link, self._choice.action)
-        x, y = self._actions.points[self._choice.action].tolist()
-        return Joystick(x, y)
+        said: Truth = info["truth"]
+        self._choice = self._agent.choose(observation, said.visible or said)
+        return self._choice.action
 
     def take(self, client: ClientSnapshot) -> None:
         """Write down what came of it."""
-        self._link.now = client
-        step = self._chair.receive(self._link)
-        row = _DrivenRow(seen=self._seen, said=self._said, choice=self._choice, step=step, delay=self._delay)
-        self.rows.append(row)
-        if client.first is not None:
-            self._begin(client.first)
-        else:
-            self._seen, self._said = step.observation, step.info["truth"]
-
-    def _begin(self, first: ClientSnapshot) -> None:
-        self._seen, info = self._chair.begin(first)
-        self._said = info["truth"]
-        self._delay = delay_ticks(self._config, first.drawn)
-        learned = None if self._make is None else self._make(self._delay)
-        self._driver = DataDriver(self._config.collect, self._actions, self._rng, learned)
+        seen, said = self.driver.observation, self.driver.info["truth"]
+        step = self.driver.take(client)
+        self.rows.append(_DrivenRow(seen=seen, said=said, choice=self._choice, step=step, delay=self._delay))
 
 
 def _segment_of(chairs: Sequence[Sequence[_DrivenRow]]) -> Segment:

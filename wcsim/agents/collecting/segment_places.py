@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.collecting.drive_segment import SegmentPlace
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.policy_api import MOTION_SENSES
@@ -15,7 +14,7 @@ from wcsim.config import RunConfig, with_overrides
 from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
-from wcsim.towns.scenario.town import find_town
+from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 from wcsim.types import SeatSpec
@@ -33,6 +32,17 @@ class SegmentOrder:
     config: RunConfig
     settings: tuple[str, ...] = ()  # section.key=value, over the configuration: what this segment is like
     policy: str = ""  # the folder of the network that drives, "" for none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SegmentPlace:
+    """Where a segment is driven."""
+
+    town: Town
+    config: RunConfig
+    seats: tuple[SeatSpec, ...]
+    ticks: int
+    seed: int  # of the world
 
 
 def orders_of(
@@ -163,8 +173,3 @@ def _scenes(order: SegmentOrder, config: RunConfig, work: Path) -> Iterator[Segm
         seats = tuple(replace(spec, max_steps=ticks) for spec in seat_specs(folder, scene, town.file.origin_m))
         own = scene_config(scene, config)
         yield SegmentPlace(town=replace(town, passing=True), config=own, seats=seats, ticks=ticks, seed=scene.seed)
-
-
-def driving_seed(key: SegmentKey, number: int) -> int:
-    """The seed of who drives in the world of that number of a segment."""
-    return seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)

@@ -16,7 +16,7 @@ from typing import Any, TypedDict
 import gymnasium
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, Info
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info
 from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.core.reading import MAX_INTEGER, escaped_value
@@ -229,6 +229,15 @@ class Chairs:
             return self.begin(None)
         frames = self._group.respawn()
         return [chair.begin(frame) for chair, frame in zip(self.all, frames, strict=True)]
+
+    def send(self, seat: int, action: object) -> None:
+        """Send a chair's action. Raises BadActionError for one that is not in the set."""
+        command = self.all[seat].command(action)
+        self.link(seat).send(command.tick, command.joystick)
+
+    def receive(self, seat: int) -> EpisodeStep:
+        """What came of a chair's action. Raises LinkError."""
+        return self.all[seat].take(self.link(seat).receive())
 
     def link(self, seat: int) -> WorldLink:
         """The link of a seat. Raises ProtocolError when there is no world."""

@@ -1,4 +1,4 @@
-"""One wheelchair as an agent meets it: its link's frames become observations, rewards, flags and info.
+"""One wheelchair as an agent meets it: its frames become observations, rewards, flags and info.
 
 All faces are made of this one piece, so what an agent sees and is paid does not depend on the face.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import judge, observation_of
 from wcsim.supervisor.observation import Observation
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm
-from wcsim.types import ClientSnapshot, Drawn, Joystick, RewardTerms
+from wcsim.types import ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
 Info = dict[str, Any]
 WORLD_RESTARTED = "world_restarted"
@@ -46,30 +46,6 @@ class EpisodeStep(NamedTuple):
     def done(self) -> bool:
         """Whether the episode ended with it."""
         return self.terminated or self.truncated
-
-
-class _ChairLink(Protocol):
-    """What a chair needs of its link."""
-
-    def send(self, tick: int, joystick: Joystick) -> None:
-        """See `WorldLink.send`."""
-
-    def receive(self) -> ClientSnapshot:
-        """See `WorldLink.receive`."""
-
-
-class HeldLink:
-    """A chair's link where the world is in this process: `now` is set to what `receive` gives."""
-
-    def __init__(self) -> None:
-        self.now: ClientSnapshot
-
-    def send(self, tick: int, joystick: Joystick) -> None:
-        """The command goes with those of the other seats."""
-
-    def receive(self) -> ClientSnapshot:
-        """The seat's frame of now."""
-        return self.now
 
 
 class Chair:
@@ -131,27 +107,24 @@ class Chair:
             ProtocolError: No episode is on.
             BadActionError: It is no integer, or not in the set.
         """
-        if not self.ready:
-            raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
+        self._frame()
         index, most = _integer(action), len(self._actions) - 1
         if index is None or not 0 <= index <= most:
             got = escaped_value(action)
             raise BadActionError(f"action {got} is not in the action set; expected an integer from 0 to {most}")
         return index
 
-    def send(self, link: _ChairLink, action: object) -> None:
-        """Say what to do in this tick; see `checked`."""
-        index = self.checked(action)
-        if self.now is not None:
-            self._action = index
-            x, y = self._actions.points[index]
-            link.send(self.now.tick, Joystick(float(x), float(y)))
+    def command(self, action: object) -> Command:
+        """An action as the command of the tick of now. Raises what `checked` raises."""
+        now, self._action = self._frame(), self.checked(action)
+        x, y = self._actions.points[self._action].tolist()
+        return Command(seat=now.seat, tick=now.tick, joystick=Joystick(x, y))
 
-    def receive(self, link: _ChairLink) -> EpisodeStep:
-        """What came of the action that was sent. Raises LinkError."""
-        before, after = self.now, link.receive()
+    def take(self, after: ClientSnapshot) -> EpisodeStep:
+        """What came of the action that was commanded, with the seat's next frame."""
+        before = self.now
         if before is None:
-            raise ProtocolError("nothing was sent; expected send() before receive()")
+            raise ProtocolError("nothing was commanded; expected command() before take()")
         self.now = after
         action, asked = self._action, before.user
         judged = judge(after, action, asked, self._actions.points, self._config)
@@ -185,6 +158,12 @@ class Chair:
         )
         info = self._info(replace(last, events=nothing, contacts=()), None, 0.0)
         return EpisodeStep(self._seen, 0.0, False, True, {**info, "reason": WORLD_RESTARTED})
+
+    def _frame(self) -> ClientSnapshot:
+        """The frame of now. Raises ProtocolError where no episode is on."""
+        if self.now is None or self.now.first is not None:
+            raise ProtocolError("step() came before reset(), or after the episode's end; call reset() first")
+        return self.now
 
     def _info(
         self,

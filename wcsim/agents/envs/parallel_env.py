@@ -85,8 +85,8 @@ class StreetParallelEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignor
         self._check(actions)
         seats = {agent: self.possible_agents.index(agent) for agent in self.agents}
         for agent, seat in seats.items():
-            self._chairs.all[seat].send(self._chairs.link(seat), actions[agent])
-        steps = {agent: self._chairs.all[seat].receive(self._chairs.link(seat)) for agent, seat in seats.items()}
+            self._chairs.send(seat, actions[agent])
+        steps = {agent: self._chairs.receive(seat) for agent, seat in seats.items()}
         self._let_go(steps)
         return (
             {agent: step.observation for agent, step in steps.items()},

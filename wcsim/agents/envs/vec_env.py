@@ -67,8 +67,8 @@ class StreetVecEnv(VecEnv):
         if len(given) != self.num_envs:
             raise ProtocolError(f"{len(given)} actions; expected {self.num_envs}, one for each chair")
         chosen = [chair.checked(action) for chair, action in zip(self._chairs.all, given, strict=True)]
-        for seat, chair in enumerate(self._chairs.all):
-            chair.send(self._chairs.link(seat), chosen[seat])
+        for seat, action in enumerate(chosen):
+            self._chairs.send(seat, action)
         self._waiting = True
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -76,7 +76,7 @@ class StreetVecEnv(VecEnv):
         if not self._waiting:
             raise ProtocolError("step_wait() came before step_async(); call step_async() first")
         self._waiting = False
-        steps = [chair.receive(self._chairs.link(seat)) for seat, chair in enumerate(self._chairs.all)]
+        steps = [self._chairs.receive(seat) for seat in range(self.num_envs)]
         infos = [{**step.info, "TimeLimit.truncated": step.truncated} for step in steps]
         observations = [self._shown(seat, step, infos[seat]) for seat, step in enumerate(steps)]
         rewards = np.array([step.reward for step in steps], dtype=np.float32)

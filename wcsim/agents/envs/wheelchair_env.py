@@ -119,11 +119,12 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if link is None:
             raise ProtocolError("step() came before reset(); call reset() first")
         try:
-            self._chair.send(link, action)
+            command = self._chair.command(action)
+            link.send(command.tick, command.joystick)
             work = None if self.due_work is None else self.due_work()
             if work is not None:
                 link.while_waiting(work)
-            return self._chair.receive(link)
+            return self._chair.take(link.receive())
         except WorldRestartedError:
             return self._chair.cut()
         except EvictedError:

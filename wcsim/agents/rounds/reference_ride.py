@@ -7,15 +7,16 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, HeldLink
+from wcsim.agents.envs.episode_view import Info
+from wcsim.agents.envs.seat_driver import SeatDriver
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
-from wcsim.supervisor.actions import action_set
 from wcsim.towns.scenario.town import find_town
-from wcsim.types import F32, Command, Joystick, SeatSpec
+from wcsim.types import F32, SeatSpec
 
 PUSH_TICKS: Final = 20  # so long the stick is held somewhere, and so long the user has it again
 TRIES: Final = 5  # episodes, until one is long enough
@@ -34,32 +35,36 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     pushes, longest = _pushed_sticks(steps, seed), list[Observation]()
     with World(find_town(town), sensing, (spec,), seed) as world:
         policy.begin()
-        for _ in range(TRIES):
-            found = _episode(world, sensing, policy, pushes)
-            longest = max(longest, found, key=len)
-            if len(longest) == steps:
+        agent, tries = _Pushed(policy, pushes), 0
+        driver = SeatDriver(sensing, agent, world.snapshot.clients[0])
+        for step in rollout(world, {0: driver.choose}):
+            (client,) = step.after.clients
+            driver.take(client)
+            if client.first is None and len(agent.seen) < steps:
+                continue
+            longest, tries = max(longest, agent.seen, key=len), tries + 1
+            if len(longest) == steps or tries == TRIES:
                 break
     return longest
 
 
-def _episode(world: World, config: RunConfig, policy: Policy, pushes: F32) -> list[Observation]:
-    """Observations from the beginning of an episode to its end, or until there is one for each push."""
-    chair, link, points = Chair(config), HeldLink(), action_set(config.env.actions).points
-    (client,) = world.snapshot.clients
-    seen, _ = chair.begin(client.first or client)
-    policy.reset()
-    found: list[Observation] = []
-    for push in pushes:
-        found.append(seen if np.isnan(push).any() else {**seen, JOYSTICK_KEY: push})
-        action = policy.act(found[-1])
-        chair.send(link, action)
-        stick = Joystick(*points[action].tolist())
-        (client,) = world.tick((Command(seat=0, tick=world.snapshot.tick, joystick=stick),)).clients
-        link.now = client
-        seen = chair.receive(link).observation
-        if client.first is not None:
-            break
-    return found
+class _Pushed:
+    """Around a policy: the stick is pushed where it is not the user's own; `seen` is what it saw in this episode."""
+
+    def __init__(self, policy: Policy, pushes: F32) -> None:
+        self.seen: list[Observation] = []
+        self._policy, self._pushes = policy, pushes
+
+    def reset(self, info: Info) -> None:
+        """Begin an episode; the policy reckons with the configured delay, as its export does."""
+        self.seen = []
+        self._policy.reset()
+
+    def act(self, observation: Observation, info: Info) -> int:
+        """Ask the policy."""
+        push = self._pushes[len(self.seen)]
+        self.seen.append(observation if np.isnan(push).any() else {**observation, JOYSTICK_KEY: push})
+        return self._policy.act(self.seen[-1])
 
 
 def _pushed_sticks(steps: int, seed: int) -> F32:

@@ -7,14 +7,13 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import torch
 
 from wcsim.agents.collecting.data_folder import packed_segment, read_segment, segment_path
-from wcsim.agents.collecting.drive_segment import MakeLearned, drive_segment
-from wcsim.agents.collecting.segment import Segment, SegmentKey, joined
-from wcsim.agents.collecting.segment_places import SegmentOrder, driving_seed, places_of
+from wcsim.agents.collecting.drive_segment import MakeLearned, collect
+from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import exploring
 from wcsim.agents.danger.saved import load_net
@@ -149,20 +148,6 @@ def _drive_order(order: SegmentOrder, at: At) -> bytes:
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
     make = _learned_of(Path(here.policy), config) if here.policy else None
     return packed_segment(collect(here, make))
-
-
-def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
-    """The segment that an order asks for; the same one wherever and whenever it is driven.
-
-    Raises:
-        TownError: A town is missing.
-    """
-    with TemporaryDirectory(prefix="wcsim-collect-") as work:
-        parts = [
-            drive_segment(place, make_learned, driving_seed(order.key, number))
-            for number, place in enumerate(places_of(order, Path(work)))
-        ]
-    return joined(parts)
 
 
 def _learned_of(folder: Path, config: RunConfig) -> MakeLearned:

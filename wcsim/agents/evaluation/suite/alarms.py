@@ -1,15 +1,31 @@
-"""Interventions and warnings of one episode, as runs of steps, and what forks say of them."""
+"""Interventions and warnings of one episode, as runs of steps, and forks that say whether they were needed.
+
+A fork is the world's process, copied (`os.fork`) where it stands, in which the user drives alone from this tick on.
+That is the same as a replay of the episode to this tick, at the price of the ticks after it alone; the copy never comes
+back into the world that it was made of.
+"""
 
 from __future__ import annotations
 
+import math
+import os
+import struct
 from dataclasses import dataclass, field
 from typing import Final
 
 from wcsim.agents.evaluation.suite.records import NEEDED, NEEDLESS, NOT_JUDGED, Intervention
+from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import Driver, rollout
+from wcsim.errors import PhysicsError
+from wcsim.supervisor.actions import ActionSet
+from wcsim.types import ClientSnapshot, Joystick
 
 JOINED_S: Final = 0.5  # gaps below this join two runs
 BEFORE_S: Final = 5.0  # an own crash with no intervention so long before was missed
 AHEAD_S: Final = 1.0  # a warning counts when it comes so long before the crash
+ALONE_S: Final = 5.0  # so long a fork looks ahead
+_ANSWER: Final = struct.Struct("<d")
+_MOST_SAID: Final = 2000
 
 
 @dataclass(slots=True)
@@ -39,6 +55,11 @@ class Alarms:
 
     def __post_init__(self) -> None:
         self.taken, self.warned = Runs(self.tick_s), Runs(self.tick_s)
+
+    def begin(self, step: int, taken: bool, warned: bool) -> bool:
+        """Note a step; whether an intervention or a warning begins with it."""
+        begins = taken and self.taken.add(step)
+        return (warned and self.warned.add(step)) or begins
 
     def interventions(self) -> tuple[Intervention, ...]:
         """Every run, with the verdict of its fork where there was one."""
@@ -77,3 +98,64 @@ class Alarms:
         judged = [span for span in spans if span[0] in self.alone_s or ended]
         false = sum(not any(first <= step <= last + reach for step in came) for first, last in judged)
         return heard, len(dangers), false
+
+
+def crash_alone_s(world: World, seat: int, actions: ActionSet, tick_s: float) -> float | None:
+    """Seconds until a seat's chair crashes when its user drives alone from now on; None within `ALONE_S`.
+
+    The other chairs leave the street of the copy. The world itself does not move.
+
+    Raises:
+        PhysicsError: The copy ended without an answer.
+    """
+    reader, writer = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            os.close(reader)
+            os.write(writer, _answer(world, seat, actions, tick_s))
+        finally:
+            os._exit(0)  # nothing of the parent's may be closed, flushed or removed here
+    os.close(writer)
+    with os.fdopen(reader, "rb") as answers:
+        answer = answers.read()
+    os.waitpid(pid, 0)
+    if len(answer) != _ANSWER.size:
+        said = answer.decode(errors="replace") or "no answer"
+        raise PhysicsError(
+            f"the copy of the world that judges seat {seat} returned {said}; expected seconds: try again"
+        )
+    (crash_s,) = _ANSWER.unpack(answer)
+    return None if math.isinf(crash_s) else float(crash_s)
+
+
+def _answer(world: World, seat: int, actions: ActionSet, tick_s: float) -> bytes:
+    """What a copy says: seconds, or what went wrong in it."""
+    try:
+        return _ANSWER.pack(_alone(world, seat, actions, tick_s))
+    except Exception as error:  # it is told where it is understood: in the process that was copied
+        return f"{type(error).__name__}: {error}"[:_MOST_SAID].encode()
+
+
+def _alone(world: World, seat: int, actions: ActionSet, tick_s: float) -> float:
+    for other in [ego.index for ego in world.seats if ego.index != seat]:
+        world.dismiss(other)
+    world.go_blind()
+    world.drop_step_limits()  # a fork at the end of an episode looks as far ahead as any other
+    steps = rollout(world, {seat: users_alone(actions)})
+    for tick, step in zip(range(1, round(ALONE_S / tick_s) + 1), steps, strict=False):
+        (client,) = step.after.clients
+        if client.events.crashed:
+            return tick * tick_s
+        if client.first is not None or client.events.arrived or client.events.gave_up:
+            break  # an episode ends here, and whatever came on the next way
+    return math.inf
+
+
+def users_alone(actions: ActionSet) -> Driver:
+    """Drives as a seat's user alone does: with the action nearest to the stick."""
+
+    def choose(now: ClientSnapshot) -> Joystick:
+        return Joystick(*actions.points[actions.nearest((now.user.x, now.user.y))].tolist())
+
+    return choose

@@ -11,10 +11,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Protocol
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, HeldLink
+from wcsim.agents.envs.episode_view import EpisodeStep, Info
+from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
 from wcsim.agents.evaluation.episode_meter import EpisodeMeter
-from wcsim.agents.evaluation.suite.alarms import Alarms
-from wcsim.agents.evaluation.suite.forks import crash_alone_s, users_alone
+from wcsim.agents.evaluation.suite.alarms import Alarms, crash_alone_s
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
     FINISHED,
@@ -24,8 +24,9 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
     EpisodeRecord,
 )
-from wcsim.agents.policy_api import VISIBLE_BOUND, Helping, Policy, SeesTruth, Warns, tell_delay
+from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, with_overrides
 from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
@@ -33,7 +34,7 @@ from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
-from wcsim.types import ClientSnapshot, SeatSpec, StartSpec
+from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 
 LATE_S: Final = 10.0  # of processor time: a policy that needs longer for an answer has failed
 STARVED: Final = 5.0  # so much longer by the wall clock, for a policy that waits or a machine that is busy
@@ -88,15 +89,11 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
     with World(order.town, config, specs, seed) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
         watched = _looked_at(seats, watch)
-        while any(seat.record is None for seat in watched):
-            given = {seat.number: action for seat in seats if seat.record is None for action in seat.choose()}
-            left = [seat for seat in seats if seat.record is None]
-            if not left:
+        for step in rollout(world, {seat.number: seat.choose for seat in seats}):
+            for client in step.after.clients:
+                seats[client.seat].take(client)
+            if all(seat.record is not None for seat in watched):
                 break
-            snapshot = world.tick(users_alone(world.snapshot, seats[0].actions, given))
-            now = {client.seat: client for client in snapshot.clients}
-            for seat in left:
-                seat.take(now[seat.number])
     return tuple(seat.record for seat in seats if seat.record is not None)
 
 
@@ -129,51 +126,45 @@ class _Seat:
 
     def __init__(self, order: BlockOrder, config: RunConfig, world: World, number: int, policy: Policy) -> None:
         self.number, self.record = number, None  # type: int, EpisodeRecord | None
-        self.actions: ActionSet = action_set(config.env.actions)
         self.watch: Watch | None = None
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
-        self._help = Helping(policy, config.world.users_help_ticks)
-        self._chair, self._link = Chair(config), HeldLink()
         self._meter = EpisodeMeter(config.world.tick_s, config.reward)
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
         self._done_m = self._before_m = 0.0
         self._free = True
-        self._seen, self._info = self._chair.begin(world.snapshot.clients[number])
-        self._begun = False
+        self._actions, handover = action_set(config.env.actions), self._episode.handover_step
+        agent = _Handover(PolicyAgent(policy, config.world.users_help_ticks), handover, self._actions)
+        self._driver = SeatDriver(config, agent, world.snapshot.clients[number])
 
-    def choose(self) -> Iterator[int]:
-        """The policy's action; none while the user drives alone, and none when it fails, which ends the episode."""
-        if self._step < self._episode.handover_step:
-            stick = self._seen["joystick"]
-            yield self._sent(self.actions.nearest(stick))
-            return
+    def choose(self, now: ClientSnapshot) -> Joystick | None:
+        """The stick of the policy, or of the user before the handover; none when it fails, which ends the episode."""
+        driven = self._step - self._episode.handover_step
         try:
-            with _at_most(self._order.late_s * (1.0 if self._begun else FIRST_SHARE)):
-                action = self._chair.checked(self._answer())
+            with _at_most(self._order.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
+                stick = self._driver.choose(now)
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
             self._end(
                 POLICY_FAILED, f"{type(error).__name__}: {error}" if not isinstance(error, WcsimError) else str(error)
             )
-            return
-        self._free = not self._world.in_danger(self.number)
-        self._look_at(action)
-        yield self._sent(action)
+            return None
+        if driven >= 0:
+            self._free = not self._world.in_danger(self.number)
+            self._look_at(self._driver.action, driven)
+        return stick
 
     def take(self, client: ClientSnapshot) -> None:
         """What came of the tick."""
-        self._link.now = client
         alone = self._step < self._episode.handover_step
-        step = self._chair.receive(self._link)
+        step = self._driver.take(client)
         self._step += 1
         if alone:
             self._before_m += step.info["progress_m"]
         else:
             self._done_m += step.info["progress_m"]
             self._meter.add(step.info, self._free)
-        self._seen, self._info = step.observation, step.info
         if self.watch is not None:
             self.watch.see(self.number, step, self._world, self._policy)
         events = client.events
@@ -186,35 +177,15 @@ class _Seat:
         elif events.truncated:
             self._end(TIMED_OUT)
 
-    def _sent(self, action: int) -> int:
-        self._chair.send(self._link, action)
-        return action
-
-    def _answer(self) -> int:
-        policy = self._policy
-        if not self._begun:
-            policy.begin()
-            tell_delay(policy, self._info["drawn"])
-            policy.reset()
-            self._begun = True
-        if isinstance(policy, SeesTruth):
-            policy.see(self._info["truth"])
-        if self._info["help"]:
-            self._help.ask()
-        action = policy.act(self._seen)
-        self._help.tick()
-        return action
-
-    def _look_at(self, action: int) -> None:
-        """Note an intervention and a warning; judge the first tick of each."""
-        stick, driven = self._seen["joystick"], self._step - self._episode.handover_step
-        far = self.actions.distance(action, (float(stick[0]), float(stick[1])))
-        begins = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE and self._alarms.taken.add(driven)
-        if isinstance(self._policy, Warns) and self._policy.warning:
-            begins = self._alarms.warned.add(driven) or begins
-        if begins and self._order.judged:
+    def _look_at(self, action: int, driven: int) -> None:
+        """Note an intervention and a warning of a step; the first tick of each is judged."""
+        stick = self._driver.observation["joystick"]
+        far = self._actions.distance(action, (float(stick[0]), float(stick[1])))
+        taken = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE
+        warned = isinstance(self._policy, Warns) and self._policy.warning
+        if self._alarms.begin(driven, taken, warned) and self._order.judged:
             tick_s = self._config.world.tick_s
-            self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self.actions, tick_s)
+            self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
 
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
         sums, tick_s = self._meter.sums(reason if status == CRASHED else ""), self._config.world.tick_s
@@ -252,6 +223,27 @@ class _Seat:
     def _at(self) -> int:
         """The place of this seat among those in the snapshot."""
         return [client.seat for client in self._world.snapshot.clients].index(self.number)
+
+
+class _Handover:
+    """Around an agent: for so many steps of an episode the user drives alone, on the grid of actions."""
+
+    def __init__(self, agent: Agent, steps: int, actions: ActionSet) -> None:
+        self._agent, self._actions = agent, actions
+        self._steps = self._left = steps
+
+    def reset(self, info: Info) -> None:
+        """Begin an episode, in which the agent has one of its own from the handover on."""
+        self._left = self._steps
+
+    def act(self, observation: Observation, info: Info) -> object:
+        """The action nearest to the user's stick, or the agent's."""
+        self._left -= 1
+        if self._left >= 0:
+            return self._actions.nearest(observation["joystick"])
+        if self._left == -1:
+            self._agent.reset(info)
+        return self._agent.act(observation, info)
 
 
 @contextmanager

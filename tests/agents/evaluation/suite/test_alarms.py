@@ -7,21 +7,22 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import POINTS
 from tests.support.worlds import open_world
-from wcsim.agents.evaluation.suite.forks import ALONE_S, crash_alone_s, users_alone
+from wcsim.agents.evaluation.suite.alarms import ALONE_S, crash_alone_s, users_alone
+from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
 
 
 def test_a_fork_crashes_when_the_world_itself_would_and_moves_nothing(corner):
     wall = SeatSpec(profile="inattentive", max_steps=4000)
     with open_world(corner, seats=2, seed=5, spec=wall) as world:
+        steps = rollout(world, dict.fromkeys((0, 1), users_alone(POINTS)))
         for tick in range(400):
             before = world.snapshot.state_hash
             if tick % 50 == 0:
                 said = {seat: crash_alone_s(world, seat, POINTS, 0.1) for seat in (0, 1)}
                 asked_at = tick
                 assert world.snapshot.state_hash == before
-            snapshot = world.tick(users_alone(world.snapshot, POINTS, {}))
-            for client in snapshot.clients:
+            for client in next(steps).after.clients:
                 if client.events.crashed and tick - asked_at < 50 and said[client.seat] is not None:
                     assert abs(said[client.seat] - 0.1 * (tick + 1 - asked_at)) < 0.35  # the other chair was taken out
         assert said.keys() == {0, 1}
@@ -34,11 +35,12 @@ def test_a_user_who_drives_off_the_kerb_crashes_in_the_fork_too(corner, tmp_path
         here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
         yaw_rad = next(yaw for yaw in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, yaw))
         world.put_chair(0, here, float(yaw_rad))
-        world.tick(users_alone(world.snapshot, POINTS, {}))
+        steps = rollout(world, {0: users_alone(POINTS)})
+        next(steps)
         alone_s = crash_alone_s(world, 0, POINTS, 0.1)
         assert alone_s is not None and 0.5 < alone_s < ALONE_S
         ticks = 1
-        while not world.tick(users_alone(world.snapshot, POINTS, {})).clients[0].events.crashed:
+        while not next(steps).after.clients[0].events.crashed:
             ticks += 1
         assert alone_s == pytest.approx(0.1 * ticks)  # with nobody taken out a fork is the same to the tick
 
@@ -73,7 +75,8 @@ def test_a_fork_at_the_end_of_an_episode_looks_as_far_ahead_as_any_other(corner,
         with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{stick}", max_steps=max_steps)) as world:
             here, grid = world.snapshot.clients[0].plant.p_WB_m[:2].copy(), world.street.grid
             world.put_chair(0, here, float(next(y for y in np.linspace(0.0, 2.0 * np.pi, 64) if _edge(grid, here, y))))
-            world.tick(users_alone(world.snapshot, POINTS, {}))
+            steps = rollout(world, {0: users_alone(POINTS)})
+            next(steps)
             found.append(crash_alone_s(world, 0, POINTS, 0.1))
-            assert world.tick(users_alone(world.snapshot, POINTS, {})).clients[0].events.truncated == (max_steps == 2)
+            assert next(steps).after.clients[0].events.truncated == (max_steps == 2)
     assert found[0] is not None and found[0] == found[1]
