@@ -237,11 +237,12 @@ def test_branches_and_parameters_are_counted():
 
 SAME_CLASS_NAME = ("Options", "RunOptions", "ListOptions")  # of one command each, read by tyro
 SAME_FILE_NAME = {
+    "actors": "what an actor is, and how SUMO's are read",
     "barrier": "the protocol's state machine, and the script of its benchmark",
     "base": "what a room's files build on",
     "build": "a scene's folder, and a learner of its settings",
     "camera": "the sensor, and the script of its benchmark",
-    "chair": "its section of a run file, and its command",
+    "chair": "its section of a run file, what crosses borders of it, and its command",
     "collect": "its section of a run file, and its command",
     "command": "the commands of a group",
     "drive": "a block of a suite, and the command on whose page a person drives",
