@@ -47,9 +47,7 @@ Shown = list[tuple[Any, ...]]
 
 
 @contextmanager
-def made(
-    town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any
-) -> Iterator[gymnasium.Env[Any, Any]]:
+def made(town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any) -> Iterator[gymnasium.Env[Any, Any]]:
     env = gymnasium.make(wcsim.ENV_ID, town=str(town), overrides=(NO_WARMUP, *sized, *overrides), **more)
     try:
         yield env
@@ -207,9 +205,7 @@ def test_a_program_ends_though_its_second_world_died_and_nobody_closed_anything(
 
 def test_gymnasiums_own_vector_environments_work(corner):
     overrides = (NO_WARMUP, *TINY, "env.max_steps=4")
-    vec = gymnasium.make_vec(
-        wcsim.ENV_ID, num_envs=2, vectorization_mode="sync", town=str(corner), overrides=overrides
-    )
+    vec = gymnasium.make_vec(wcsim.ENV_ID, num_envs=2, vectorization_mode="sync", town=str(corner), overrides=overrides)
     try:
         vec.reset(seed=3)
         for _ in range(6):
@@ -345,7 +341,7 @@ def test_info_says_what_is_promised(corner):
         assert isinstance(info["reward_terms"], RewardTerms)
         assert info["truth"] is None
         assert reward == pytest.approx(info["reward_terms"].total)
-        assert 0.0 <= info["joystick_distance"] <= 2.0 ** 1.5
+        assert 0.0 <= info["joystick_distance"] <= 2.0**1.5
 
 
 def test_noise_turn_rates_and_heading_are_a_matter_of_configuration(corner):

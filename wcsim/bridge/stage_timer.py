@@ -31,9 +31,7 @@ class _Stage:
 
     __slots__ = ("_clock", "_inner_s", "_spent_s", "_stage", "_start_s")
 
-    def __init__(
-        self, clock: Callable[[], float], spent_s: dict[str, float], inner_s: list[float], stage: str
-    ) -> None:
+    def __init__(self, clock: Callable[[], float], spent_s: dict[str, float], inner_s: list[float], stage: str) -> None:
         self._clock, self._spent_s, self._inner_s, self._stage = clock, spent_s, inner_s, stage
 
     def __enter__(self) -> None:

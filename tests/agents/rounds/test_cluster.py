@@ -105,9 +105,7 @@ def test_a_node_that_joins_works_and_a_town_comes_to_each_node_once(by_processes
         assert len([p for p in (tmp_path / cache / "wcsim" / "parcels").iterdir() if p.is_dir()]) == 1
 
 
-def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(
-    by_processes, corner, tmp_path, monkeypatch
-):
+def test_a_cluster_lets_in_who_has_its_token_and_one_without_does_not_mind(by_processes, corner, tmp_path, monkeypatch):
     token, other = tmp_path / "token", tmp_path / "other"
     token.write_text("ab" * 32)
     other.write_text("cd" * 32)

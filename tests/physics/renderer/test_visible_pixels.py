@@ -103,9 +103,7 @@ def test_pixels_are_those_of_320x240_whatever_the_size():
 
 @pytest.mark.parametrize("size", [(640, 480), (160, 120), (80, 60)])
 def test_the_same_actor_has_as_many_in_pictures_of_all_sizes(size):
-    cameras = tuple(
-        CameraConfig(name=str(w), width_px=w, height_px=h) for w, h in ((320, 240), size)
-    )
+    cameras = tuple(CameraConfig(name=str(w), width_px=w, height_px=h) for w, h in ((320, 240), size))
     person = (actor(ActorKind.PEDESTRIAN, 5.0, 5.2, 0.12, number=1),)
     shown = []
     for camera in cameras:

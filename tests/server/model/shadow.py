@@ -74,9 +74,7 @@ class Shadow:
 
     def kept(self) -> tuple[Kept, ...]:
         """The seats as they are after an exact recovery."""
-        return tuple(
-            Kept(seat=c.seat, name=c.owner, spec=SeatSpec(), life=c.life, claim=c.claim) for c in self.chairs
-        )
+        return tuple(Kept(seat=c.seat, name=c.owner, spec=SeatSpec(), life=c.life, claim=c.claim) for c in self.chairs)
 
     def _at(self, epoch: int, tick: int) -> Shadow:
         return replace(self, epoch=epoch, tick=tick, chairs=tuple(replace(c, life=0) for c in self.chairs))

@@ -140,8 +140,9 @@ class Space:
         paid = self._pay(at, "suspect") if fault else at
         if paid is not None:
             server, effects = self.servers.handle(at.server, Lost(session))
-            yield ("!" if fault else "") + f"lost {session[:2].hex()}", self._carry_out(
-                replace(paid, server=server), effects
+            yield (
+                ("!" if fault else "") + f"lost {session[:2].hex()}",
+                self._carry_out(replace(paid, server=server), effects),
             )
 
     def _stepped(self, at: World) -> World:
@@ -320,4 +321,3 @@ def _short(message: m.Request | m.Reply) -> str:
     told = [str(getattr(message, name)) for name in names if hasattr(message, name)]
     session = getattr(message, "session", b"")[:2].hex()
     return f"{type(message).__name__}({','.join([*told, session])})"
-

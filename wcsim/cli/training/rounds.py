@@ -32,9 +32,7 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
         WcsimError: Something that was asked for cannot be used.
     """
     with StageBar("driving") as bar:
-        machines = replace(
-            machines_of(cluster, worlds, "--worlds"), say=lambda told: bar.say(told, left=False)
-        )
+        machines = replace(machines_of(cluster, worlds, "--worlds"), say=lambda told: bar.say(told, left=False))
 
         def show(now: RoundProgress) -> None:
             bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})

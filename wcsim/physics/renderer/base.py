@@ -28,9 +28,7 @@ class Pinhole:
 class Renderer(Protocol):
     """A renderer over one `GeometryStore`."""
 
-    def render(
-        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
-    ) -> None:
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out` what a camera sees.
 
         Args:

@@ -71,9 +71,7 @@ class TinyRenderer:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def render(
-        self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None
-    ) -> None:
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out`; see `Renderer.render`, and the module on where pixels are sampled."""
         check_images(camera, out)
         self._place(instances, range(len(instances)) if shown is None else np.flatnonzero(shown).tolist())

@@ -16,12 +16,12 @@ from pathlib import Path
 from types import FrameType
 
 from wcsim.errors import ConfigError, DiskFullError, HookError, JournalError, TownError, WcsimError
+from wcsim.log.records import Ended, Input
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.loop import Hosted, ServerLoop
 from wcsim.server.host.made_world import street_world
 from wcsim.server.host.recovery import Opened, open_server
 from wcsim.server.host.status import Reporter
-from wcsim.server.journal.records import Ended, JournalRecord
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.launch.parent_death import die_with_parent
 from wcsim.server.launch.states import WorldExit
@@ -86,7 +86,7 @@ def _prepared(
     return opened, ServerLoop(hosted, doors, lifelines, reporter)
 
 
-def _forget(record: JournalRecord) -> None:
+def _forget(record: Input) -> None:
     """A world without a run folder keeps no journal."""
     del record
 

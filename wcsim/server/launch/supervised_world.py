@@ -9,7 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from wcsim.errors import WcsimError
-from wcsim.server.journal.journal import JOURNAL, EpochBegun, Ticked, iter_part
+from wcsim.log.reader import inputs_of_part
+from wcsim.log.records import EpochBegun, Ticked
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.child import Child
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.spawner import Spawner
@@ -130,7 +132,9 @@ class SupervisedWorld(Supervised[WorldStatus]):
             return tick
         done = 0
         try:
-            for record in iter_part(journal):  # a world that died while it loaded has not said which epoch it was in
+            for record in inputs_of_part(
+                journal
+            ):  # a world that died while it loaded has not said which epoch it was in
                 if isinstance(record, Ticked | EpochBegun):
                     done = record.tick if isinstance(record, Ticked) else 0
         except WcsimError:
