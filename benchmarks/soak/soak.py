@@ -20,10 +20,11 @@ from benchmarks.soak.growth import GrowthLog, LongRun, SettledPace, Slope, long_
 from benchmarks.soak.stub_client import StubSight, read_sights
 from wcsim.config import RunConfig
 from wcsim.config.world import EPOCH_TICKS
-from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import Audit, audit, iter_ledger
+from wcsim.log.reader import iter_inputs
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchOutcome, LaunchRules, LaunchState
+from wcsim.server.ledger import Audit, audit, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import Recovery, SeatRequest, WorldSpec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
@@ -120,7 +121,7 @@ def soak(order: SoakOrder, progress: Callable[[float], object] = lambda done_s: 
     ledgers = [(seat, iter_ledger(_ledger(order, name))) for seat, name in enumerate(names)]
     times = _recovery_times(watch.chaos.faults, {name: read_sights(_sights(order, name)) for name in names})
     return SoakFacts(
-        audit=audit(iter_journal(order.folder / JOURNAL), ledgers),
+        audit=audit(iter_inputs(order.folder / JOURNAL), ledgers),
         faults=tuple(watch.chaos.faults),
         times=times,
         bars=recovery_bars(order),

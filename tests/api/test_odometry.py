@@ -16,12 +16,12 @@ from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.config import RunConfig, load_run_config, with_overrides
 from wcsim.errors import ConfigError, ConfigMismatchError
-from wcsim.server.journal.replay import recompute
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.local import LocalLink
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
+from wcsim.server.replay import recompute
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
 from wcsim.types import SeatSpec
 

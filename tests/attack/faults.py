@@ -23,7 +23,8 @@ from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.report import TickRate, report_of
 from wcsim.errors import WcsimError
-from wcsim.server.journal.journal import Ticked, iter_journal
+from wcsim.log.reader import iter_inputs
+from wcsim.log.records import Ticked
 
 ROOT = Path(__file__).parents[2]
 QUICK = (
@@ -74,7 +75,7 @@ def start(folder: Path, *words: object, before: Sequence[str] = ()) -> subproces
 def ticks_of(run: Path) -> int:
     """Ticks that a world has done, by its journal."""
     with contextlib.suppress(WcsimError):
-        return sum(isinstance(record, Ticked) for record in iter_journal(run / "journal"))
+        return sum(isinstance(record, Ticked) for record in iter_inputs(run / "journal"))
     return 0
 
 

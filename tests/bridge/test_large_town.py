@@ -11,7 +11,7 @@ import pytest
 
 from tests.bridge.sumo.grid_town import make_grid_town
 from tests.support.worlds import follow, open_world
-from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.recording.states import state_hash
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.towns.ground.tiles import TILE_M

@@ -187,9 +187,7 @@ def test_what_the_parser_refuses_ends_with_2_too(wcsim, folder, words):
 # --- towns ---
 
 
-@pytest.mark.parametrize(
-    "words", ["train --town {}", "test --town {}", "town check {}", "snapshot {}", "video {}"]
-)
+@pytest.mark.parametrize("words", ["train --town {}", "test --town {}", "town check {}", "snapshot {}", "video {}"])
 def test_an_unknown_town_is_answered_with_the_known_ones(wcsim, folder, words):
     refused(wcsim(*words.format("atlantis").split()), "unknown town 'atlantis'", "helsinki, manhattan, monaco")
     assert files_in(folder) == set()

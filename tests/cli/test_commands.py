@@ -294,9 +294,7 @@ def test_demo_trains_tests_and_films_it(wcsim, folder, corner, tiny):
     words = [word for text in (*small, "world.warmup_s=5", "cameras.0.width_px=40") for word in ("--set", text)]
     told = wcsim("demo", "--train-town", corner, "--test-town", tiny, "--episodes", "1", "--max-steps", "10", *words)
     assert told.code == 0
-    assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [
-        *("runs/demo", *BASELINES)
-    ]
+    assert [row["policy"] for row in read("runs/demo/test.json")["rows"]] == [*("runs/demo", *BASELINES)]
     for said in ("rounds of 1 x 20 ticks with 2 chairs", "4 updates", "testing in tiny", "filming 10 s", "--policy"):
         assert said in " ".join(told.out.split())
     assert fits("\n".join(line for line in told.out.splitlines() if "/" not in line))

@@ -52,5 +52,5 @@ def test_a_row_tells_type_bounds_default_and_meaning():
     text = MADE["_section"]("[some]", Some)
     assert text.splitlines()[-1] == "| `share` | number | ≥ 0, < 1 | `0.5` | of all \\| of it |"
     page = MADE["page"]()
-    assert "| `head` | `residual`, `plain`, `danger` |  | `\"residual\"` |" in page
+    assert '| `head` | `residual`, `plain`, `danger` |  | `"residual"` |' in page
     assert "## `[[cameras]]`" in page and "## `[cameras.noise.depth]`" in page

@@ -32,12 +32,18 @@ class Pin:
 
 PINS = (
     Pin(
-        town="helsinki", seed=3, seats=2,
-        states="925ca95f69ad82c12748123b44c2d170", pictures="f810f0dba54b0e66f8887b869226f7fe",
+        town="helsinki",
+        seed=3,
+        seats=2,
+        states="925ca95f69ad82c12748123b44c2d170",
+        pictures="f810f0dba54b0e66f8887b869226f7fe",
     ),
     Pin(
-        town="manhattan", seed=11, seats=1,
-        states="d8d91dbf0f87d903422854916e5d45cf", pictures="79a2d966ed287f0f4f84a9c4207f7168",
+        town="manhattan",
+        seed=11,
+        seats=1,
+        states="d8d91dbf0f87d903422854916e5d45cf",
+        pictures="79a2d966ed287f0f4f84a9c4207f7168",
     ),
 )
 

@@ -7,11 +7,12 @@ import shutil
 import pytest
 
 from tests.scenes.planted import PLANTED, plant
-from wcsim.bridge.recording.trace import TickRecord, TraceWriter
-from wcsim.bridge.recording.trace_diff import difference
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpect, SceneFile
+from wcsim.log.diff import golden_difference
+from wcsim.log.reader import read_states
+from wcsim.log.records import WorldState
+from wcsim.log.writer import LogWriter
 from wcsim.scenes.facts import facts_from_line, facts_line, faults
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
 from wcsim.towns.scene_folders.build import GOLDEN, find_scene, list_scenes
@@ -46,7 +47,7 @@ def test_scene(name, tmp_path):
     facts = run_in_child(folder, tmp_path / "new.trace")
     assert faults(facts, scene.expect) == ()
     assert scene.expect != SceneExpect(), "a scene that expects nothing shows nothing"
-    assert difference(tmp_path / "new.trace", folder / GOLDEN) == ""
+    assert golden_difference(tmp_path / "new.trace", folder / GOLDEN) == ""
     assert facts_from_line(facts_line(facts)) == facts
 
 
@@ -65,7 +66,7 @@ def test_a_planted_fault_turns_a_scene_red(fault, tmp_path):
     facts = run_in_child(folder, tmp_path / "new.trace")
     told = faults(facts, read_toml(folder / "scene.toml", SceneFile).expect)
     assert any(fault.told in line for line in told), told
-    assert difference(tmp_path / "new.trace", folder / GOLDEN)
+    assert golden_difference(tmp_path / "new.trace", folder / GOLDEN)
 
 
 def test_a_fault_is_named_with_what_was_got_and_expected(tmp_path):
@@ -78,13 +79,13 @@ def test_a_fault_is_named_with_what_was_got_and_expected(tmp_path):
 
 def test_one_changed_number_is_found(tmp_path):
     golden = find_scene("pedestrian-crossing") / GOLDEN
-    header, ticks = read_trace(golden)
+    header, ticks = read_states(golden)
     plants = ticks[5].plants.copy()
     plants[0, 0] += 1e-9
-    fields = {name: getattr(ticks[5], name) for name in TickRecord.__dataclass_fields__}
-    changed = TickRecord(**{**fields, "plants": plants, "state_hash": "0"})
-    with TraceWriter(tmp_path / "a", header) as writer:
+    fields = {name: getattr(ticks[5], name) for name in WorldState.__dataclass_fields__}
+    changed = WorldState(**{**fields, "plants": plants, "state_hash": "0"})
+    with LogWriter(tmp_path / "a", header) as writer:
         for tick in (*ticks[:5], changed, *ticks[6:]):
             writer.append(tick)
-    assert f"tick {ticks[5].tick}" in difference(tmp_path / "a", golden)
+    assert f"tick {ticks[5].tick}" in golden_difference(tmp_path / "a", golden)
     assert ticks[5].tick == 6 * TRACE_EVERY

@@ -1,16 +1,36 @@
-"""Files of records made by hand, as no writer would make them."""
+"""Files of records made by hand, as no writer would make them; and whole logs in memory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from wcsim.users.recording.framing import crc_of, framed, whole_records
+from wcsim.log.framing import crc_of, framed, whole_records
+from wcsim.log.parts import part_files
+from wcsim.log.reader import LogScan
+from wcsim.log.records import Header, LogRecord
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WholeLog:
+    """A log; `torn` when something that is no whole record follows the last one."""
+
+    header: Header
+    records: tuple[LogRecord, ...]
+    torn: bool
+
+
+def read_whole(path: Path) -> WholeLog:
+    """A log with all its parts."""
+    scans = [LogScan(part) for part in part_files(path) or (path,)]
+    records = tuple(record for scan in scans for record in scan.records())
+    return WholeLog(header=scans[0].header, records=records, torn=scans[-1].torn_bytes > 0)
 
 
 def chained(payloads: Iterable[bytes], after: int = 0) -> bytes:
-    """Payloads as chained records, as a journal of this version holds them."""
+    """Payloads as the records of a log."""
     records = []
     for payload in payloads:
         records.append(framed(payload, after))
@@ -18,19 +38,25 @@ def chained(payloads: Iterable[bytes], after: int = 0) -> bytes:
     return b"".join(records)
 
 
+def payloads_of(path: Path) -> list[bytes]:
+    """The payloads of a log."""
+    with path.open("rb") as file:
+        return [record.payload for record in whole_records(file)]
+
+
 def last_crc(path: Path) -> int:
-    """The CRC of the last record of a chained file."""
+    """The CRC of the last record of a log."""
     with path.open("rb") as file:
-        return [record.crc for record in whole_records(file, 0)][-1]
+        return [record.crc for record in whole_records(file)][-1]
 
 
-def record_ends(path: Path, after: int | None = 0) -> list[int]:
-    """Where the records of a file end; `after` None for one that is not chained."""
+def record_ends(path: Path) -> list[int]:
+    """Where the records of a log end."""
     with path.open("rb") as file:
-        return [record.end for record in whole_records(file, after)]
+        return [record.end for record in whole_records(file)]
 
 
-def pieces(path: Path, after: int | None = 0) -> list[bytes]:
+def pieces(path: Path) -> list[bytes]:
     """The records of a file as they lie there."""
     data = path.read_bytes()
-    return [data[begin:end] for begin, end in pairwise([0, *record_ends(path, after)])]
+    return [data[begin:end] for begin, end in pairwise([0, *record_ends(path)])]

@@ -4,29 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 
 from tests.support.framing import chained, record_ends
 from tests.support.worlds import quick_config
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of
+from wcsim.bridge.recording.states import chair_box_m, state_of
 from wcsim.bridge.town_run import as_recorded
 from wcsim.bridge.world import World
-from wcsim.server.journal.journal import (
+from wcsim.log.reader import iter_inputs, log_digest, read_header
+from wcsim.log.records import (
     Admitted,
     Dismissed,
     EpochBegun,
-    JournalHeader,
-    JournalRecord,
-    JournalWriter,
+    Header,
+    Input,
     Respawned,
     Ticked,
-    iter_journal,
-    read_header,
+    changed,
+    header_bytes,
+    record_bytes,
+    ticked,
 )
-from wcsim.server.journal.records import header_bytes, record_bytes
+from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import find_town, streets_hash
 from wcsim.types import Command, Joystick, SeatSpec, Snapshot
 
@@ -39,19 +40,19 @@ class JournaledWorld:
     def __init__(self, corner: Path, run: Path, *words: str, seed: int = 5, seats: int = 3) -> None:
         config, town = quick_config(*words), find_town(str(corner))
         self.world = World(town, config, (None,) * seats, seed)
-        header = JournalHeader(
+        header = Header(
             name=run.name,
             town=town.address,
             town_sha256=streets_hash(town),
             config=config.model_dump_json(),
             seed=seed,
-            capacity=seats,
+            seats=seats,
             tick_s=config.world.tick_s,
             fingerprint=fingerprint(),
         )
-        self.writer = JournalWriter(run / "journal", header)
-        trace = TraceHeader(
-            name=town.name,
+        self.writer = LogWriter(run / "journal", header)
+        trace = Header(
+            town=town.name,
             seed=seed,
             tick_s=config.world.tick_s,
             seats=seats,
@@ -60,7 +61,7 @@ class JournaledWorld:
             origin_z_m=self.world.street.net_origin_m[2],
             chair_box_m=chair_box_m(config.chair),
         )
-        self.trace = TraceWriter(run / "beside.trace", trace)
+        self.trace = LogWriter(run / "beside.trace", trace)
         self.writer.append(EpochBegun(epoch=0, seed=seed))
 
     def __enter__(self) -> JournaledWorld:
@@ -104,11 +105,9 @@ class JournaledWorld:
                 for client in before.clients
             )
             after = self.world.tick(commands)
-            self.writer.append(
-                Ticked(epoch=after.epoch, tick=after.tick, commands=commands, state_hash=after.state_hash)
-            )
+            self.writer.append(ticked(after.epoch, after.tick, commands, after.state_hash))
             if after.epoch == 0:
-                self.trace.append(record_of(after, commands, as_recorded(after, self.world.everyone())))
+                self.trace.append(state_of(after, commands, as_recorded(after, self.world.everyone())))
 
 
 def eventful_run(corner: Path, run: Path) -> dict[str, object]:
@@ -129,21 +128,25 @@ def eventful_run(corner: Path, run: Path) -> dict[str, object]:
                 it.tick(1)
                 crashes += sum(client.events.crashed for client in it.now.clients)
                 episodes += sum(client.first is not None for client in it.now.clients)
-        return {"crashes": crashes, "episodes": episodes, "state_hash": it.now.state_hash, "digest": it.writer.digest}
+        return {
+            "crashes": crashes,
+            "episodes": episodes,
+            "state_hash": it.now.state_hash,
+            "digest": log_digest(run / "journal"),
+        }
 
 
-def rewritten(journal: Path, out: Path, change: dict[int, JournalRecord]) -> Path:
+def rewritten(journal: Path, out: Path, change: dict[int, Input]) -> Path:
     """A copy of a journal with other records at some places."""
-    records = [change.get(number, record) for number, record in enumerate(iter_journal(journal))]
+    records = [change.get(number, record) for number, record in enumerate(iter_inputs(journal))]
     out.parent.mkdir(exist_ok=True)
     out.write_bytes(chained([header_bytes(read_header(journal)), *map(record_bytes, records)]))
     assert len(record_ends(out)) == len(records) + 1
     return out
 
 
-def nudged(record: JournalRecord) -> Ticked:
+def nudged(record: Input) -> Ticked:
     """A tick in which the first seat was commanded something a little else."""
     assert isinstance(record, Ticked)
-    first, *others = record.commands
-    stick = Joystick(first.joystick.x, first.joystick.y - 2.0**-8)
-    return replace(record, commands=(replace(first, joystick=stick), *others))
+    (x, y), *others = record.sticks
+    return changed(record, sticks=((x, y - 2.0**-8), *others))

@@ -37,6 +37,7 @@ def strip_street() -> Street:
         h0, h1 = pavement_height_m(x0), pavement_height_m(x1)
         quad((x0, -4, 0), (x1, -4, 0), (x1, 4, 0), (x0, 4, 0), ClassId.CROSSWALK if crossing else ClassId.ROAD)
         for side in (1, -1):
+
             def strip(y0, y1, za0, za1, zb0, zb1, cls, side=side, x0=x0, x1=x1):
                 near0, near1 = (x0, side * y0, za0), (x1, side * y0, za1)
                 far0, far1 = (x0, side * y1, zb0), (x1, side * y1, zb1)

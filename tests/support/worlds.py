@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.recording.states import state_hash
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, load_run_config

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.log.drives import tick, write_drive
 from tests.support.samples import USUAL_OUTLINE, straight_route
 from tests.users.kinematics import Chair, Sim
-from tests.users.recording.drives import tick, write_drive
 from wcsim.errors import ConfigError, DiskFullError
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, chair_box_m, record_of, state_hash
+from wcsim.bridge.recording.states import chair_box_m, state_hash, state_of
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World
@@ -22,6 +22,8 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RewardConfig, RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import SumoError
+from wcsim.log.records import Header
+from wcsim.log.writer import TRACE, LogWriter
 from wcsim.supervisor.rewards import fault
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.stage import Scenario, require_files
@@ -81,7 +83,6 @@ class _TownTraffic(Closing):
         return replace(bare, state_hash=state_hash(bare))
 
 
-TRACE = "trace"
 _BORDER_M = 3.0  # a chair drives on, and actors near the edge of its surroundings come or go, within a tick
 GRID_M = 2.0**-13  # a recorded town is rounded to an eighth of a millimetre, which packs five times as tight
 Progress = Callable[[int, int], None]  # (ticks done, all ticks)
@@ -162,7 +163,7 @@ def record_town(
         stage("starting SUMO")
         with _TownTraffic(town, config, order.seed, place) as traffic:
             opened(traffic.scenario)
-            with TraceWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
+            with LogWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
                 return _run_alone(traffic, ticks, writer, progress)
     validate_net(town.net, border=town.border)
     load_street(town, stage)
@@ -170,13 +171,13 @@ def record_town(
     stage(f"starting SUMO; traffic warm-up of {warmup_s(town, config):g} s")
     with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
         opened(world.scenario)
-        with TraceWriter(order.folder / TRACE, _header(town, config, order, world.street.net_origin_m[2])) as writer:
+        with LogWriter(order.folder / TRACE, _header(town, config, order, world.street.net_origin_m[2])) as writer:
             return _run(world, ticks, writer, progress)
 
 
-def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> TraceHeader:
-    return TraceHeader(
-        name=town.name,
+def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> Header:
+    return Header(
+        town=town.name,
         seed=order.seed,
         tick_s=config.world.tick_s,
         seats=order.chairs,
@@ -187,14 +188,14 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
     )
 
 
-def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
+def _run(world: World, ticks: int, writer: LogWriter, progress: Progress | None) -> TrafficFacts:
     meter = _Meter(world.snapshot.time_s, world.mishaps_so_far, world.town.file.origin_m, world.config.reward)
     for tick, step in enumerate(islice(rollout(world), ticks), start=1):
         after, everyone = step.after, world.everyone()
         places_W_m = np.array([c.plant.p_WB_m[:2] for c in after.clients]).reshape(-1, 2)
         if not any(client.first is not None for client in after.clients):  # a chair that was moved sees others now
             _check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
-        writer.append(record_of(after, step.commands, as_recorded(after, everyone)))
+        writer.append(state_of(after, step.commands, as_recorded(after, everyone)))
         meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
         meter.add_chairs(after.clients, after.time_s)
         if progress is not None:
@@ -202,12 +203,12 @@ def _run(world: World, ticks: int, writer: TraceWriter, progress: Progress | Non
     return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
 
 
-def _run_alone(traffic: _TownTraffic, ticks: int, writer: TraceWriter, progress: Progress | None) -> TrafficFacts:
+def _run_alone(traffic: _TownTraffic, ticks: int, writer: LogWriter, progress: Progress | None) -> TrafficFacts:
     meter = _Meter(traffic.snapshot.time_s, traffic.mishaps_so_far)
     for tick in range(ticks):
         after = traffic.tick()
         everyone = traffic.everyone()
-        writer.append(record_of(after, (), as_recorded(after, everyone)))
+        writer.append(state_of(after, (), as_recorded(after, everyone)))
         meter.add(everyone, (), traffic.mishaps())
         if progress is not None:
             progress(tick + 1, ticks)

@@ -21,7 +21,7 @@ from wcsim.bridge.ego.ego import XY, Ego
 from wcsim.bridge.ego.ego_slots import EgoSlots, hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import in_street
-from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.recording.states import state_hash
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.sumo.actors import moved
 from wcsim.bridge.sumo.run_place import RunPlace

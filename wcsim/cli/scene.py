@@ -151,7 +151,7 @@ def _run(options: RunOptions) -> int:
 
 
 def _outcome(folder: Path, name: str) -> Outcome:
-    from wcsim.bridge.recording.trace_diff import difference  # loads the simulators, which --help must not
+    from wcsim.log.diff import golden_difference  # loads the simulators, which --help must not
     from wcsim.scenes.run import run_in_child
 
     scene = read_toml(folder / "scene.toml", SceneFile)
@@ -163,7 +163,7 @@ def _outcome(folder: Path, name: str) -> Outcome:
         if not golden.is_file():
             found += (f"no golden trace; when the scene is right, save one: wcsim scene bless {_called(folder)}",)
         else:
-            told = difference(trace, golden)
+            told = golden_difference(trace, golden)
             found += (f"differs from the golden trace: {told}",) if told else ()
     return Outcome(name, facts, found)
 
@@ -189,13 +189,13 @@ def _bless(options: BlessOptions) -> int:
 
 def _news(trace: Path, golden: Path) -> str:
     """Why a golden trace must be written anew; "" when it need not."""
-    from wcsim.bridge.recording.trace_diff import difference
-    from wcsim.bridge.recording.trace_file import read_trace
+    from wcsim.log.diff import golden_difference
+    from wcsim.log.reader import read_states
 
     if not golden.is_file():
         return "no golden trace before"
-    other_versions = read_trace(trace)[0] != read_trace(golden)[0]
-    return difference(trace, golden) or ("the golden trace is of other versions" if other_versions else "")
+    other_versions = read_states(trace)[0] != read_states(golden)[0]
+    return golden_difference(trace, golden) or ("the golden trace is of other versions" if other_versions else "")
 
 
 def _new(options: NewOptions) -> int:

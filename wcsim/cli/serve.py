@@ -18,9 +18,9 @@ from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, load_run_config
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
-from wcsim.server.journal.journal import JOURNAL, JournalWriter
-from wcsim.server.journal.parts import part_files
-from wcsim.server.journal.torn import told_torn
+from wcsim.log.parts import part_files
+from wcsim.log.torn import told_torn
+from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
 from wcsim.server.protocol.events import Rules, rejoin_within
@@ -175,7 +175,7 @@ def _require_ours(folder: Path) -> None:
 def _mend(journal: Path) -> None:
     """Cut off what was torn when a process died, and say so. Raises JournalError when it is damaged elsewhere."""
     if journal.is_file():
-        with JournalWriter.append_to(journal) as writer:
+        with LogWriter.append_to(journal) as writer:
             if writer.cut_bytes:
                 print(f"wcsim: {told_torn(journal, writer.cut_bytes)}", file=sys.stderr)
 

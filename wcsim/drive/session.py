@@ -20,10 +20,10 @@ from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveEvent, DriveMetrics, DrivenTick, DriveObserver, DriverKind, EventKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
+from wcsim.log.records import start_json
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.users.hand import in_gate
-from wcsim.users.recording.drive_bytes import start_json
 
 AT_REST = Joystick(0.0, 0.0)
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone

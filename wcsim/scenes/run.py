@@ -13,19 +13,20 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from wcsim.bridge.recording.fingerprint import engines_fingerprint
-from wcsim.bridge.recording.trace import TraceHeader, TraceWriter, record_of
+from wcsim.bridge.recording.states import state_of
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import RolloutStep, rollout
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.errors import TownError, WcsimError
+from wcsim.log.records import Header, changed
+from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
@@ -55,7 +56,7 @@ def _run_scene(folder: Path, trace: Path) -> SceneFacts:
 
     Raises TownError when the scene cannot be built or run.
     """
-    with _open_scene(folder) as (world, scene), TraceWriter(trace, _header(world, scene)) as writer:
+    with _open_scene(folder) as (world, scene), LogWriter(trace, _header(world, scene)) as writer:
         meter = SceneMeter(world.snapshot, scene, world.street, plant_spec(world.config.chair).outline)
         digest = hashlib.blake2b(digest_size=8)
         last = _ticks(world, scene)
@@ -64,7 +65,7 @@ def _run_scene(folder: Path, trace: Path) -> SceneFacts:
             meter.add(snapshot, world.config.world.tick_s)
             digest.update(snapshot.state_hash.encode())
             if snapshot.tick % TRACE_EVERY == 0 or snapshot.tick == last:
-                writer.append(replace(record_of(snapshot, step.commands), state_hash=digest.hexdigest()))
+                writer.append(changed(state_of(snapshot, step.commands), state_hash=digest.hexdigest()))
         return meter.facts()
 
 
@@ -132,9 +133,9 @@ def _without_work(text: str, folder: Path) -> str:
     return text if text.startswith(f"{folder}") else f"{folder}: {text}"
 
 
-def _header(world: World, scene: SceneFile) -> TraceHeader:
-    return TraceHeader(
-        name=scene.name,
+def _header(world: World, scene: SceneFile) -> Header:
+    return Header(
+        town=scene.name,
         seed=scene.seed,
         tick_s=world.config.world.tick_s,
         seats=len(scene.seats),

@@ -1,6 +1,6 @@
 """A recorded joystick in the place of a simulated user, and the file that it comes from.
 
-The file is a recorded drive (`users/recording/`), whose episodes are replayed in their order, or a table of
+The file is a recorded drive (`log/drive.py`), whose episodes are replayed in their order, or a table of
 comma-separated values with the columns time_s, x (right) and y (forward). A sample holds until the next one. Recording
 and episode begin together; when the recording is over the stick rests and the user gives up.
 """
@@ -21,11 +21,12 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.files import whole_file
 from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, JournalError
+from wcsim.log.drive import moves_as_here, read_drive, wcsim_version
+from wcsim.log.reader import is_log
+from wcsim.log.records import DriveTick
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
 from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, read_profile
-from wcsim.users.recording.drive_reader import is_drive, read_drive
-from wcsim.users.recording.drive_types import RecordedTick, moves_as_here, wcsim_version
 from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 
@@ -163,7 +164,7 @@ def read_recording(path: FilePath) -> JoystickRecording:
             the one before, or more than 0.5 s later; with the line, the value and what was expected. Or it is a drive
             of another version of wcsim.
     """
-    if is_drive(path):
+    if is_log(path):
         return _joystick_of_drive(path)
     numbers = array("d")
     for line, row in _rows(path):
@@ -194,18 +195,18 @@ def _joystick_of_drive(path: FilePath) -> JoystickRecording:
     except JournalError as error:
         raise ConfigError(str(error)) from None
     header = drive.header
-    if not moves_as_here(header.wcsim):
+    if not moves_as_here(drive.about.wcsim):
         raise ConfigError(
-            f"{escaped(path)}: was driven with wcsim {escaped(header.wcsim, 40)}, this is {wcsim_version()}; expected "
-            "the same, as chairs and streets may differ: record it again"
+            f"{escaped(path)}: was driven with wcsim {escaped(drive.about.wcsim, 40)}, this is {wcsim_version()}; "
+            "expected the same, as chairs and streets may differ: record it again"
         )
     if not drive.ticks:
         raise ConfigError(f"{escaped(path)}: is empty; expected a drive with at least one tick")
     episodes = tuple(replace(_joystick_of(part, header.tick_s), name=str(path)) for part in drive.episodes)
-    return replace(episodes[0], town=header.town, town_sha256=header.town_sha256, episodes=episodes)
+    return replace(episodes[0], town=header.town_name, town_sha256=header.town_sha256, episodes=episodes)
 
 
-def _joystick_of(ticks: Sequence[RecordedTick], tick_s: float) -> JoystickRecording:
+def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> JoystickRecording:
     """One episode; at the ticks' borders the stick is exact, within them as it was sampled."""
     times, sticks, intents = [], [], []
     for number, tick in enumerate(ticks):

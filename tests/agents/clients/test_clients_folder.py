@@ -17,7 +17,7 @@ from wcsim.agents.clients.clients_folder import (
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.core import files
 from wcsim.errors import PolicyError
-from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
+from wcsim.server.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.specs import RunInfo
 
 

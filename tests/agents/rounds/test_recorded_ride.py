@@ -23,10 +23,10 @@ from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError
+from wcsim.log.drive import read_drive
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
 from wcsim.types import Joystick
-from wcsim.users.recording.drive_reader import read_drive
 
 TICKS = 40
 

@@ -23,10 +23,8 @@ _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
 # Where an idea stands that has more than one form: the file that goes with it, or the class in it.
 IDEAS: Final[dict[str, tuple[str, ...]]] = {
     "formats": (
-        "wcsim/server/journal/records.py",
-        "wcsim/server/journal/ledger.py",
-        "wcsim/bridge/recording/trace_file.py",
-        "wcsim/users/recording/drive_bytes.py",
+        "wcsim/log/records.py",
+        "wcsim/server/ledger.py",
     ),
     "meters": (
         "wcsim/supervisor/kpi.py",
@@ -47,10 +45,10 @@ BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]
         ("bridge.recording",),
         ("bridge.recording", "bridge.town_run", "bridge.drives"),
     ),
-    "world -> a user's recordings": (("bridge.ego", "bridge.world"), ("users.recorded", "users.recording"), ()),
-    "users -> recordings": (("users",), ("users.recording",), ("users.recording", "users.fitting")),
+    "world -> a user's recordings": (("bridge.ego", "bridge.world"), ("users.recorded", "log.drive"), ()),
+    "users -> recordings": (("users",), ("log",), ("users.fitting",)),
     "shared world -> recordings": (("server",), ("bridge.recording",), ()),
-    "processes -> shared world": (("server.launch",), ("server.specs", "server.protocol", "server.journal"), ()),
+    "processes -> shared world": (("server.launch",), ("server.specs", "server.protocol", "log"), ()),
     "danger -> policies": (("agents.danger",), ("agents.policies", "agents.policy_api"), ()),
     "danger -> Q-learning": (("agents.danger",), ("agents.learning", "agents.networks", "agents.replay"), ()),
     "Q-learning -> danger": (("agents.learning", "agents.replay"), ("agents.danger",), ()),

@@ -69,9 +69,7 @@ def faults(now: dict[str, float], rows: tuple[Row, ...] = ROWS) -> list[str]:
         if number > row.ceiling:
             found.append(f"{row.name}: {number:g}, expected at most {row.ceiling:g}; remove something or agree on more")
         elif row.ceiling > number * (1 + SLACK) + 1:
-            found.append(
-                f"{row.name}: {number:g}, the ceiling is {row.ceiling:g}; lower it in tests/api/ceilings"
-            )
+            found.append(f"{row.name}: {number:g}, the ceiling is {row.ceiling:g}; lower it in tests/api/ceilings")
     return found
 
 

@@ -8,21 +8,21 @@ from xml.etree import ElementTree
 from mcap.reader import make_reader
 
 from tests.attack.files.family import Family
-from tests.attack.files.files import sound_trace, trace_twist
-from tests.attack.files.people import drive_twist, sound_drive
+from tests.attack.files.files import log_twist, sound_trace
+from tests.attack.files.people import sound_drive
 from wcsim.bridge.recording.fcd import write_fcd
 from wcsim.bridge.recording.ros_chairs import drive_bag, trace_bag
-from wcsim.bridge.recording.trace_file import read_trace
-from wcsim.users.recording.drive_reader import read_drive
+from wcsim.log.drive import read_drive
+from wcsim.log.reader import read_states
 
 
 def families(work: Path) -> list[Family]:
     """What `wcsim replay` makes of traces and drives."""
     trace, drive = sound_trace(work), sound_drive(work / "sound.drive")
     return [
-        Family(name="fcd", file="trace", sound=trace, twist=trace_twist(trace), take=_take_fcd),
-        Family(name="mcap of a trace", file="trace", sound=trace, twist=trace_twist(trace), take=_take_trace),
-        Family(name="mcap of a drive", file="a.drive", sound=drive, twist=drive_twist(drive), take=_take_drive),
+        Family(name="fcd", file="trace", sound=trace, twist=log_twist(trace), take=_take_fcd),
+        Family(name="mcap of a trace", file="trace", sound=trace, twist=log_twist(trace), take=_take_trace),
+        Family(name="mcap of a drive", file="a.drive", sound=drive, twist=log_twist(drive), take=_take_drive),
     ]
 
 
@@ -31,14 +31,14 @@ def _take_fcd(path: Path) -> bool:
     out = path.with_name("fcd.xml")
     steps = write_fcd(path, out)
     found = list(ElementTree.parse(out).getroot())  # noqa: S314 - our own file
-    records = [record for record in read_trace(path)[1] if record.epoch == 0]
+    records = [record for record in read_states(path)[1] if record.epoch == 0]
     told = [{body.id.partition(":")[2] for body in record.bodies if not body.piece} for record in records]
     there = (names <= {item.get("id") for item in step} for names, step in zip(told, found, strict=True))
     return len(found) == steps and all(there)
 
 
 def _take_trace(path: Path) -> bool:
-    header, records = read_trace(path)
+    header, records = read_states(path)
     return _readable(path.with_name("a.mcap"), trace_bag(header.tick_s, records, path.with_name("a.mcap")))
 
 

@@ -6,10 +6,10 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from tests.attack.files.damage import swollen
@@ -28,19 +28,21 @@ from tests.attack.scenarios.twists import (
     twisted,
     without_none,
 )
+from tests.support.framing import chained
 from wcsim.agents.envs.env_spec import make_face
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
-from wcsim.bridge.recording.trace import ActorBody, TickRecord, TraceHeader, TraceWriter
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
 from wcsim.config.plant import plant_text, read_plant
 from wcsim.config.scene import SceneFile
+from wcsim.log.framing import framed, whole_records
+from wcsim.log.reader import read_states
+from wcsim.log.records import ActorBody, Header, WorldState, record_bytes
+from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.overrides import Override
 from wcsim.types import ActorKind
 from wcsim.users.recorded import COLUMNS, find_user, read_recording
-from wcsim.users.recording.framing import framed, whole_records
 
 RICH = (
     *("cameras.0.noise=typical", 'vary.plant={"wheel.friction" = [0.5, 0.9]}'),
@@ -94,20 +96,19 @@ def _take_recording(path: Path) -> bool:
 
 
 def _take_trace(path: Path) -> bool:
-    header, ticks = read_trace(path)
+    header, ticks = read_states(path)
+    path.unlink()
     _write_trace(path, header, ticks)
-    found, again = read_trace(path)
+    found, again = read_states(path)
     return found == header and len(again) == len(ticks) and all(map(_same_tick, ticks, again))
 
 
-def _same_tick(a: TickRecord, b: TickRecord) -> bool:
-    plain = {"commands": None, "plants": None, "actors": None}
-    arrays = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in plain)
-    return arrays and replace(a, **plain) == replace(b, **plain)
+def _same_tick(a: WorldState, b: WorldState) -> bool:
+    return record_bytes(a) == record_bytes(b)
 
 
-def _write_trace(path: Path, header: TraceHeader, ticks: Sequence[TickRecord]) -> None:
-    with TraceWriter(path, header) as writer:
+def _write_trace(path: Path, header: Header, ticks: Sequence[WorldState]) -> None:
+    with LogWriter(path, header) as writer:
         for tick in ticks:
             writer.append(tick)
 
@@ -128,30 +129,49 @@ def csv_twist(rows: list[list[Any]]) -> Callable[[Rng], tuple[bytes, str]]:
     return twist
 
 
-def trace_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
-    """A field of the JSON in one record, or its numbers, with length and checksum made to fit."""
-    payloads = [record.payload for record in whole_records(io.BytesIO(sound))]
+def log_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
+    """A field of the header or of a record, or its numbers, with lengths and checksums made to fit."""
+    records = list(whole_records(io.BytesIO(sound)))
+    payloads, last = [record.payload for record in records], records[-1].crc
 
     def twist(rng: Rng) -> tuple[bytes, str]:
         if integer(rng, 5) == 0:
-            return swollen(sound, rng, framed), "swollen"
-        at = integer(rng, len(payloads))
-        line, newline, raw = payloads[at].partition(b"\n")
-        if at and integer(rng, 3) == 0:
-            raw, told = spoiled(raw, rng) if integer(rng, 2) else (_odd_number(raw, rng), "an odd number")
+            return swollen(sound, rng, lambda payload: framed(payload, last)), "swollen"
+        at, how = integer(rng, len(payloads)), integer(rng, 4)
+        if not at:
+            data, told = twisted(json.loads(payloads[0]), rng)
+            payload = json_text(data).encode()
+        elif how == 0:
+            payload, told = spoiled(payloads[at], rng)
         else:
-            changed, told = twisted(json.loads(line), rng)
-            line = json_text(changed).encode()
-        changed_payloads = [*payloads[:at], line + newline + raw, *payloads[at + 1 :]]
-        return b"".join(map(framed, changed_payloads)), f"record {at}: {told}"
+            fields = msgspec.msgpack.decode(payloads[at])
+            fields, told = (_odd_number(fields, rng), "an odd number") if how == 1 else twisted(fields, rng)
+            payload = _packed(fields)
+        return chained([*payloads[:at], payload, *payloads[at + 1 :]]), f"record {at}: {told}"
 
     return twist
 
 
-def _odd_number(raw: bytes, rng: Rng) -> bytes:
-    numbers = np.frombuffer(raw, "<f8").copy()
-    numbers[integer(rng, len(numbers))] = pick(rng, (np.nan, np.inf, -np.inf, 1e308, -1e300, 5e-324, 0.0))
-    return numbers.tobytes()
+def _packed(fields: Any) -> bytes:
+    """Fields as a record; a byte that is never one where MessagePack cannot hold an integer."""
+    try:
+        return msgspec.msgpack.encode(fields, enc_hook=str)
+    except (OverflowError, RecursionError):
+        return b"\xc1"
+
+
+def _odd_number(fields: Any, rng: Rng) -> Any:
+    """Another number in an array, or in place of a number."""
+    odd = pick(rng, (np.nan, np.inf, -np.inf, 1e308, -1e300, 5e-324, 0.0))
+    arrays = [field for field in fields if isinstance(field, list) and len(field) == 3 and isinstance(field[2], bytes)]
+    if not arrays:
+        return [odd if isinstance(field, float) else field for field in fields]
+    array = pick(rng, tuple(arrays))
+    numbers = np.frombuffer(array[2], f"<f{array[1]}").copy()
+    if len(numbers):
+        numbers[integer(rng, len(numbers))] = odd
+    array[2] = numbers.tobytes()
+    return fields
 
 
 def sound_trace(work: Path) -> bytes:
@@ -161,16 +181,14 @@ def sound_trace(work: Path) -> bytes:
         ActorBody(id="p:b", kind=ActorKind.PEDESTRIAN, size_lwh_m=(0.4, 0.6, 1.7), piece=1),
     )
     ticks = [
-        TickRecord(
+        WorldState(
             epoch=0, tick=tick, commands=rng.random((2, 2)), plants=rng.random((2, 15)), actor_ids=("v:a", "p:b"),
             actors=rng.random((2, 8)), state_hash="ab" * 8, time_s=0.1 * (tick + 1), bodies=bodies, seats=(0, 3),
         )
         for tick in range(3)
     ]  # fmt: skip
     path = work / "sound.trace"
-    _write_trace(
-        path, TraceHeader(name="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3)), ticks
-    )
+    _write_trace(path, Header(town="t", seed=1, tick_s=0.1, seats=2, fingerprint="a", chair_box_m=(1.1, 0.3)), ticks)
     data = path.read_bytes()
     path.unlink()
     return data
@@ -221,7 +239,7 @@ def families(work: Path) -> list[Family]:
         Family(name="run", file=CONFIG, sound=run_json, twist=model_twist(whole, json_text), take=_take_run,
                beside=((MANIFEST, json_text(lone).encode()),)),
         Family(name="recording", file="s.csv", sound=stick_text, twist=csv_twist(sticks), take=_take_recording),
-        Family(name="trace", file="trace", sound=trace, twist=trace_twist(trace), take=_take_trace),
+        Family(name="trace", file="trace", sound=trace, twist=log_twist(trace), take=_take_trace),
     ]  # fmt: skip
 
 

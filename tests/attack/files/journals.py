@@ -13,26 +13,20 @@ import numpy as np
 from tests.attack.files.damage import ANY, bomb, flipped, flipped_at, pick, swollen
 from tests.attack.outcomes import Case
 from tests.attack.scenarios.twists import cleared
-from tests.server.journal.test_journal import HEADER, RECORDS, tick
+from tests.log.test_log import HEADER, RECORDS, tick
 from tests.support.events import read_events
-from tests.support.framing import chained, pieces
+from tests.support.framing import chained, pieces, read_whole
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
-from wcsim.server.journal.journal import (
-    Ended,
-    JournalRecord,
-    JournalWriter,
-    _read_journal,
-    iter_journal,
-    journal_digest,
-)
-from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, _read_ledger
-from wcsim.server.journal.records import header_bytes
+from wcsim.log.framing import MAX_RECORD_BYTES, framed
+from wcsim.log.reader import iter_inputs, log_digest
+from wcsim.log.records import Ended, Input, header_bytes
+from wcsim.log.writer import LogWriter
 from wcsim.server.launch.event_log import EVENTS, RunLog
-from wcsim.users.recording.framing import MAX_RECORD_BYTES, framed
+from wcsim.server.ledger import LedgerEntry, LedgerWriter, _read_ledger
 
 TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
-LONG: tuple[JournalRecord, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
-DEEP = b'["e",' + b"[" * 50_000
+LONG: tuple[Input, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
+DEEP = b"\x94\xa1e" + b"\x91" * 50_000
 Spoil = Callable[[list[bytes], np.random.Generator], bytes]
 """Makes another file of the pieces of a sound one."""
 
@@ -75,7 +69,7 @@ def _feed(area: str, data: bytes, whole: bytes, folder: Path) -> bool:
 
 def a_journal(path: Path) -> list[bytes]:
     """The pieces of a sound one."""
-    with JournalWriter(path, HEADER) as writer:
+    with LogWriter(path, HEADER) as writer:
         for record in LONG:
             writer.append(record)
     return pieces(path)
@@ -84,13 +78,13 @@ def a_journal(path: Path) -> list[bytes]:
 def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
     """Reading it, and going on with it; a refusal leaves it as it was."""
     try:
-        seen = _read_journal(path)
-        digest = journal_digest(path)
-        if seen.records != LONG[: len(seen.records)] or tuple(iter_journal(path)) != seen.records:
+        seen = read_whole(path)
+        digest = log_digest(path)
+        if seen.records != LONG[: len(seen.records)] or tuple(iter_inputs(path)) != seen.records:
             return False
-        with JournalWriter.append_to(path) as writer:
+        with LogWriter.append_to(path) as writer:
             cut = writer.cut_bytes
-            if writer.digest != digest or seen.torn != (cut > 0):
+            if log_digest(path) != digest or seen.torn != (cut > 0):
                 return False
             writer.append(RECORDS[0])
     except Exception:
@@ -101,7 +95,7 @@ def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
     rest = path.read_bytes()
     begun = len(data) - cut
     prefix = whole.startswith(data[:begun]) and data[:begun] + kept == data and rest.startswith(data[:begun])
-    return prefix and not _holds_another_record(kept, whole, begun) and _read_journal(path).records[-1] == RECORDS[0]
+    return prefix and not _holds_another_record(kept, whole, begun) and read_whole(path).records[-1] == RECORDS[0]
 
 
 def _holds_another_record(kept: bytes, whole: bytes, begun: int) -> bool:
@@ -166,7 +160,8 @@ def left_out(parts: list[bytes], rng: np.random.Generator) -> bytes:
 
 def strange_records(parts: list[bytes], rng: np.random.Generator) -> bytes:
     """Whole ones that say what no journal says, in the chain and out of it."""
-    payload = pick(rng, (DEEP, b"", b"[]", b"null", b'["t",0,1,"a",[0]]\n', b'["q",{}]', bomb(rng), rng.bytes(40)))
+    short_tick = b"\x96\xa1t\0\1\x91\0\x90\xa1a"
+    payload = pick(rng, (DEEP, b"", b"\x90", b"\xc0", short_tick, b"\x92\xa1q\x80", bomb(rng), rng.bytes(40)))
     place = int(rng.integers(1, len(parts) + 1))
     after = struct.unpack_from("<I", parts[place - 1], 4)[0]
     strange = pick(rng, (framed(payload), chained([payload], after), framed(payload, after)[:-1]))
@@ -186,7 +181,7 @@ def a_swollen_end(parts: list[bytes], rng: np.random.Generator) -> bytes:
 
 def another_header(parts: list[bytes], rng: np.random.Generator) -> bytes:
     head = header_bytes(HEADER)
-    other = pick(rng, (bomb(rng), head.replace(b"2", b"3"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
+    other = pick(rng, (bomb(rng), head.replace(b"log-1", b"log-2"), head[:-5], head.replace(b"wcsim", b"xcsim"), DEEP))
     return b"".join([framed(other), *parts[1:]])
 
 

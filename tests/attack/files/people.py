@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import io
-import json
-from collections.abc import Callable
 from pathlib import Path
 
-from tests.attack.files.damage import swollen
 from tests.attack.files.family import Family, model_twist
-from tests.attack.scenarios.twists import Rng, integer, json_text, spoiled, toml_text, twisted, without_none
-from tests.support.framing import chained
-from tests.users.recording.drives import tick, write_drive
+from tests.attack.files.files import log_twist
+from tests.attack.scenarios.twists import toml_text, without_none
+from tests.log.drives import tick, write_drive
 from wcsim.config import parse_json, read_toml
 from wcsim.config.study import StudyFile
+from wcsim.log.drive import DriveRecording, read_drive
+from wcsim.log.reader import is_log, read_header
+from wcsim.log.records import Note, header_bytes, record_bytes
+from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import profile_text, read_profile
-from wcsim.users.recording.drive_bytes import event_payload, header_payload, tick_payload
-from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import DriveRecording, RecordedEvent
-from wcsim.users.recording.framing import framed, whole_records
 
 STUDY = {
     "name": "a-study",
@@ -49,7 +44,7 @@ def families(work: Path) -> list[Family]:
                take=_take_study),
         Family(name="profile", file="u.toml", sound=toml_text(PROFILE).encode(), twist=model_twist(PROFILE, toml_text),
                take=_take_profile),
-        Family(name="drive", file="a.drive", sound=drive, twist=drive_twist(drive), take=_take_drive),
+        Family(name="drive", file="a.drive", sound=drive, twist=log_twist(drive), take=_take_drive),
     ]  # fmt: skip
 
 
@@ -68,44 +63,23 @@ def _take_profile(path: Path) -> bool:
 def _take_drive(path: Path) -> bool:
     """What is read and recorded again is the same; what is no drive for one reader is none for the others."""
     drive = read_drive(path)
-    if not is_drive(path) or read_drive_header(path) != drive.header:
+    if not is_log(path) or read_header(path) != drive.header:
         return False
     path.unlink()
-    with DriveRecorder(path, drive.header) as recorder:
+    with LogWriter(path, drive.header) as recorder:
         for event in drive.events:
-            recorder.note(event)
+            recorder.append(event)
         for item in drive.ticks:
-            recorder.record(item)
+            recorder.append(item)
     return _payloads(read_drive(path)) == _payloads(drive)
 
 
 def _payloads(drive: DriveRecording) -> list[bytes]:
-    return [header_payload(drive.header), *map(event_payload, drive.events), *map(tick_payload, drive.ticks)]
+    return [header_bytes(drive.header), *map(record_bytes, (*drive.events, *drive.ticks))]
 
 
 def sound_drive(path: Path) -> bytes:
-    events = (RecordedEvent(tick=2, time_s=0.2, kind="help", detail="the user asks for help"),)
+    events = (Note(tick=2, time_s=0.2, kind="help", detail="the user asks for help"),)
     data = write_drive(path, [tick(number) for number in range(1, 5)], events).read_bytes()
     path.unlink()
     return data
-
-
-def drive_twist(sound: bytes) -> Callable[[Rng], tuple[bytes, str]]:
-    """Fields of the header or of an event, or bytes of a tick, with lengths and checksums made to fit."""
-    records = list(whole_records(io.BytesIO(sound), 0))
-    payloads, last = [record.payload for record in records], records[-1].crc
-
-    def twist(rng: Rng) -> tuple[bytes, str]:
-        if integer(rng, 5) == 0:
-            return swollen(sound, rng, lambda payload: framed(payload, last)), "swollen"
-        at = integer(rng, len(payloads))
-        kind, rest = payloads[at][:1], payloads[at][1:]
-        if kind == b"T":
-            changed, told = spoiled(rest, rng)
-            payload = kind + changed
-        else:
-            data, told = twisted(json.loads(rest if kind == b"E" else payloads[at]), rng)
-            payload = (b"E" if kind == b"E" else b"") + json_text(data).encode()
-        return chained([*payloads[:at], payload, *payloads[at + 1 :]]), f"record {at}: {told}"
-
-    return twist

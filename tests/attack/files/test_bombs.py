@@ -20,16 +20,16 @@ from wcsim.agents.learning import saved_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_json
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.cli.main import main
 from wcsim.cli.shared.overrides import print_overrides
 from wcsim.config import TownFile, load_run_config, read_toml
 from wcsim.config.plant import read_plant
 from wcsim.config.scene import SceneFile
 from wcsim.errors import ConfigError, JournalError, PolicyError
+from wcsim.log.framing import framed, whole_records
+from wcsim.log.reader import read_states
 from wcsim.towns.scenario.overrides import Override
 from wcsim.users.recorded import find_user
-from wcsim.users.recording.framing import framed
 
 TOML_BOMBS = {
     "nesting": "a=" + "[" * 5000,
@@ -111,7 +111,7 @@ def test_pipes_devices_and_odd_names_are_no_files(tmp_path: Path) -> None:
             with pytest.raises(ConfigError):
                 take(path)
         with pytest.raises(JournalError):
-            read_trace(path)
+            read_states(path)
 
 
 @pytest.mark.parametrize("bomb", TOML_BOMBS)
@@ -297,9 +297,10 @@ def test_weights_that_change_between_two_looks_are_read_once(
 
 def test_a_recording_that_unpacks_to_far_more_than_it_has_is_refused(tmp_path: Path) -> None:
     trace = next(kind for kind in files.families(tmp_path) if kind.name == "trace").sound
-    (tmp_path / "trace").write_bytes(trace + framed(bytes(8 << 20)))
+    last = [record.crc for record in whole_records(io.BytesIO(trace))][-1]
+    (tmp_path / "trace").write_bytes(trace + framed(bytes(8 << 20), last))
     with pytest.raises(JournalError, match="is damaged after"):
-        read_trace(tmp_path / "trace")
+        read_states(tmp_path / "trace")
 
 
 def test_a_policy_with_a_long_name_is_unknown_and_no_traceback() -> None:

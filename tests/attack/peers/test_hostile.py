@@ -11,8 +11,9 @@ import pytest
 
 from tests.attack.peers import hostile
 from tests.server.servers import Server, stand_in_order
-from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import _read_ledger, audit
+from wcsim.log.reader import iter_inputs
+from wcsim.log.writer import JOURNAL
+from wcsim.server.ledger import _read_ledger, audit
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.keys import make_keys
 
@@ -42,7 +43,7 @@ def besieged(folder: Path, town: str, rounds: int, phase_s: float) -> dict[str, 
         server.process.terminate()
         server.wait()
     ledgers = [(seat, _read_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
-    found = audit(iter_journal(folder / "run" / JOURNAL), ledgers)
+    found = audit(iter_inputs(folder / "run" / JOURNAL), ledgers)
     sights = hostile.sights_of(folder, "a")
     floods, burns = ([phase for phase in told if phase.what == what] for what in ("flood", "burn"))
     flood_s, burn_s = hostile.tick_times_s(sights, floods), hostile.tick_times_s(sights, burns)

@@ -17,17 +17,15 @@ from wcsim.cli.main import main, printable
 from wcsim.core.files import locked, write_json
 from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError, PolicyError, WcsimError
-from wcsim.server.journal.records import JournalHeader, header_bytes, header_of
-from wcsim.server.journal.replay import verify
+from wcsim.log.records import Header, changed, header_bytes, header_of
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
+from wcsim.server.replay import verify
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 from wcsim.server.transport.keys import make_keys
 
-HEADER = JournalHeader(
-    name="x", town="helsinki", town_sha256="0", config="{}", seed=1, capacity=2, tick_s=0.1, fingerprint="f"
-)
+HEADER = Header(name="x", town="helsinki", town_sha256="0", config="{}", seed=1, seats=2, tick_s=0.1, fingerprint="f")
 
 
 @pytest.mark.parametrize("name", ["run/evil:H", "/x/evil:H", "../evil:H", ".evil:H", "evil:H.x", "a b:C", "a:\x1b[31m"])
@@ -42,9 +40,9 @@ def test_a_class_is_named_by_words_not_by_paths(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_journals_hook_is_named_on_the_command_line_or_not_loaded(tmp_path: Path) -> None:
-    from wcsim.server.journal.journal import JournalWriter
+    from wcsim.log.writer import LogWriter
 
-    with JournalWriter(tmp_path / "journal", replace(HEADER, hook="evil:H")):
+    with LogWriter(tmp_path / "journal", replace(HEADER, hook="evil:H")):
         pass
     for hook in ("", "other:H"):
         with pytest.raises(ConfigError, match="a hook is code"):
@@ -134,11 +132,11 @@ def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> N
     assert kept.is_dir()
 
 
-@pytest.mark.parametrize("changes", [{"capacity": 10**9}, {"capacity": 0}, {"tick_s": 1e-300}, {"seed": -1}])
+@pytest.mark.parametrize("changes", [{"seats": 10**9}, {"seats": 0}, {"tick_s": 1e-300}, {"seed": -1}])
 def test_a_journals_header_asks_for_no_boundless_world(changes: dict[str, float]) -> None:
     assert header_of(header_bytes(HEADER)) == HEADER
     with pytest.raises(WcsimError, match="expected"):
-        header_of(header_bytes(replace(HEADER, **changes)))  # type: ignore[arg-type]
+        header_of(header_bytes(changed(HEADER, **changes)))  # type: ignore[arg-type]
 
 
 def test_a_seat_asked_for_by_number_is_not_an_empty_claims(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 Rng = np.random.Generator
@@ -103,7 +104,7 @@ def places(data: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 def twisted(data: Data, rng: Rng, nasty: tuple[Any, ...] = NASTY) -> tuple[Data, str]:
     """A copy with one or two fields changed, and what was changed."""
-    copy, told = json.loads(json.dumps(data)), []
+    copy, told = msgspec.msgpack.decode(msgspec.msgpack.encode(data)), []
     for _ in range(1 + (integer(rng, 4) == 0)):
         at = pick(rng, places(copy))
         *path, last = at

@@ -28,8 +28,8 @@ from benchmarks.soak.soak import (
 )
 from benchmarks.soak.stub_client import StubSight
 from tests.support.worlds import quick_config
-from wcsim.server.journal.ledger import Audit
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchState
+from wcsim.server.ledger import Audit
 from wcsim.server.specs import WorldStatus
 
 

@@ -125,7 +125,6 @@ def test_who_waits_with_the_footplate_or_its_middle_over_the_kerb_has_not_set_ou
     assert red_entries(((40.0, 6.0), (40.0, reached_m), (40.0, 6.0))) == 0
 
 
-
 def test_setting_out_at_red_beside_the_crossing_is_not_counted():
     assert red_entries(((30.0, 6.0), (30.0, -6.0))) == 0
 

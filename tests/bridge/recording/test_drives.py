@@ -24,13 +24,13 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
+from wcsim.log.drive import read_drive
+from wcsim.log.records import RESPAWN, Note, changed
+from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
 from wcsim.users.profiles import profile, profile_json, profile_names, profile_of_json, read_profile, sample
 from wcsim.users.recorded import _write_recording
-from wcsim.users.recording.drive_reader import read_drive
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import RESPAWN, RecordedEvent
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +44,9 @@ def driven(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driven):
     drive = read_drive(driven)
-    assert (drive.header.profile, drive.header.policy, len(drive.ticks)) == ("tremor", "follow", 60)
+    assert (drive.about.profile, drive.about.policy, len(drive.ticks)) == ("tremor", "follow", 60)
     assert drive.header.town_sha256 == content_hash(find_town(str(corner)))
-    assert profile_of_json(drive.header.user, "") == drawn_user(profile("tremor"), 5)
+    assert profile_of_json(drive.about.user, "") == drawn_user(profile("tremor"), 5)
     assert drive.knows_intents
     assert all(tick.sticks.shape == (24, 2) for tick in drive.ticks)
     assert all(
@@ -74,11 +74,11 @@ def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
 
 def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
     drive = read_drive(driven)
-    wrong = replace(drive.ticks[20], commanded=Joystick(1.0, 0.0))
+    wrong = changed(drive.ticks[20], commanded=Joystick(1.0, 0.0))
     found = verify_drive(replace_ticks(drive, {20: wrong}))
     assert (found.ticks, found.first_tick) == (60, 21)
     assert found.mismatches >= 39 and found.farthest_m > 0.01
-    moved = replace(drive.ticks[30], p_WB_m=drive.ticks[30].p_WB_m + np.array([0.0, 1e-9, 0.0]))
+    moved = changed(drive.ticks[30], p_WB_m=drive.ticks[30].p_WB_m + np.array([0.0, 1e-9, 0.0]))
     found = verify_drive(replace_ticks(drive, {30: moved}))
     assert (found.mismatches, found.first_tick) == (1, 31)
     with pytest.raises(TownError, match=r"\(cdcdcdcdcdcd\).*expected the same town") as caught:
@@ -106,31 +106,31 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
     with (
         World(town, config, (spec,), 6) as world,
-        DriveRecorder(path, drive_header(town, config, 6, spec, None, "dwa", "1", "dev 1.0")) as recorder,
+        LogWriter(path, drive_header(town, config, 6, spec, None, "dwa", "1", "dev 1.0")) as recorder,
     ):
         for number in range(30):
             if number == 12:
-                recorder.note(RecordedEvent(tick=12, time_s=1.2, kind=RESPAWN))
+                recorder.append(Note(tick=12, time_s=1.2, kind=RESPAWN))
                 world.respawn(0)
             before = world.snapshot.clients[0].first or world.snapshot.clients[0]
             step = next(rollout(world))
             (command,), (after,) = step.commands, step.after.clients
             given = Given(commanded=command.joystick, chosen=command.joystick, action=-1)
-            recorder.record(_seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
+            recorder.append(_seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
     drive = read_drive(path)
-    assert (drive.header.profile, drive.header.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
+    assert (drive.about.profile, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents
     found = verify_drive(drive)
     assert (found.ticks, found.mismatches) == (30, 0)
 
 
-def replace_ticks(drive, changed):
-    ticks = tuple(changed.get(number, tick) for number, tick in enumerate(drive.ticks))
+def replace_ticks(drive, others):
+    ticks = tuple(others.get(number, tick) for number, tick in enumerate(drive.ticks))
     return replace(drive, ticks=ticks)
 
 
 def replace_header(drive, **changes):
-    return replace(drive, header=replace(drive.header, **changes))
+    return replace(drive, header=changed(drive.header, **changes))
 
 
 def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corner, tmp_path):
@@ -140,7 +140,7 @@ def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corne
     order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=120, seed=4)
     record_user(order, tmp_path / "a.drive")
     drive = read_drive(tmp_path / "a.drive")
-    hidden = replace(drive, ticks=tuple(replace(tick, intent=None) for tick in drive.ticks))
+    hidden = replace(drive, ticks=tuple(changed(tick, intent=None) for tick in drive.ticks))
     seen = seen_drive(hidden)
     assert len(seen.views) == 120
     made = with_shadow(seen, user)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -10,11 +9,12 @@ import pytest
 
 from tests.support.worlds import quick_config
 from wcsim.bridge.recording.fcd import write_fcd
-from wcsim.bridge.recording.trace import TickRecord, TraceHeader, TraceWriter
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.town_run import TRACE, RecordOrder, record_town
 from wcsim.config import ChairConfig
 from wcsim.errors import WcsimError
+from wcsim.log.reader import read_states
+from wcsim.log.records import Header, WorldState, changed
+from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.tools import sumo_home
@@ -56,7 +56,7 @@ def test_a_replay_has_the_times_and_places_of_sumos_own_data(run):
 
 
 def test_the_wheelchair_is_in_it_front_first(run):
-    header, records = read_trace(run / TRACE)
+    header, records = read_states(run / TRACE)
     element = steps(run / "replay.xml")[0.0]["wheelchair.0"]
     assert (element.tag, element.get("type")) == ("vehicle", "wheelchair")
     axle_m = records[0].plants[0, :2] + header.origin_m
@@ -70,7 +70,7 @@ def test_another_wheelchair_has_the_front_of_its_own_plant(corner, tmp_path):
     order = RecordOrder(seconds=0.2, seed=3, chairs=1, folder=tmp_path, outputs=())
     record_town(find_town(str(corner)), quick_config("chair.plant='mwd'"), order, lambda scenario: None)
     write_fcd(tmp_path / TRACE, tmp_path / "replay.xml")
-    header, records = read_trace(tmp_path / TRACE)
+    header, records = read_states(tmp_path / TRACE)
     element = steps(tmp_path / "replay.xml")[0.0]["wheelchair.0"]
     front_m = np.array([float(element.get("x")), float(element.get("y"))])
     assert math.dist(front_m, records[0].plants[0, :2] + header.origin_m) == pytest.approx(outline.front_x_m, abs=0.02)
@@ -100,7 +100,7 @@ def test_elements_and_attributes_are_those_of_sumos_schema(run):
 def test_what_cannot_be_replayed_is_refused(run, tmp_path):
     with pytest.raises(WcsimError, match=r"no tick of epoch 4; expected --epoch with one of: 0"):
         write_fcd(run / TRACE, tmp_path / "x.xml", epoch=4)
-    old = TickRecord(
+    old = WorldState(
         epoch=0,
         tick=1,
         commands=np.zeros((0, 2)),
@@ -109,13 +109,13 @@ def test_what_cannot_be_replayed_is_refused(run, tmp_path):
         actors=np.zeros((1, 8)),
         state_hash="x",
     )
-    with TraceWriter(tmp_path / "old", TraceHeader(name="o", seed=1, tick_s=0.1, seats=0, fingerprint="f")) as writer:
+    with LogWriter(tmp_path / "old", Header(town="o", seed=1, tick_s=0.1, seats=0, fingerprint="f")) as writer:
         writer.append(old)
-    assert read_trace(tmp_path / "old")[1][0].bodies == ()
+    assert read_states(tmp_path / "old")[1][0].bodies == ()
     with pytest.raises(WcsimError, match="older version"):
         write_fcd(tmp_path / "old", tmp_path / "x.xml")
-    chair = replace(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
-    with TraceWriter(tmp_path / "c", TraceHeader(name="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
+    chair = changed(old, actor_ids=(), actors=np.zeros((0, 8)), plants=np.zeros((1, 15)), commands=np.zeros((1, 2)))
+    with LogWriter(tmp_path / "c", Header(town="o", seed=1, tick_s=0.1, seats=1, fingerprint="f")) as writer:
         writer.append(chair)
     with pytest.raises(WcsimError, match="without the sizes of actors and chairs"):
         write_fcd(tmp_path / "c", tmp_path / "x.xml")

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from tests.support.worlds import follow, open_world
-from wcsim.bridge.recording.trace import state_hash
+from wcsim.bridge.recording.states import state_hash
 from wcsim.bridge.world import World
 from wcsim.types import F64, Command, Joystick
 

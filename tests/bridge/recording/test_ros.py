@@ -13,16 +13,16 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
-from tests.users.recording.drives import tick, write_drive
+from tests.log.drives import tick, write_drive
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, _quaternion_of, drive_bag, trace_bag
-from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import load_run_config
 from wcsim.core.frames import matrix, quaternion
 from wcsim.errors import ConfigError, JournalError
+from wcsim.log.drive import read_drive
+from wcsim.log.records import WorldState
 from wcsim.physics.sensors.camera_geometry import mount
 from wcsim.types import CameraFrame, Joystick
-from wcsim.users.recording.drive_reader import read_drive
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TICKS = 1000
@@ -91,7 +91,7 @@ def test_frames_and_numbers_are_those_of_rep_103_and_105(bag):
 def test_several_chairs_of_a_trace_have_frames_of_their_own(tmp_path):
     plants = np.arange(30.0).reshape(2, 15)
     plants[:, 3:7] = (0.0, 0.0, 0.0, 1.0)
-    record = TickRecord(
+    record = WorldState(
         epoch=0, tick=1, commands=np.array([[0.5, 0.25], [0.0, 1.0]]), plants=plants, actor_ids=(),
         actors=np.zeros((0, 8)), state_hash="", time_s=30.1, seats=(0, 3),
     )  # fmt: skip

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.test_bad_input import refused
+from tests.log.drives import write_drive
 from tests.users.fitting.plane_drives import plane_drive
-from tests.users.recording.drives import write_drive
 from wcsim.users.profiles import profile, read_profile
 
 
@@ -43,7 +43,7 @@ def test_what_cannot_be_fitted_is_refused(wcsim, folder, drive):
     before = sorted(Path().iterdir())
     for words, told in (
         (("short.drive", "--out", "a.toml"), ("no episode of 5 s or more", "drive longer")),
-        (("notes.txt", "--out", "a.toml"), ("notes.txt: is not a drive",)),
+        (("notes.txt", "--out", "a.toml"), ("notes.txt: is not a log",)),
         (("none.drive", "--out", "a.toml"), ("none.drive: cannot be read",)),
         ((drive, "--out", "a.txt"), ("expected a file name that ends in .toml",)),
         ((drive, "--out", "mine.toml"), ("--out mine.toml exists; expected the name of a new file",)),

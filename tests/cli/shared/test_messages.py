@@ -17,7 +17,7 @@ import pytest
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.test_bad_input import refused
 from wcsim.drive.starting import DriveStart, open_place
-from wcsim.users.recording.framing import whole_records
+from wcsim.log.framing import whole_records
 
 ROOT = Path(__file__).parents[3]
 HEAVY = ("torch", "libsumo", "pybullet")
@@ -59,7 +59,7 @@ EARLY = {
     "look --out file/look": "is not a folder that can be written to; choose another with --out",
     "train --set cameras.0.noise=typicall": "expected typical, none, or a table of depth, classes, rgb; did you mean",
     "replay none.drive --verify": "none.drive: is not there; expected a run folder, a trace, a journal or a",
-    "replay file --verify": "file: is neither a journal nor a recorded drive",
+    "replay file --verify": "file: is not a log, or was truncated in its first record",
     "export shipped --onnx x --ride none.drive": "--ride none.drive: not found; expected a recorded drive",
     "join udp://there": "expected ipc://FILE or tcp://HOST:PORT",
     "join ipc://there --network huge": "unknown network 'huge'",

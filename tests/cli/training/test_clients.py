@@ -27,7 +27,8 @@ from wcsim.cli.training.clients import ALL_DONE, _told_stop, client_names, resol
 from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig, load_run_config
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
-from wcsim.server.journal.journal import EpochBegun, iter_journal
+from wcsim.log.reader import iter_inputs
+from wcsim.log.records import EpochBegun
 from wcsim.server.launch.states import ClientState, LaunchState, RestartRules
 from wcsim.server.specs import ClientStatus, RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
@@ -336,7 +337,7 @@ def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
     assert [(c["missing"], c["duplicated"]) for c in result["clients"]] == [(0, 0), (0, 0)]
     assert [e["who"] for e in read_events(run) if e["event"] == "death"] == ["fig6", "world"]
     assert [e["who"] for e in read_events(run) if e["event"] == "recovery"] == ["fig6", "world"]
-    epochs = [record.epoch for record in iter_journal(run / "journal") if isinstance(record, EpochBegun)]
+    epochs = [record.epoch for record in iter_inputs(run / "journal") if isinstance(record, EpochBegun)]
     assert epochs == ([0, 1] if recovery == "new_epoch" else [0])
 
 

@@ -15,7 +15,7 @@ from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_value_graph import Plain, config_of, saved
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
-from tests.users.recording.drives import tick, write_drive
+from tests.log.drives import tick, write_drive
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.rounds import recorded_ride

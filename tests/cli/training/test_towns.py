@@ -13,8 +13,9 @@ from tests.support.events import read_events
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.server.journal.journal import JOURNAL, read_header
-from wcsim.server.journal.replay import journal_worlds
+from wcsim.log.reader import read_header
+from wcsim.log.writer import JOURNAL
+from wcsim.server.replay import journal_worlds
 from wcsim.towns.scenario.town import open_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 

@@ -16,7 +16,7 @@ import pytest
 from tests.drive.page.test_page import CHROMIUM, FLAGS, open_page, picture_of, wait
 from tests.drive.serving.served import PATIENCE_S, serving
 from tests.support.journals import eventful_run
-from wcsim.server.journal.journal import journal_digest
+from wcsim.log.reader import log_digest
 
 pytestmark = [
     pytest.mark.browser,
@@ -117,7 +117,7 @@ def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Pa
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
             process.wait(PATIENCE_S)
-    assert journal_digest(watched / "journal") == journal_digest(alone / "journal")
+    assert log_digest(watched / "journal") == log_digest(alone / "journal")
     for name in ("patch", "fig6"):
         weights = [next((run / name / "policies" / "final").glob("*.safetensors")) for run in (alone, watched)]
         assert weights[0].read_bytes() == weights[1].read_bytes()

@@ -22,12 +22,12 @@ from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecord
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
+from wcsim.log.drive import DriveRecording, read_drive
+from wcsim.log.records import changed
+from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile, profile_of_json
 from wcsim.users.recorded import find_user
-from wcsim.users.recording.drive_reader import read_drive
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import DriveRecording
 
 TIGHT_BLOCK = 25  # of dev: a generated scene
 WEAVES = [Wish(stick=Joystick(0.4 * math.sin(0.3 * number), 0.9)) for number in range(40)]
@@ -101,8 +101,8 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     drive = same_again(first)
     assert drive.ticks[crashed - 1].crashed
     assert math.dist(drive.ticks[crashed].p_WB_m, drive.ticks[0].p_WB_m) < 0.3, "it goes on where it began, so near"
-    assert (len(drive.ticks), drive.header.profile, drive.header.policy) == (crashed + 98, "person", "dwa")
-    assert profile_of_json(drive.header.beside, "") == profile("competent")
+    assert (len(drive.ticks), drive.about.profile, drive.about.policy) == (crashed + 98, "person", "dwa")
+    assert profile_of_json(drive.about.beside, "") == profile("competent")
     flags = [(tick.overruled, tick.helped) for tick in drive.ticks]
     assert flags.count((True, True)) == 3 and flags.count((False, False)) == crashed + 95
     assert sum(tick.truncated for tick in drive.ticks) == 1
@@ -115,7 +115,7 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     assert kinds.count("user") == 2
     again = same_again(second)
     assert (len(again.ticks), again.ticks[0].tick) == (20, 1)
-    assert profile_of_json(again.header.beside, "") == profile("slow"), "the street begins with who sits there now"
+    assert profile_of_json(again.about.beside, "") == profile("slow"), "the street begins with who sits there now"
     assert not kept.news[-1].on and "20 ticks" in kept.news[-1].log
 
 
@@ -140,7 +140,7 @@ def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.
     session.close()
     made = same_again(tmp_path / "a.drive")
     assert sum(tick.arrived for tick in made.ticks) >= 2 and not any(tick.intent for tick in made.ticks)
-    late = [replace(tick, arrived=False) for tick in made.ticks]
+    late = [changed(tick, arrived=False) for tick in made.ticks]
     assert verify_drive(replace(made, ticks=tuple(late))).mismatches >= 2, "an end that differs is noticed"
 
 
@@ -189,7 +189,7 @@ def test_a_full_disk_ends_the_file_and_never_the_drive(
 ) -> None:
     kept.drive(10)
     with monkeypatch.context() as full:
-        full.setattr(DriveRecorder, "_put", lambda *_: (_ for _ in ()).throw(DiskFullError("a.drive: make room")))
+        full.setattr(LogWriter, "_put", lambda *_: (_ for _ in ()).throw(DiskFullError("a.drive: make room")))
         kept.drive(5)
     assert not kept.news[-1].on and "Recording has stopped" in kept.news[-1].told
     kept.drive(5)
@@ -247,9 +247,9 @@ def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str
     drive.drive(10)
     drive.session.close()
     made = same_again(tmp_path / "a.drive")
-    family, seed, _ = made.header.scene.split()
-    assert made.header.town == f"{family}-{seed}" and made.header.accompanied
-    assert bool(made.header.beside) is bool(profile)
+    family, seed, _ = made.about.scene.split()
+    assert made.header.town_name == f"{family}-{seed}" and made.about.accompanied
+    assert bool(made.about.beside) is bool(profile)
 
 
 def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
@@ -281,6 +281,6 @@ def test_an_episode_of_a_suite_with_a_handover_is_made_again(tmp_path: Path) -> 
     drive.drive(60)
     drive.session.close()
     made = same_again(tmp_path / "a.drive")
-    assert made.header.episode == "dev 16.0" and made.header.start is not None
+    assert made.about.episode == "dev 16.0" and made.about.start is not None
     drivers = [tick.intent is not None for tick in made.ticks]
     assert drivers == [number < 25 for number in range(60)], "the user drives until the handover"

@@ -16,7 +16,7 @@ from wcsim.drive.recording import study_lead
 from wcsim.drive.recording.open_study import OpenStudy, _shipped_studies, open_study, participant_rows
 from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
-from wcsim.users.recording.drive_reader import read_drive
+from wcsim.log.drive import read_drive
 
 Begin = Callable[[OpenStudy], Participant]
 

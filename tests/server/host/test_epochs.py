@@ -16,23 +16,15 @@ from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
 from wcsim.config import with_overrides
+from wcsim.log.parts import part_files, put_aside
+from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, read_header
+from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
+from wcsim.log.writer import JOURNAL
 from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
 from wcsim.server.host.made_world import epoch_seed
 from wcsim.server.host.recovery import open_server
-from wcsim.server.journal.journal import (
-    JOURNAL,
-    Admitted,
-    Dismissed,
-    Ended,
-    EpochBegun,
-    iter_journal,
-    iter_part,
-    journal_digest,
-    read_header,
-)
-from wcsim.server.journal.ledger import _read_ledger
-from wcsim.server.journal.parts import part_files, put_aside
 from wcsim.server.launch.states import WorldExit
+from wcsim.server.ledger import _read_ledger
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
@@ -93,14 +85,14 @@ def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
         assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
     parts = part_files(folder / "run" / JOURNAL)
     assert [part.name for part in parts] == ["journal.00001", "journal.00002", "journal"]
-    begun = [[r.epoch for r in iter_part(part) if isinstance(r, EpochBegun)] for part in parts]
+    begun = [[r.epoch for r in inputs_of_part(part) if isinstance(r, EpochBegun)] for part in parts]
     assert begun == [[0], [1], [2]]
     assert sum(isinstance(record, EpochBegun) for record in records) == 3
 
 
 def test_everybody_comes_back_before_the_next_epoch_begins_so_equal_runs_stay_equal(first, tmp_path):
     driven(tmp_path / "b", TICKS)
-    one, other = (journal_digest(folder / "run" / JOURNAL) for folder in (first[0], tmp_path / "b"))
+    one, other = (log_digest(folder / "run" / JOURNAL) for folder in (first[0], tmp_path / "b"))
     assert one == other
 
 
@@ -108,7 +100,7 @@ def test_a_world_that_died_between_two_parts_goes_on_with_the_next_epoch(first, 
     run = tmp_path / "a" / "run"
     shutil.copytree(first[0] / "run", run)
     put_aside(run / JOURNAL)
-    assert read_header(run / JOURNAL).capacity == 2
+    assert read_header(run / JOURNAL).seats == 2
     with Server(capped(tmp_path / "a"), tmp_path) as server:
         assert server.status().epoch == 3
 
@@ -133,11 +125,11 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
     for _ in range(2):  # the second one comes upon a part in which nothing has begun
         with pytest.raises(SystemExit):
             open_server(order, dying)
-        assert len(part_files(path)) == 2 and list(iter_part(path)) == []
+        assert len(part_files(path)) == 2 and list(inputs_of_part(path)) == []
     opened = open_server(order, FakeWorld)
     opened.journal.close()
     assert (opened.core.cycle.epoch, opened.core.cycle.rules.expected) == (1, 2)
-    begun = [(record.epoch, record.seed) for record in iter_journal(path) if isinstance(record, EpochBegun)]
+    begun = [(record.epoch, record.seed) for record in iter_inputs(path) if isinstance(record, EpochBegun)]
     assert begun == [(epoch, epoch_seed(order.seed, epoch)) for epoch in (0, 1)] and len(part_files(path)) == 2
 
 
@@ -148,7 +140,7 @@ def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_o
         b.close()
         a.send(CAP, AHEAD)
         assert server.wait() == WorldExit.EPOCH_OVER
-    *_, gone, last = iter_part(tmp_path / "run" / JOURNAL)
+    *_, gone, last = inputs_of_part(tmp_path / "run" / JOURNAL)
     assert gone == Dismissed(epoch=0, tick=CAP, seat=1, reason="left") and isinstance(last, Ended)
     opened = open_server(capped(tmp_path), FakeWorld)
     assert opened.core.cycle.rules.expected == 1 and opened.journal is not None

@@ -14,15 +14,17 @@ from pathlib import Path
 import pytest
 
 from tests.server.servers import AHEAD, WAIT_S, Server, driven, joined, stand_in_order, stub_client, together
+from tests.support.framing import read_whole
 from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedError
+from wcsim.log.records import Ended, EpochBegun, Ticked
+from wcsim.log.writer import JOURNAL
 from wcsim.server.host.process import main
-from wcsim.server.journal.journal import JOURNAL, Ended, EpochBegun, Ticked, _read_journal
-from wcsim.server.journal.ledger import _read_ledger, audit
-from wcsim.server.journal.replay import ALIVE_EVERY, verify
 from wcsim.server.launch.states import WorldExit
+from wcsim.server.ledger import _read_ledger, audit
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
+from wcsim.server.replay import ALIVE_EVERY, verify
 from wcsim.server.specs import to_line
 from wcsim.server.transport.keys import make_keys
 
@@ -34,7 +36,7 @@ def two_seats(server, folder):
 
 
 def audited(folder):
-    records = _read_journal(folder / "run" / JOURNAL).records
+    records = read_whole(folder / "run" / JOURNAL).records
     return records, audit(records, [(0, _read_ledger(folder / "a")), (1, _read_ledger(folder / "b"))])
 
 
@@ -149,7 +151,7 @@ def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):
                 a.act(tick, AHEAD)
         assert server.wait() == 0
         assert server.errors() == ""
-    last = _read_journal(tmp_path / "run" / JOURNAL).records[-1]
+    last = read_whole(tmp_path / "run" / JOURNAL).records[-1]
     assert last == Ended(reason="requested to stop")
 
 
@@ -174,7 +176,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
                 a.act(tick, AHEAD)
         assert server.wait() == WorldExit.DISK_FULL
         assert "DiskFullError" in server.errors()
-    journal = _read_journal(tmp_path / "run" / JOURNAL)
+    journal = read_whole(tmp_path / "run" / JOURNAL)
     assert not journal.torn
     assert sum(isinstance(record, Ticked) for record in journal.records) > 100
 

@@ -12,9 +12,11 @@ import pytest
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.server.servers import stand_in_order
 from wcsim.errors import ConfigError
+from wcsim.log.reader import read_header
+from wcsim.log.records import Admitted, Ended
+from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.recovery import REGATHER_S, open_server
-from wcsim.server.journal.journal import JOURNAL, Admitted, Ended, JournalWriter, read_header
 from wcsim.server.launch.awake_clock import LEAP_S, AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol.events import Rules
@@ -114,7 +116,7 @@ def test_a_world_that_died_before_its_first_epoch_waits_for_all_as_a_new_one_doe
     assert first is not None
     first.close()
     (tmp_path / "died").mkdir()
-    JournalWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
+    LogWriter(tmp_path / "died" / JOURNAL, read_header(tmp_path / "new" / JOURNAL)).close()
     again = replace(order, run=str(tmp_path / "died"))
     for epoch, gather_s in ((0, 20.0), (1, REGATHER_S)):
         opened = open_server(again, FakeWorld)

@@ -8,10 +8,11 @@ from pathlib import Path
 from benchmarks.soak.stub_client import read_sights
 from tests.server.servers import STAND_IN, OtherWorlds
 from tests.support.worlds import quick_config
-from wcsim.server.journal.journal import JOURNAL, iter_journal
-from wcsim.server.journal.ledger import _read_ledger, audit, ledger_facts
+from wcsim.log.reader import iter_inputs
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchState
+from wcsim.server.ledger import _read_ledger, audit, ledger_facts
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
@@ -61,7 +62,7 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
         facts = ledger_facts(entries)
         assert (facts.first_tick, facts.last_tick, facts.ticks) == (0, STEPS, STEPS)
         assert (facts.missing, facts.doubled) == (0, 0)
-    told = audit(iter_journal(tmp_path / JOURNAL), ledgers)
+    told = audit(iter_inputs(tmp_path / JOURNAL), ledgers)
     assert (told.ticks, told.lost, told.doubled, told.phantom) == (STEPS, 0, 0, 0)
     for seat in range(6):
         times_s = [sight.time_s for sight in read_sights(tmp_path / f"c{seat}.sights")]

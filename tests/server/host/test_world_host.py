@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.barrier.fake_world import FakeWorld
 from tests.support.worlds import quick_config
+from wcsim.log.records import Admitted
 from wcsim.server.host.world_host import WorldHost, sealed
-from wcsim.server.journal.records import Admitted
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Received, Rules

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from tests.server.launch.test_launcher import STUB, launcher
 from tests.server.servers import OtherWorlds
-from wcsim.server.journal.journal import JOURNAL, EpochBegun, JournalHeader, JournalWriter, Ticked
+from wcsim.log.records import EpochBegun, Header, ticked
+from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.launch.supervised import WORLD_ARGV
 
 
@@ -42,13 +43,11 @@ def test_a_world_that_comes_back_listens_where_the_one_before_did(tmp_path):
 
 
 def test_where_a_world_died_that_never_came_up_is_read_from_its_journal(tmp_path):
-    header = JournalHeader(
-        name="", town="", town_sha256="", config="{}", seed=0, capacity=1, tick_s=0.1, fingerprint=""
-    )
-    with JournalWriter(tmp_path / JOURNAL, header) as journal:
+    header = Header(name="", town="", town_sha256="", config="{}", seed=0, seats=1, tick_s=0.1, fingerprint="")
+    with LogWriter(tmp_path / JOURNAL, header) as journal:
         for epoch, ticks in ((0, 9), (1, 5)):
             journal.append(EpochBegun(epoch=epoch, seed=0, fresh=True))
             for tick in range(1, ticks + 1):
-                journal.append(Ticked(epoch=epoch, tick=tick, commands=(), state_hash=""))
+                journal.append(ticked(epoch, tick, (), ""))
     outcome = launcher(tmp_path, {"a": "steps=100000"}, world="die=0").run()
     assert outcome.code == 1 and "died 5 times at tick 5" in outcome.message

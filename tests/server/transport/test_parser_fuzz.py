@@ -19,7 +19,7 @@ from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
-from wcsim.server.journal.ledger import _read_ledger, ledger_facts
+from wcsim.server.ledger import _read_ledger, ledger_facts
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules

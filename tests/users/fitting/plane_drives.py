@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.log.drives import drive_header
 from tests.support.samples import USUAL_OUTLINE
 from tests.users.kinematics import SUBSTEPS, TICK_S, Chair, Sim, polyline
-from tests.users.recording.drives import drive_header
 from wcsim.config import ChairConfig
 from wcsim.core.seeding import generator
+from wcsim.log.drive import DriveRecording
+from wcsim.log.records import DriveTick, changed
 from wcsim.types import Joystick
 from wcsim.users.profiles import UserProfile
-from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 from wcsim.users.user import SimulatedUser
 
 _LEGS = 10
@@ -28,17 +29,18 @@ def plane_drive(user: UserProfile, seconds: float, seed: int) -> DriveRecording:
         if len(ticks) * TICK_S >= seconds:
             break
     kept = tuple(ticks[: round(seconds / TICK_S)])
-    return DriveRecording(name="plane", header=drive_header(), ticks=kept, events=(), torn=False)
+    header = drive_header()
+    return DriveRecording(name="plane", header=header, about=header.drive, ticks=kept, events=(), torn=False)
 
 
 def thinned(drive: DriveRecording, samples: int) -> DriveRecording:
     """The same, with the stick so many times a tick; with 0 only at its beginning."""
     every = SUBSTEPS // samples if samples else 1
-    ticks = (replace(t, sticks=t.sticks[every - 1 :: every] if samples else np.zeros((0, 2))) for t in drive.ticks)
+    ticks = (changed(t, sticks=t.sticks[every - 1 :: every] if samples else np.zeros((0, 2))) for t in drive.ticks)
     return replace(drive, ticks=tuple(ticks))
 
 
-def _way(user: UserProfile, chance, rng: np.random.Generator, before: int, episode: int) -> list[RecordedTick]:
+def _way(user: UserProfile, chance, rng: np.random.Generator, before: int, episode: int) -> list[DriveTick]:
     corners, heading = [(0.0, 0.0)], 0.0
     for _ in range(_LEGS):
         heading += float(rng.choice([-1.0, 1.0])) * float(rng.uniform(0.3, 1.7))
@@ -53,7 +55,7 @@ def _way(user: UserProfile, chance, rng: np.random.Generator, before: int, episo
         sim.tick()
         chair = sim.chair
         made.append(
-            RecordedTick(
+            DriveTick(
                 tick=before + len(made) + 1,
                 episode=episode,
                 time_s=TICK_S * (before + len(made) + 1),

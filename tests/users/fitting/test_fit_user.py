@@ -12,6 +12,7 @@ from tests.users.fitting.plane_drives import plane_drive, thinned
 from wcsim.config import load_run_config
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
+from wcsim.log.records import changed
 from wcsim.types import Joystick
 from wcsim.users.fitting.fit_user import _by_switches, fit_user, is_told
 from wcsim.users.fitting.hand_series import hand_series
@@ -101,24 +102,24 @@ def test_drives_that_say_too_little_are_refused(shaking):
     with pytest.raises(ConfigError, match="no episode of 5 s"):
         fit_user([replace(drive, ticks=drive.ticks[:30])], BASE)
     with pytest.raises(ConfigError, match="ticks without an intent"):
-        fit_user([replace(drive, ticks=(replace(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
+        fit_user([replace(drive, ticks=(changed(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
 
 
 def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_refused(shaking):
     """Counted together, times are those of the first drive's ticks, and the speed is that of its chair."""
     drive = shaking[1]
-    slow = replace(drive, name="slow.drive", header=replace(drive.header, tick_s=0.2))
+    slow = replace(drive, name="slow.drive", header=changed(drive.header, tick_s=0.2))
     with pytest.raises(ConfigError, match=r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp"):
         fit_user([drive, slow], BASE)
     dull = load_run_config("quick", ("chair.deadband=0.4",)).model_dump_json()
     with pytest.raises(ConfigError, match=r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected"):
-        fit_user([replace(drive, header=replace(drive.header, config=dull)), drive], BASE)
+        fit_user([replace(drive, header=changed(drive.header, config=dull)), drive], BASE)
 
 
 def at_positions(drive, positions):
     """The same by somebody who only ever takes the nearest of these, as keys do, once a tick."""
     near = [Joystick(*min(positions, key=lambda p: math.dist(p, (tick.stick.x, tick.stick.y)))) for tick in drive.ticks]
-    ticks = (replace(tick, stick=at, sticks=np.zeros((0, 2))) for tick, at in zip(drive.ticks, near, strict=True))
+    ticks = (changed(tick, stick=at, sticks=np.zeros((0, 2))) for tick, at in zip(drive.ticks, near, strict=True))
     return replace(drive, ticks=tuple(ticks))
 
 

@@ -25,9 +25,11 @@ from wcsim.config import RunConfig, parse
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
-from wcsim.server.journal.journal import JOURNAL, Ticked, iter_journal
-from wcsim.server.journal.ledger import iter_ledger
-from wcsim.server.journal.parts import part_files
+from wcsim.log.parts import part_files
+from wcsim.log.reader import iter_inputs
+from wcsim.log.records import Ticked
+from wcsim.log.writer import JOURNAL
+from wcsim.server.ledger import iter_ledger
 from wcsim.types import CLIENT_NAME
 
 _FILES, _FILES_TO_COME = "files_sha256", "files_to_come_sha256"
@@ -202,7 +204,7 @@ def _ticked(journal: Path) -> bool:
     if not part_files(journal):
         return False
     try:
-        return any(isinstance(record, Ticked) for record in iter_journal(journal))
+        return any(isinstance(record, Ticked) for record in iter_inputs(journal))
     except WcsimError:
         return True
 

@@ -10,17 +10,18 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import delay_ticks
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
-from wcsim.bridge.drives.remake import config_of_drive, remade
+from wcsim.bridge.drives.remake import remade
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
-from wcsim.server.journal.journal import JOURNAL, read_header
-from wcsim.server.journal.records import JournalRecord, Respawned, Ticked
-from wcsim.server.journal.replay import replayed
+from wcsim.log.drive import read_drive
+from wcsim.log.reader import read_header
+from wcsim.log.records import Header, Input, Respawned, Ticked
+from wcsim.log.writer import JOURNAL
+from wcsim.server.replay import replayed
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
-from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,10 +39,8 @@ def recorded_with(path: Path) -> tuple[RunConfig, str]:
     Raises what `recorded_ride` raises.
     """
     path = _file_of(path)
-    if is_drive(path):
-        header = read_drive_header(path)
-        return config_of_drive(header), header.policy
-    return _config_of_journal(path), ""
+    header = read_header(path)
+    return _config_of(header), "" if header.drive is None else header.drive.policy
 
 
 def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
@@ -58,7 +57,7 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
         JournalError: It is neither, or damaged.
     """
     path = _file_of(path)
-    ride = _of_drive(path, steps) if is_drive(path) else _of_journal(path, steps, seat)
+    ride = _of_drive(path, steps) if read_header(path).kind == "drive" else _of_journal(path, steps, seat)
     if not ride.seen:
         raise ConfigError(f"{escaped(path)}: seat {seat} has no tick; expected another --seat")
     return ride
@@ -68,13 +67,13 @@ def _file_of(path: Path) -> Path:
     return path / JOURNAL if path.is_dir() else path
 
 
-def _config_of_journal(path: Path) -> RunConfig:
-    return parse_json(RunConfig, read_header(path).config, "the configuration in the journal")
+def _config_of(header: Header) -> RunConfig:
+    return parse_json(RunConfig, header.config, "the configuration in the recording")
 
 
 def _of_drive(path: Path, steps: int) -> RecordedRide:
     drive = read_drive(path)
-    config, seen, actions = config_of_drive(drive.header), list[Observation](), list[int]()
+    config, seen, actions = _config_of(drive.header), list[Observation](), list[int]()
     delays: list[int] = []
 
     def look(world: World) -> None:
@@ -93,7 +92,7 @@ def _of_drive(path: Path, steps: int) -> RecordedRide:
 
 
 def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
-    watch = _SeatWatch(_config_of_journal(path), seat, steps)
+    watch = _SeatWatch(_config_of(read_header(path, "journal")), seat, steps)
     with closing(replayed(path, None, None, "", watch.look)) as records:
         for _ in records:
             if watch.over:
@@ -117,7 +116,7 @@ class _SeatWatch:
         self.delays: list[int] = []
         self.over = False
 
-    def look(self, world: World | None, record: JournalRecord) -> None:
+    def look(self, world: World | None, record: Input) -> None:
         """Is shown the world before each record."""
         given = [each for each in record.commands if each.seat == self._seat] if isinstance(record, Ticked) else []
         if world is None or not given:

@@ -6,8 +6,8 @@ user beside: another one would arrive elsewhere, and press other buttons.
 
 from __future__ import annotations
 
+from wcsim.log.records import DriveTick
 from wcsim.users.recorded import RecordedUser
-from wcsim.users.recording.drive_types import RecordedTick
 from wcsim.users.user import SimulatedUser
 
 
@@ -17,6 +17,6 @@ def let_wait(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
         user.patient = patient
 
 
-def by_person(tick: RecordedTick) -> bool:
+def by_person(tick: DriveTick) -> bool:
     """Whether a person drove in a tick: what a simulated user wants is always known."""
     return tick.intent is None

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.config import RunConfig
+from wcsim.log.drive import wcsim_version
+from wcsim.log.records import PERSON, Drive, Header
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import UserProfile, profile_json
-from wcsim.users.recording.drive_types import PERSON, DriveHeader, wcsim_version
 
 
 def drive_header(
@@ -19,7 +20,9 @@ def drive_header(
     policy: str = "",
     level: str = "",
     episode: str = "",
-) -> DriveHeader:
+    beside: str = "",
+    scene: str = "",
+) -> Header:
     """The header of a drive.
 
     Args:
@@ -31,21 +34,28 @@ def drive_header(
         policy: Who assists; "" for nobody.
         level: Of the assistance, where it has levels.
         episode: Of a suite, its name, block and seat; "" for none.
+        beside: JSON of the profile of who sits beside a person; "" for nobody.
+        scene: The generated scene that the street is; "" for a town.
     """
-    return DriveHeader(
-        wcsim=wcsim_version(),
+    return Header(
         fingerprint=fingerprint(),
-        town=town.name,
-        town_address=town.address,
+        town=town.address,
+        town_name=town.name,
         town_sha256=content_hash(town),
         seed=seed,
+        seats=1,
         tick_s=config.world.tick_s,
         config=config.model_dump_json(),
-        profile=PERSON if user is None else user.name,
-        user="" if user is None else profile_json(user),
-        policy=policy,
-        level=level,
-        episode=episode,
-        max_steps=spec.max_steps,
-        start=spec.start,
+        drive=Drive(
+            wcsim=wcsim_version(),
+            profile=PERSON if user is None else user.name,
+            user="" if user is None else profile_json(user),
+            beside=beside,
+            policy=policy,
+            level=level,
+            episode=episode,
+            scene=scene,
+            max_steps=spec.max_steps,
+            start=spec.start,
+        ),
     )

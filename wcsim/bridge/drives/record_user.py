@@ -7,16 +7,18 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from wcsim.bridge.drives.drive_header import drive_header
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.core import seeding
+from wcsim.log.records import DriveTick
+from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ClientSnapshot, Command, Joystick, SeatSpec
 from wcsim.users.profiles import UserProfile, profile_text, sample
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import RecordedTick
 
 FOLLOW = "follow"
 ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
@@ -59,11 +61,11 @@ def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], obje
     with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
         spec = SeatSpec(profile=write_user(Path(work), order.user), max_steps=ENDLESS)
         header = drive_header(order.town, order.config, order.seed, spec, order.user, FOLLOW)
-        with DriveRecorder(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
+        with LogWriter(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
             world.go_blind()
             for number in range(1, order.ticks + 1):
                 tick = _driven_tick(world, 0, points)
-                recorder.record(tick)
+                recorder.append(tick)
                 crashes += tick.crashed
                 progress(number)
     return crashes
@@ -76,7 +78,7 @@ def write_user(folder: Path, user: UserProfile) -> str:
     return str(path)
 
 
-def _driven_tick(world: World, seat: int, points: ActionSet) -> RecordedTick:
+def _driven_tick(world: World, seat: int, points: ActionSet) -> DriveTick:
     """One tick of a world with a single chair, which gets the action nearest to its user's stick."""
     (ego,), client = world.seats, world.snapshot.clients[0]
     before = client.first or client
@@ -91,7 +93,7 @@ def _driven_tick(world: World, seat: int, points: ActionSet) -> RecordedTick:
 
 def _seat_tick(
     before: ClientSnapshot, after: ClientSnapshot, given: Given, intent: Joystick | None, sticks: F64, tick_s: float
-) -> RecordedTick:
+) -> DriveTick:
     """A tick of a seat as it is recorded.
 
     Args:
@@ -103,13 +105,13 @@ def _seat_tick(
         tick_s: How long it took.
     """
     plant, events = after.plant, after.events
-    return RecordedTick(
+    return DriveTick(
         tick=after.tick,
         episode=events.episode,
         time_s=after.tick * tick_s,
         stick=before.user,
         intent=intent,
-        sticks=sticks,
+        sticks=sticks.astype(np.float32),  # half the bytes
         commanded=given.commanded,
         chosen=given.chosen,
         action=given.action,

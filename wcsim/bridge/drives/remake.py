@@ -20,18 +20,11 @@ from wcsim.config import RunConfig, parse_json
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped
 from wcsim.errors import TownError
+from wcsim.log.drive import DriveRecording
+from wcsim.log.records import RESPAWN, USER, DriveTick, Header, Note, start_of_json
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.types import ClientSnapshot, Command, SeatSpec
 from wcsim.users.profiles import profile_of_json
-from wcsim.users.recording.drive_bytes import start_of_json
-from wcsim.users.recording.drive_types import (
-    RESPAWN,
-    USER,
-    DriveHeader,
-    DriveRecording,
-    RecordedEvent,
-    RecordedTick,
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,17 +37,18 @@ class _DriveCheck:
     farthest_m: float = 0.0  # between the two places of a tick
 
 
-Remaking = Generator[tuple[RecordedTick, ClientSnapshot, ClientSnapshot], None, None]
+Remaking = Generator[tuple[DriveTick, ClientSnapshot, ClientSnapshot], None, None]
 """Each tick as recorded, the seat before it and after it; holds a world: exhaust it, or close it."""
 
 
-def town_of_drive(header: DriveHeader) -> Town:
+def town_of_drive(header: Header) -> Town:
     """The town of a drive, by its name or where it lay, or made again where it is a scene.
 
     Raises TownError when it is gone, or is not what it was.
     """
     refused: TownError | None = None
-    find, places = (find_town, (header.town, header.town_address)) if not header.scene else (_made, (header.scene,))
+    scene = "" if header.drive is None else header.drive.scene
+    find, places = (_made, (scene,)) if scene else (find_town, (header.town_name, header.town))
     for place in places:
         try:
             town = find(place)
@@ -65,7 +59,7 @@ def town_of_drive(header: DriveHeader) -> Town:
         if here == header.town_sha256:
             return town
         refused = TownError(
-            f"the drive was in {escaped(header.town, 80)} ({header.town_sha256[:12]}), this is {town.name} "
+            f"the drive was in {escaped(header.town_name, 80)} ({header.town_sha256[:12]}), this is {town.name} "
             f"({here[:12]}); expected the same town: restore its files"
         )
     raise refused or TownError("the drive names no town; record it again")
@@ -75,7 +69,7 @@ def _made(scene: str) -> Town:
     return town_of_scene(made_scene_of(scene))
 
 
-def config_of_drive(header: DriveHeader) -> RunConfig:
+def config_of_drive(header: Header) -> RunConfig:
     """The settings of a drive. Raises ConfigError when they cannot be used."""
     return parse_json(RunConfig, header.config, "the configuration in the drive")
 
@@ -91,10 +85,10 @@ def remade(
         TownError: The town is gone, or is not what it was.
         ConfigError: Its settings or its user cannot be used here.
     """
-    header = drive.header
+    header, about = drive.header, drive.about
     town, config = town_of_drive(header), config_of_drive(header)
     with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
-        spec = SeatSpec(profile=_user_of(drive, Path(work)), max_steps=header.max_steps, start=header.start)
+        spec = SeatSpec(profile=_user_of(drive, Path(work)), max_steps=about.max_steps, start=about.start)
         with World(town, config, (spec,), header.seed) as world:
             if blind:
                 world.go_blind()
@@ -102,7 +96,7 @@ def remade(
             for tick in drive.ticks:
                 while asked and asked[0].tick <= world.snapshot.tick:
                     _do_again(world, asked.popleft(), spec, Path(work))
-                if header.accompanied:
+                if about.accompanied:
                     let_wait(world.seats[0].user, patient=by_person(tick))
                 before_tick(world)
                 client = world.snapshot.clients[0]
@@ -118,9 +112,9 @@ def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lamb
     result = _DriveCheck()
     with closing(remade(drive)) as steps:
         for tick, before, after in steps:
-            persons = drive.header.accompanied and by_person(tick)
+            persons = drive.about.accompanied and by_person(tick)
             same = persons or before.user == tick.stick
-            if drive.header.user or drive.header.accompanied:
+            if drive.about.user or drive.about.accompanied:
                 same = same and _ended_so(tick, after)
             result = _compared(result, tick, same, after)
             progress(result.ticks)
@@ -128,15 +122,15 @@ def verify_drive(drive: DriveRecording, progress: Callable[[int], object] = lamb
 
 
 def _user_of(drive: DriveRecording, work: Path) -> str:
-    there = drive.header.user or drive.header.beside
-    if not there and drive.header.scene:
-        return user_of_scene(made_scene_of(drive.header.scene))
+    there = drive.about.user or drive.about.beside
+    if not there and drive.about.scene:
+        return user_of_scene(made_scene_of(drive.about.scene))
     if not there:
         return f"{RECORDED}{drive.name}"
     return write_user(work, profile_of_json(there, "the user in the drive"))
 
 
-def _do_again(world: World, event: RecordedEvent, spec: SeatSpec, work: Path) -> None:
+def _do_again(world: World, event: Note, spec: SeatSpec, work: Path) -> None:
     """What the person asked for between two ticks."""
     if event.kind == RESPAWN:
         world.respawn(0, start=start_of_json(event.detail) if event.detail else None)
@@ -146,13 +140,13 @@ def _do_again(world: World, event: RecordedEvent, spec: SeatSpec, work: Path) ->
     world.admit(0, replace(spec, profile=user))
 
 
-def _ended_so(tick: RecordedTick, client: ClientSnapshot) -> bool:
+def _ended_so(tick: DriveTick, client: ClientSnapshot) -> bool:
     events = client.events
     now = (events.arrived, events.gave_up, events.crashed, events.truncated)
     return now == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
 
 
-def _compared(so_far: _DriveCheck, tick: RecordedTick, same: bool, client: ClientSnapshot) -> _DriveCheck:
+def _compared(so_far: _DriveCheck, tick: DriveTick, same: bool, client: ClientSnapshot) -> _DriveCheck:
     """One tick more, in which stick and ends were the `same`, with the seat at its end."""
     plant = client.plant
     same = same and np.array_equal(plant.p_WB_m, tick.p_WB_m) and client.tick == tick.tick

@@ -13,9 +13,10 @@ from wcsim.bridge.drives.beside import by_person
 from wcsim.bridge.drives.remake import config_of_drive, remade
 from wcsim.bridge.world import World
 from wcsim.core import seeding
+from wcsim.log.drive import DriveRecording
+from wcsim.log.records import DriveTick, changed
 from wcsim.types import Joystick, Outline, Street, UserView
 from wcsim.users.profiles import UserProfile
-from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 from wcsim.users.user import SimulatedUser
 
 
@@ -61,19 +62,19 @@ def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
         shadow.look(view)
         wishes.append(shadow.intent)
         before = (tick.episode, view.route)
-    ticks = tuple(replace(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
+    ticks = tuple(changed(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
     return replace(seen.drive, ticks=_persons(seen.drive, ticks))
 
 
-def _persons(drive: DriveRecording, ticks: tuple[RecordedTick, ...]) -> tuple[RecordedTick, ...]:
+def _persons(drive: DriveRecording, ticks: tuple[DriveTick, ...]) -> tuple[DriveTick, ...]:
     """The ticks that the person drove, each stretch an episode: at times the simulated user beside may have."""
-    if not drive.header.accompanied:
+    if not drive.about.accompanied:
         return ticks
-    kept, episode, before = list[RecordedTick](), -1, (-1, False)
+    kept, episode, before = list[DriveTick](), -1, (-1, False)
     for was, tick in zip(drive.ticks, ticks, strict=True):
         now = (was.episode, by_person(was))
         if now[1]:
             episode += now != before
-            kept.append(replace(tick, episode=episode))
+            kept.append(changed(tick, episode=episode))
         before = now
     return tuple(kept)

@@ -1,1 +1,1 @@
-"""Traces of a world on disk: written, read, compared, as SUMO's floating car data. Not the barrier's journal."""
+"""A world's state as a record and a hash, and logs for other programs: SUMO's floating car data, ROS 2 bags."""

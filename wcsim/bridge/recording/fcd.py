@@ -14,10 +14,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from wcsim.bridge.recording.trace import TickRecord, TraceHeader
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.core import frames
 from wcsim.errors import WcsimError
+from wcsim.log.reader import read_states
+from wcsim.log.records import Header, WorldState
 from wcsim.types import F64, ActorKind
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -34,7 +34,7 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     Raises:
         WcsimError: it is no trace, has no such epoch, or was recorded before traces knew sizes.
     """
-    header, records = read_trace(trace)
+    header, records = read_states(trace)
     chosen = [record for record in records if record.epoch == epoch]
     if not records:
         raise WcsimError(
@@ -50,7 +50,7 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     return write_steps(header, chosen, out)
 
 
-def write_steps(header: TraceHeader, records: Iterable[TickRecord], out: Path) -> int:
+def write_steps(header: Header, records: Iterable[WorldState], out: Path) -> int:
     """Write ticks of one epoch as an FCD file; returns their number."""
     steps = 0
     with out.open("w", encoding="utf-8") as file:
@@ -62,7 +62,7 @@ def write_steps(header: TraceHeader, records: Iterable[TickRecord], out: Path) -
     return steps
 
 
-def _write_step(file: TextIO, header: TraceHeader, record: TickRecord) -> None:
+def _write_step(file: TextIO, header: Header, record: WorldState) -> None:
     """One time step: SUMO's schema wants all vehicles, the chairs among them, before all persons."""
     begun_s = record.time_s - header.tick_s  # SUMO calls a step by the time at which it begins
     file.write(f'    <timestep time="{max(0.0, begun_s):.2f}">\n')
@@ -75,7 +75,7 @@ def _write_step(file: TextIO, header: TraceHeader, record: TickRecord) -> None:
     file.write("    </timestep>\n")
 
 
-def _actor_lines(header: TraceHeader, record: TickRecord) -> Iterator[tuple[str, str]]:
+def _actor_lines(header: Header, record: WorldState) -> Iterator[tuple[str, str]]:
     for body, row in zip(record.bodies, record.actors, strict=True):
         if body.piece:
             continue  # what is articulated is one vehicle to SUMO, whose front is that of its first piece
@@ -87,7 +87,7 @@ def _actor_lines(header: TraceHeader, record: TickRecord) -> Iterator[tuple[str,
         yield "person" if domain == "p" else "vehicle", text
 
 
-def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
+def _chair_lines(header: Header, record: WorldState) -> Iterator[str]:
     length_m, middle_m = header.chair_box_m or (0.0, 0.0)
     for seat, row in zip(record.seats or range(len(record.plants)), record.plants, strict=True):
         x, y, z, w = row[3:7]
@@ -99,7 +99,7 @@ def _chair_lines(header: TraceHeader, record: TickRecord) -> Iterator[str]:
 
 
 def _line(
-    name: str, kind: str, p_W_m: F64, yaw_rad: float, pitch_rad: float, length_m: float, speed: float, head: TraceHeader
+    name: str, kind: str, p_W_m: F64, yaw_rad: float, pitch_rad: float, length_m: float, speed: float, head: Header
 ) -> str:
     front_m = frames.net_from_world(frames.front_from_centre(p_W_m, yaw_rad, pitch_rad, length_m), head.origin_m)
     return (

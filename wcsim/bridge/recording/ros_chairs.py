@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bridge.recording.ros_bag import RosBag
-from wcsim.bridge.recording.trace import TickRecord
 from wcsim.config import CameraConfig, ImuConfig, RunConfig
 from wcsim.core.frames import quaternion, wrap
+from wcsim.log.drive import DriveRecording
+from wcsim.log.records import DriveTick, WorldState
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole
 from wcsim.types import F32, F64, ClientSnapshot, Joystick
-from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 
 MAP, ODOM, BASE = "map", "odom", "base_link"
 _LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -108,7 +108,7 @@ def drive_bag(drive: DriveRecording, out: Path) -> dict[str, int]:
         return bag.counts
 
 
-def trace_bag(tick_s: float, records: Iterable[TickRecord], out: Path) -> dict[str, int]:
+def trace_bag(tick_s: float, records: Iterable[WorldState], out: Path) -> dict[str, int]:
     """Write the chairs of a trace as an MCAP file; returns how many messages each topic has. Raises ConfigError."""
     with RosBag(out) as bag:
         chairs: dict[int, RosChair] = {}
@@ -157,7 +157,7 @@ def _quaternion_of(turn: F64) -> F64:
     return np.asarray(found if found[3] >= 0.0 else -found, np.float64)
 
 
-def _turn_radps(before: RecordedTick | None, tick: RecordedTick, tick_s: float) -> float:
+def _turn_radps(before: DriveTick | None, tick: DriveTick, tick_s: float) -> float:
     """How fast the chair turned in a tick; 0 in the first one of an episode."""
     if before is None or before.episode != tick.episode:
         return 0.0

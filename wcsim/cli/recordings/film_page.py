@@ -114,15 +114,15 @@ def _check(order: FilmOrder) -> None:
     if order.town and order.kind != "trace":
         raise ConfigError(f"--town is for traces; {where} is a {order.kind}, which holds its town: leave it out")
     if order.kind == "journal":
-        from wcsim.server.journal.journal import read_header
-        from wcsim.server.journal.replay import journal_worlds
+        from wcsim.log.reader import read_header
+        from wcsim.server.replay import journal_worlds
 
         journal_worlds(read_header(order.path), order.hook)
     elif order.kind == "trace":
-        from wcsim.bridge.recording.trace_file import read_trace
+        from wcsim.log.reader import read_states
 
-        read_trace(order.path)
+        read_states(order.path)
     elif order.kind == "drive":
-        from wcsim.users.recording.drive_reader import read_drive
+        from wcsim.log.drive import read_drive
 
         read_drive(order.path)

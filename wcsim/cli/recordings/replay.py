@@ -6,20 +6,19 @@ import sys
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from wcsim.cli.recordings.film_page import FilmOrder, play_start, result_folder, serve_film
 from wcsim.cli.shared.common import OutFile, check_output, in_bounds, parse, result_file, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
-from wcsim.errors import ConfigError, WcsimError, check_installed
+from wcsim.errors import ConfigError, check_installed
 
-TRACE: Final = "trace"
-JOURNAL: Final = "journal"
-DRIVE: Final = "drive"
+if TYPE_CHECKING:  # loads what --help must not
+    from wcsim.log.records import LogKind
+
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Kind = Literal["trace", "journal", "drive"]
 _SHOW_EVERY = 1000  # ticks
 
 
@@ -41,7 +40,7 @@ class Options:
     verify: Flag = False
     """Simulate a journal or a drive again and compare it tick by tick."""
     first_difference: Flag = False
-    """Print where two traces, or two journals, first differ."""
+    """Print where two recordings of a kind first differ."""
     epoch: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of the world in the run; default 0 for --fcd and --mcap, all for --verify and --page."""
     first: Annotated[int | None, tyro.conf.arg(name="from", metavar="TICK")] = None
@@ -73,7 +72,7 @@ class Recording:
     """A file that a run left."""
 
     path: Path
-    kind: Kind
+    kind: LogKind
 
 
 def run(words: list[str]) -> int:
@@ -139,9 +138,9 @@ def _check_ticks(options: Options, task: str) -> None:
         in_bounds("--from", options.first or 0, 0, options.last)
 
 
-def _find(run: Path, preferred: Kind, expected: str) -> Recording:
+def _find(run: Path, preferred: LogKind, expected: str) -> Recording:
     """The recording of a run, of the preferred kind when there are both. Raises ConfigError."""
-    order: tuple[Kind, Kind] = ("trace", "journal") if preferred == TRACE else ("journal", "trace")
+    order: tuple[LogKind, LogKind] = ("trace", "journal") if preferred == "trace" else ("journal", "trace")
     if is_folder(run):
         found = [Recording(path=run / kind, kind=kind) for kind in order if is_file(run / kind)]
         if found:
@@ -149,32 +148,16 @@ def _find(run: Path, preferred: Kind, expected: str) -> Recording:
         raise ConfigError(f"{escaped(run)}: has no trace and no journal; expected {expected}")
     if not is_file(run):
         raise ConfigError(f"{escaped(run)}: is not there; expected {expected}")
-    return Recording(path=run, kind=_kind(run))
+    from wcsim.log.reader import read_header
 
-
-def _kind(path: Path) -> Kind:
-    from wcsim.users.recording.drive_reader import is_drive
-
-    if is_drive(path):
-        return "drive"
-    return "journal" if _is_journal(path) else "trace"
-
-
-def _is_journal(path: Path) -> bool:
-    from wcsim.server.journal.journal import read_header
-
-    try:
-        read_header(path)
-    except WcsimError:
-        return False
-    return True
+    return Recording(path=run, kind=read_header(run).kind)
 
 
 def _require_heard(found: Recording, options: Options) -> None:
     """Refuse what this kind of recording would not heed. Raises ConfigError."""
-    if found.kind == DRIVE and (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
+    if found.kind == "drive" and (options.epoch, options.first, options.last, options.hook) != (None, None, None, ""):
         raise ConfigError("--epoch, --from, --to and --hook are for journals; leave them out with a drive")
-    if found.kind == TRACE and options.hook:
+    if found.kind == "trace" and options.hook:
         raise ConfigError(f"--hook is for journals; {escaped(found.path)} is a trace: leave it out")
 
 
@@ -184,7 +167,7 @@ def _page(options: Options) -> int:
     in_bounds("--seat", options.seat or 0, 0, 1 << 30)
     folder = result_folder(options.runs[0])
     what = "a run folder with a journal or a trace, one of these files, a drive, or the folder of a test"
-    found = None if folder is not None else _find(options.runs[0], JOURNAL, what)
+    found = None if folder is not None else _find(options.runs[0], "journal", what)
     if found is not None:
         _require_heard(found, options)
     order = FilmOrder(
@@ -203,18 +186,18 @@ def _page(options: Options) -> int:
 
 def _fcd(options: Options) -> int:
     what = "a folder that `wcsim town run` or a server made, a trace, or a journal"
-    found = _find(options.runs[0], TRACE, what)
-    if found.kind == DRIVE:
+    found = _find(options.runs[0], "trace", what)
+    if found.kind == "drive":
         raise ConfigError(f"{found.path}: is a drive, which holds no traffic; expected a trace or a journal")
     _require_heard(found, options)
     fcd = options.fcd or Path()
     with result_file(fcd) as part:
-        if found.kind == TRACE:
+        if found.kind == "trace":
             from wcsim.bridge.recording.fcd import write_fcd  # the simulators are loaded here, not for --help
 
             steps = write_fcd(found.path, part, options.epoch or 0)
         else:
-            from wcsim.server.journal.replay import recompute_fcd
+            from wcsim.server.replay import recompute_fcd
 
             steps = recompute_fcd(found.path, part, options.epoch or 0, options.hook)
     print(f"wrote {fcd}: {steps} time steps")
@@ -225,7 +208,7 @@ def _fcd(options: Options) -> int:
 
 def _mcap(options: Options, mcap: Path) -> int:
     """A journal holds all, as its world is made again; a trace knows the chairs, a drive its one and the sticks."""
-    found = _find(options.runs[0], JOURNAL, "a run folder of a server or of `wcsim town run`, or a recorded drive")
+    found = _find(options.runs[0], "journal", "a run folder of a server or of `wcsim town run`, or a recorded drive")
     _require_heard(found, options)
     check_installed("--mcap needs rosbags", "bag", "rosbags")
     with result_file(mcap) as part:
@@ -237,19 +220,19 @@ def _mcap(options: Options, mcap: Path) -> int:
 
 
 def _bagged(found: Recording, out: Path, options: Options) -> dict[str, int]:
-    if found.kind == DRIVE:
+    if found.kind == "drive":
         from wcsim.bridge.recording.ros_chairs import drive_bag
-        from wcsim.users.recording.drive_reader import read_drive
+        from wcsim.log.drive import read_drive
 
         return drive_bag(read_drive(found.path), out)
-    if found.kind == JOURNAL:
-        from wcsim.server.journal.journal_bag import recompute_bag
+    if found.kind == "journal":
+        from wcsim.server.journal_bag import recompute_bag
 
         return recompute_bag(found.path, out, options.epoch or 0, options.hook)
     from wcsim.bridge.recording.ros_chairs import trace_bag
-    from wcsim.bridge.recording.trace_file import read_trace
+    from wcsim.log.reader import read_states
 
-    header, records = read_trace(found.path)
+    header, records = read_states(found.path)
     chosen = [record for record in records if record.epoch == (options.epoch or 0) and len(record.plants)]
     if not chosen:
         raise ConfigError(f"{found.path}: has no wheelchair in world {options.epoch or 0}; expected a run with some")
@@ -257,19 +240,19 @@ def _bagged(found: Recording, out: Path, options: Options) -> dict[str, int]:
 
 
 def _verify(options: Options) -> int:
-    found = _find(options.runs[0], JOURNAL, "a run folder of a server, or a journal")
-    if found.kind == DRIVE:
+    found = _find(options.runs[0], "journal", "a run folder of a server, or a journal")
+    if found.kind == "drive":
         _require_heard(found, options)
         return _verify_drive(found.path, options)
-    if found.kind != JOURNAL:
+    if found.kind != "journal":
         raise ConfigError(
             f"{escaped(found.path)}: is neither a journal nor a recorded drive; expected a "
             "run folder of a server, its journal, or a file of `wcsim drive --record` or `wcsim users record`"
         )
-    from wcsim.server.journal.journal import read_header
-    from wcsim.server.journal.replay import verify
+    from wcsim.log.reader import read_header
+    from wcsim.server.replay import verify
 
-    _note_versions(JOURNAL, read_header(found.path).fingerprint)
+    _note_versions("journal", read_header(found.path).fingerprint)
     begun_s = time.perf_counter()
     result = verify(found.path, options.epoch, options.first or 0, options.last, _show, options.hook)
     rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
@@ -286,7 +269,7 @@ def _verify(options: Options) -> int:
 def _verify_drive(path: Path, options: Options) -> int:
     """Drive it again, with the recorded commands, and compare where the chair was."""
     from wcsim.bridge.drives.remake import verify_drive
-    from wcsim.users.recording.drive_reader import read_drive
+    from wcsim.log.drive import read_drive
 
     drive = read_drive(path)
     _note_versions("drive", drive.header.fingerprint)
@@ -315,16 +298,10 @@ def _note_versions(what: str, made_by: str) -> None:
 
 def _first_difference(options: Options) -> int:
     what = "a run folder, a trace, or a journal"
-    one, other = (_find(run, JOURNAL, what) for run in options.runs)
-    if DRIVE in (one.kind, other.kind):
-        raise ConfigError("--first-difference compares traces or journals, not drives; expected two of these")
-    if one.kind != other.kind:
-        raise ConfigError(f"{one.path} is a {one.kind} and {other.path} a {other.kind}; expected two of a kind")
-    if one.kind == TRACE:
-        from wcsim.bridge.recording.trace_diff import first_difference as difference
-    else:
-        from wcsim.server.journal.diff import journal_difference as difference
-    told = difference(one.path, other.path)
+    one, other = (_find(run, "journal", what) for run in options.runs)
+    from wcsim.log.diff import first_difference
+
+    told = first_difference(one.path, other.path)
     print(told or f"{one.path} and {other.path} are equal")
     if options.json is not None:
         write_json(options.json, {"equal": not told, "first_difference": told})

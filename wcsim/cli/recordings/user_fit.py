@@ -19,8 +19,8 @@ from wcsim.errors import ConfigError
 from wcsim.users.profiles import UserProfile, profile, profile_text
 
 if TYPE_CHECKING:  # loads what --help must not
+    from wcsim.log.drive import DriveRecording
     from wcsim.users.fitting.fit_user import UserFit
-    from wcsim.users.recording.drive_types import DriveRecording
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 _ROUNDS = 3  # of making intents by the last fit, and fitting to them
@@ -49,7 +49,7 @@ def run(options: UserFitOptions) -> int:
     base = profile(options.base)
     if not options.drives:
         raise ConfigError("users fit got no file; expected one or more recorded drives")
-    from wcsim.users.recording.drive_reader import read_drive
+    from wcsim.log.drive import read_drive
 
     drives = [read_drive(path) for path in options.drives]
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
@@ -94,7 +94,7 @@ def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     from wcsim.users.fitting.hand_series import check_stick
 
     for drive in drives:
-        check_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.header.accompanied])
+        check_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.about.accompanied])
         town_of_drive(drive.header)
     print("replaying the drives, to see the street as their driver did", file=sys.stderr)
     seen = [seen_drive(drive) for drive in drives if drive.ticks]

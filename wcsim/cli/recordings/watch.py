@@ -53,9 +53,10 @@ def _check(options: Options) -> None:
     """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
         raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train --clients run")
-    from wcsim.server.journal.journal import JOURNAL, read_header
-    from wcsim.server.journal.parts import part_files
-    from wcsim.server.journal.replay import journal_worlds
+    from wcsim.log.parts import part_files
+    from wcsim.log.reader import read_header
+    from wcsim.log.writer import JOURNAL
+    from wcsim.server.replay import journal_worlds
 
     if part_files(options.run / JOURNAL):
         journal_worlds(read_header(options.run / JOURNAL), options.hook)

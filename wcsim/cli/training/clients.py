@@ -37,13 +37,13 @@ from wcsim.cli.training.train import Options
 from wcsim.config import RunConfig
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
-from wcsim.server.journal.journal import JOURNAL, JournalWriter
-from wcsim.server.journal.ledger import LedgerWriter
-from wcsim.server.journal.parts import part_files
-from wcsim.server.journal.torn import told_torn
+from wcsim.log.parts import part_files
+from wcsim.log.torn import told_torn
+from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
 from wcsim.server.launch.stop_signals import StopSignals
+from wcsim.server.ledger import LedgerWriter
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.transport.world_folder import workplace
 from wcsim.towns.scenario.town import Town
@@ -255,7 +255,7 @@ def _mend(folder: ClientsFolder) -> None:
     if not part_files(path) and any(file.stat().st_size for file in ledgers):
         raise JournalError(f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run")
     if path.exists():
-        with JournalWriter.append_to(path) as journal:
+        with LogWriter.append_to(path) as journal:
             _say_torn(path, journal.cut_bytes)
     for path in ledgers:
         with LedgerWriter(path) as ledger:

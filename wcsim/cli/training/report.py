@@ -15,10 +15,11 @@ from rich.table import Table
 from wcsim.agents.clients.clients_folder import ClientsFolder
 from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.errors import PolicyError, WcsimError
-from wcsim.server.journal.journal import JOURNAL, iter_journal, journal_digest
-from wcsim.server.journal.ledger import Audit, LedgerEntry, audits, iter_ledger, ledger_facts
-from wcsim.server.journal.parts import part_files
+from wcsim.log.parts import part_files
+from wcsim.log.reader import iter_inputs, log_digest
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import LaunchState
+from wcsim.server.ledger import Audit, LedgerEntry, audits, iter_ledger, ledger_facts
 from wcsim.view.report.learning_curve import crossing, read_training
 
 
@@ -88,7 +89,7 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes
     path = folder.path / JOURNAL
     journal = path if part_files(path) else None
     ledgers = [(seat, _entries(folder.ledger(name))) for seat, name in enumerate(folder.clients)]
-    ticks, against = audits(() if journal is None else iter_journal(journal), ledgers)
+    ticks, against = audits(() if journal is None else iter_inputs(journal), ledgers)
     return ClientsReport(
         run=str(folder.path),
         town=", ".join((folder.manifest.town, *folder.manifest.more_towns)),
@@ -98,7 +99,7 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes
             _client(name, folder.ledger(name), journal, one) for name, one in zip(folder.clients, against, strict=True)
         ),
         ticks=ticks,
-        journal_hash="" if journal is None else journal_digest(path),
+        journal_hash="" if journal is None else log_digest(path),
         ticks_per_s=rate.ticks_per_s,
         waits=waits,
     )

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from wcsim.bridge.drives.drive_header import drive_header
 from wcsim.core.reading import escaped
 from wcsim.drive.driven import DriveEvent, DrivenTick, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
+from wcsim.log.records import MOST_DETAIL, DriveTick, Header, Note
+from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import profile_json
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 
 _NO_NAME = "all names for a further file are taken; start wcsim drive again"
 _RECORDED = "the simulated user is a recording, which a drive cannot be replayed with; choose a profile"
@@ -40,10 +42,10 @@ class SessionRecorder:
 
     def __init__(self, session: DriveSession, names: Iterator[Path], tell: Callable[[RecorderStatus], object]) -> None:
         self._session, self._names, self._tell = session, names, tell
-        self._recorder: DriveRecorder | None = None
-        self._header: DriveHeader | None = None  # of the world that is driven; None where nothing is kept of it
+        self._recorder: LogWriter | None = None
+        self._header: Header | None = None  # of the world that is driven; None where nothing is kept of it
         self._file = ""
-        self._waiting: list[RecordedEvent] = []  # from before the first tick, when there is no file yet
+        self._waiting: list[Note] = []  # from before the first tick, when there is no file yet
         self._before, self._kept = session.ticks, 0
         self._begin()
 
@@ -53,7 +55,7 @@ class SessionRecorder:
             return
         try:
             recorder = self._recorder or self._open(self._header)
-            recorder.record(_recorded_tick(driven, self._before, self._session.tick_s))
+            recorder.append(_recorded_tick(driven, self._before, self._session.tick_s))
             self._kept += 1
         except WcsimError as error:
             self._stop(str(error))
@@ -81,7 +83,7 @@ class SessionRecorder:
         if beside is None and not self._sits_in_scene():
             self._stop(_RECORDED)
             return
-        header = drive_header(
+        self._header = drive_header(
             session.place.town,
             session.place.config,
             session.place.seed,
@@ -90,9 +92,9 @@ class SessionRecorder:
             policy=session.assistance.name,
             level="" if session.assistance.level is None else f"{session.assistance.level:g}",
             episode=session.place.episode,
+            beside="" if beside is None else profile_json(beside),
+            scene=session.place.scene,
         )
-        company = "" if beside is None else profile_json(beside)
-        self._header = replace(header, beside=company, scene=session.place.scene)
         if not session.assistance.on:  # of what was switched before this world, its file would not know
             self._note_first(EventKind.ASSISTANCE, "off")
         if session.driver is DriverKind.SIMULATED:
@@ -104,13 +106,13 @@ class SessionRecorder:
         place = self._session.place
         return bool(place.scene) and not place.start.profile and self._session.profile == place.spec.profile
 
-    def _open(self, header: DriveHeader) -> DriveRecorder:
+    def _open(self, header: Header) -> LogWriter:
         path = next(self._names, None)
         if path is None:
             raise WcsimError(_NO_NAME)
-        self._recorder, self._file = DriveRecorder(path, header), str(path)
+        self._recorder, self._file = LogWriter(path, header), str(path)
         for event in self._waiting:
-            self._recorder.note(event)
+            self._recorder.append(event)
         self._waiting = []
         self._tell(
             RecorderStatus(on=True, file=self._file, log=f"recording to {escaped(path)}: {self._session.place.told}")
@@ -126,17 +128,17 @@ class SessionRecorder:
                 return
             told = profile_json(user)
         tick = event.tick - self._before
-        noted = RecordedEvent(tick=tick, time_s=tick * self._session.tick_s, kind=event.kind.value, detail=told)
+        noted = Note(tick=tick, time_s=tick * self._session.tick_s, kind=event.kind.value, detail=told[:MOST_DETAIL])
         if self._recorder is None:
             self._waiting.append(noted)
             return
         try:
-            self._recorder.note(noted)
+            self._recorder.append(noted)
         except WcsimError as error:
             self._stop(str(error))
 
     def _note_first(self, kind: EventKind, told: str) -> None:
-        self._waiting.append(RecordedEvent(tick=0, time_s=0.0, kind=kind.value, detail=told))
+        self._waiting.append(Note(tick=0, time_s=0.0, kind=kind.value, detail=told))
 
     def _stop(self, why: str) -> None:
         """Nothing more is kept of this world; what was, is."""
@@ -154,7 +156,7 @@ class SessionRecorder:
             self._tell(RecorderStatus(on=False, file=self._file, log=log))
 
 
-def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> RecordedTick:
+def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> DriveTick:
     """A tick as a file holds it.
 
     Args:
@@ -163,13 +165,13 @@ def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> RecordedTi
         tick_s: How long a tick is.
     """
     tick = driven.tick - before
-    return RecordedTick(
+    return DriveTick(
         tick=tick,
         episode=driven.episode,
         time_s=tick * tick_s,
         stick=driven.stick,
         intent=driven.intent,
-        sticks=driven.sticks,
+        sticks=driven.sticks.astype(np.float32),  # half the bytes
         commanded=driven.commanded,
         chosen=driven.chosen,
         action=driven.action,

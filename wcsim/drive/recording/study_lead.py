@@ -32,7 +32,7 @@ from wcsim.drive.recording.study_plan import (
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import WcsimError
-from wcsim.users.recording.drive_types import wcsim_version
+from wcsim.log.drive import wcsim_version
 
 
 def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: str, ended: str) -> Row:

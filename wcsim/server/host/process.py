@@ -33,12 +33,12 @@ from wcsim.errors import (
     TownError,
     WcsimError,
 )
+from wcsim.log.records import Ended, Input
 from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
 from wcsim.server.host.made_world import street_world
 from wcsim.server.host.recovery import Opened, open_server
 from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
-from wcsim.server.journal.records import Ended, JournalRecord
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.launch.states import WorldExit
@@ -274,7 +274,7 @@ def _prepared(
     return opened, _ServerLoop(hosted, doors, lifelines, reporter)
 
 
-def _forget(record: JournalRecord) -> None:
+def _forget(record: Input) -> None:
     """A world without a run folder keeps no journal."""
     del record
 

@@ -9,16 +9,17 @@ from pathlib import Path
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.config import RunConfig
 from wcsim.errors import ConfigError
+from wcsim.log.parts import part_files, put_aside
+from wcsim.log.reader import inputs_of_part, read_header
+from wcsim.log.records import Ended, EpochBegun, Header
+from wcsim.log.torn import told_torn
+from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.made_world import epoch_seed, street_world
-from wcsim.server.journal.journal import JOURNAL, JournalWriter, iter_part, read_header
-from wcsim.server.journal.parts import part_files, put_aside
-from wcsim.server.journal.records import Ended, EpochBegun, JournalHeader
-from wcsim.server.journal.replay import Seats, rebuild_world
-from wcsim.server.journal.torn import told_torn
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.replay import Seats, rebuild_world
 from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec
 from wcsim.towns.making.asked_town import asked_town
@@ -34,7 +35,7 @@ class Opened:
 
     world: SeatWorld
     core: ServerCore
-    journal: JournalWriter | None
+    journal: LogWriter | None
 
 
 def open_server(
@@ -57,7 +58,7 @@ def open_server(
     parts = part_files(path)
     if not parts:
         Path(order.run).mkdir(parents=True, exist_ok=True)
-        return _begun(order, make, JournalWriter(path, header), 0, order.rules)
+        return _begun(order, make, LogWriter(path, header), 0, order.rules)
     _require_same(parts[-1], header)
     last = _last_epoch(parts)
     if last.epoch < 0:
@@ -70,7 +71,7 @@ def open_server(
     return _gone_on(order, make, path, again, alive)
 
 
-def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: JournalHeader, last: _LastEpoch) -> Opened:
+def _next(order: WorldSpec, make: MakesWorld[SeatWorld], path: Path, header: Header, last: _LastEpoch) -> Opened:
     """The epoch after one that ended as planned, in a new part of the journal; all who were in it are waited for."""
     if last.part == path:
         _appended(path).close()
@@ -86,12 +87,12 @@ def _rules_again(order: WorldSpec, most_s: float) -> Rules:
     return order.rules if order.begins else replace(order.rules, gather_s=min(order.rules.gather_s, most_s))
 
 
-def _opened_part(path: Path, header: JournalHeader) -> JournalWriter:
+def _opened_part(path: Path, header: Header) -> LogWriter:
     """The part to write in: a new one, or one whose world ended before its epoch began."""
-    return _appended(path) if path.exists() else JournalWriter(path, header)
+    return _appended(path) if path.exists() else LogWriter(path, header)
 
 
-def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: JournalWriter, epoch: int, rules: Rules) -> Opened:
+def _begun(order: WorldSpec, make: MakesWorld[SeatWorld], journal: LogWriter, epoch: int, rules: Rules) -> Opened:
     """A fresh world, all seats free."""
     try:
         world = _fresh(order, make, epoch)
@@ -118,9 +119,9 @@ def _gone_on(
     return Opened(world=world, core=ServerCore(rules, now.epoch, now.tick, kept), journal=journal)
 
 
-def _appended(path: Path) -> JournalWriter:
+def _appended(path: Path) -> LogWriter:
     """A journal to go on with; what was cut off its end is said in the events of its run."""
-    journal = JournalWriter.append_to(path)
+    journal = LogWriter.append_to(path)
     if journal.cut_bytes:
         RunLog(path.parent).add("torn", who="world", reason=told_torn(path, journal.cut_bytes))
     return journal
@@ -130,17 +131,17 @@ def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWor
     return make(order.world, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
 
 
-def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
+def _header(order: WorldSpec, has_town: bool) -> Header:
     world, words = order.world, (order.town, *order.more_towns) if has_town else ()
     towns = tuple(map(asked_town, words))
-    return JournalHeader(
+    return Header(
         name=order.name,
         town=order.town,
         more_towns=order.more_towns,
         town_sha256=towns_hash(towns),
         config=_as_meant(world.config, towns).model_dump_json(),
         seed=order.seed,
-        capacity=order.rules.capacity,
+        seats=order.rules.capacity,
         tick_s=world.config.world.tick_s,
         fingerprint=fingerprint(),
         hook=order.hook,
@@ -155,10 +156,10 @@ def _as_meant(config: RunConfig, towns: Sequence[Town]) -> RunConfig:
     return config.with_usual_warmup()
 
 
-def _require_same(path: Path, new: JournalHeader) -> None:
+def _require_same(path: Path, new: Header) -> None:
     """Raise ConfigError when the journal is of another world."""
-    old = read_header(path)
-    for name in ("town_sha256", "config", "seed", "capacity", "hook"):
+    old = read_header(path, "journal")
+    for name in ("town_sha256", "config", "seed", "seats", "hook"):
         if getattr(old, name) != getattr(new, name):
             raise ConfigError(
                 f"{path}: belongs to another world: its {name} is {str(getattr(old, name))[:80]!r}, not "
@@ -183,7 +184,7 @@ def _last_epoch(parts: Sequence[Path]) -> _LastEpoch:
 def _epoch_of(part: Path) -> _LastEpoch:
     """How the last epoch in a part of a journal stands."""
     seats, epoch, is_over = Seats(), -1, False
-    for record in iter_part(part, ticks=False):
+    for record in inputs_of_part(part, ticks=False):
         seats.note(record)
         if isinstance(record, EpochBegun):
             epoch = max(epoch, record.epoch)

@@ -16,9 +16,9 @@ from typing import Protocol
 import msgspec
 
 from wcsim.errors import PhysicsError, WcsimError
+from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
 from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.camera import copied
-from wcsim.server.journal.records import Admitted, Dismissed, EpochBegun, JournalRecord, Respawned, Ticked
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import (
     Admit,
@@ -42,7 +42,7 @@ from wcsim.types import Snapshot
 log = logging.getLogger("wcsim.server.host.world_host")
 
 Post = Callable[[Peer, m.Reply], None]
-Keep = Callable[[JournalRecord], None]
+Keep = Callable[[Input], None]
 
 
 class _SlottedSink(ImageSink, Protocol):
@@ -119,7 +119,7 @@ class WorldHost:
         begun_s = time.perf_counter()
         self._turn(step.tick + 1)
         after = self.world.tick(step.commands, self._sink)
-        self._keep(Ticked(epoch=after.epoch, tick=after.tick, commands=step.commands, state_hash=after.state_hash))
+        self._keep(ticked(after.epoch, after.tick, step.commands, after.state_hash))
         self._frames = {client.seat: client for client in after.clients}
         self.step_s = time.perf_counter() - begun_s
         self.ticks += 1

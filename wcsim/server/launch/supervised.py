@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.server.journal.journal import JOURNAL, EpochBegun, Ticked, iter_part
+from wcsim.log.reader import inputs_of_part
+from wcsim.log.records import EpochBegun, Ticked
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.spawner import Spawner
 from wcsim.server.launch.states import (
@@ -531,7 +533,8 @@ class SupervisedWorld(_Supervised[WorldStatus]):
             return tick
         done = 0
         try:
-            for record in iter_part(journal):  # a world that died while it loaded has not said which epoch it was in
+            # A world that died while it loaded has not said which epoch it was in.
+            for record in inputs_of_part(journal):
                 if isinstance(record, Ticked | EpochBegun):
                     done = record.tick if isinstance(record, Ticked) else 0
         except WcsimError:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
-from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.launch.awake_clock import AwakeClock
+from wcsim.server.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
 from wcsim.types import ClientSnapshot, Joystick

@@ -22,7 +22,7 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.errors import AccessError, ConfigError, ProtocolError
-from wcsim.server.journal.ledger import LedgerWriter
+from wcsim.server.ledger import LedgerWriter
 from wcsim.server.links.base import WorldLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen

@@ -111,7 +111,7 @@ def walkers_cure(town: Town, *, paved: bool = False) -> str:
     tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
     return (
         f"create walkers.rou.xml with this command, and name it in {_path(town.sumocfg)}, within <input>, "
-        f"in the value of <route-files value=\"...\"/>: {tool} "
+        f'in the value of <route-files value="..."/>: {tool} '
         f"-n {_path(town.net)} "
         f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
         f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"

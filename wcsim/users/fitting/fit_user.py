@@ -20,6 +20,7 @@ from wcsim.config import RunConfig, parse_json
 from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
+from wcsim.log.drive import DriveRecording
 from wcsim.types import F64, Bool, Joystick
 from wcsim.users.fitting.hand_likelihood import BLOCK_S, HandLaw, fit_law
 from wcsim.users.fitting.hand_series import (
@@ -34,7 +35,6 @@ from wcsim.users.fitting.hand_series import (
 from wcsim.users.hand import DRIVE_ABOVE, STEER_ABOVE, SwitchHand
 from wcsim.users.perception import LONGEST_AWAY, UNCUT_AWAY
 from wcsim.users.profiles import PROFILE_LIMITS, UserProfile
-from wcsim.users.recording.drive_types import DriveRecording
 
 _RESAMPLED = 400
 _USUAL_SPEED = 0.9  # quantile

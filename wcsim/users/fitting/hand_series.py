@@ -16,9 +16,10 @@ import numpy as np
 
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
+from wcsim.log.drive import DriveRecording
+from wcsim.log.records import DriveTick
 from wcsim.types import F64, Bool
 from wcsim.users.hand import SWITCH_POSITIONS
-from wcsim.users.recording.drive_types import DriveRecording, RecordedTick
 
 STICK_FILTER_S = 0.02  # the joystick's electronics, which every stick has passed
 _TREMOR_BAND_HZ = (2.5, 8.0)
@@ -134,7 +135,7 @@ def at_switches(sticks: F64) -> Bool:
     return found
 
 
-def check_stick(name: str, ticks: Sequence[RecordedTick]) -> None:
+def check_stick(name: str, ticks: Sequence[DriveTick]) -> None:
     """Raise ConfigError for a drive by keys, or by the switches of the page of a drive, of which no hand can be fitted.
 
     The four switches of the user model are none of these: who drove with them is fitted by what they do.
@@ -193,7 +194,7 @@ def hand_series(drives: Iterable[DriveRecording]) -> tuple[HandSeries, ...]:
     return tuple(found)
 
 
-def _series(ticks: Sequence[RecordedTick], tick_s: float, begun_s: float) -> HandSeries:
+def _series(ticks: Sequence[DriveTick], tick_s: float, begun_s: float) -> HandSeries:
     intents = np.array([(0.0, 0.0) if tick.intent is None else (tick.intent.x, tick.intent.y) for tick in ticks])
     samples = min(len(tick.sticks) for tick in ticks)
     if samples:

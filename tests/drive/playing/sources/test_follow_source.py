@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -15,11 +14,12 @@ from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, Film
 from wcsim.drive.playing.sources import follow_source
 from wcsim.drive.playing.sources.follow_source import follow_film
 from wcsim.errors import ConfigError, JournalError
+from wcsim.log.parts import put_aside
+from wcsim.log.reader import inputs_of_part, read_header
+from wcsim.log.records import Ended, EpochBegun, Ticked, changed
+from wcsim.log.tail import LogTail
+from wcsim.log.writer import LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
-from wcsim.server.journal.journal import Ended, JournalWriter, Ticked, iter_part, read_header
-from wcsim.server.journal.parts import put_aside
-from wcsim.server.journal.records import EpochBegun
-from wcsim.server.journal.tail import JournalTail
 
 
 @pytest.fixture(scope="module")
@@ -102,20 +102,20 @@ def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
 def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     (tmp_path / "all").write_bytes(whole)
-    records = list(iter_part(tmp_path / "all"))
+    records = list(inputs_of_part(tmp_path / "all"))
     second = next(
         number for number, record in enumerate(records) if isinstance(record, EpochBegun) and record.epoch == 1
     )
 
     def script() -> Iterator[None]:
-        with JournalWriter(journal, read_header(tmp_path / "all")) as writer:
+        with LogWriter(journal, read_header(tmp_path / "all")) as writer:
             for record in records[:second]:
                 writer.append(record)
             writer.append(Ended(reason=f"{EPOCH_OVER}: tick 30"))
         yield from (None for _ in range(8))
         put_aside(journal)
         yield
-        with JournalWriter(journal, read_header(tmp_path / "all")) as writer:
+        with LogWriter(journal, read_header(tmp_path / "all")) as writer:
             for record in records[second:]:
                 writer.append(record)
             yield from (None for _ in range(40))
@@ -134,7 +134,7 @@ def test_damage_and_garbage_end_it_in_a_line(whole: bytes, tmp_path: Path) -> No
     for name, data in (("garbage", b"x" * 300), ("damaged", bytes(damaged(whole)))):
         (tmp_path / name).mkdir()
         (tmp_path / name / "journal").write_bytes(data)
-        with pytest.raises(JournalError, match=r"is not a journal|is damaged after"):
+        with pytest.raises(JournalError, match=r"is not a log|is damaged at"):
             Watched(tmp_path / name, iter([None] * 4)).follow()
     assert not world_in_this_process()
 
@@ -147,7 +147,7 @@ def damaged(whole: bytes) -> bytearray:
 
 def test_a_hook_is_not_loaded_because_a_journal_names_it(whole: bytes, tmp_path: Path) -> None:
     (tmp_path / "all").write_bytes(whole)
-    with JournalWriter(tmp_path / "journal", replace(read_header(tmp_path / "all"), hook="own:Hook")):
+    with LogWriter(tmp_path / "journal", changed(read_header(tmp_path / "all"), hook="own:Hook")):
         pass
     with pytest.raises(ConfigError, match="a hook is code"):
         Watched(tmp_path, iter([None])).follow()
@@ -155,11 +155,11 @@ def test_a_hook_is_not_loaded_because_a_journal_names_it(whole: bytes, tmp_path:
 
 def test_a_tail_says_who_writes(whole: bytes, tmp_path: Path) -> None:
     (tmp_path / "all").write_bytes(whole)
-    records = [record for record in iter_part(tmp_path / "all") if not isinstance(record, Ticked)]
-    with JournalTail(tmp_path / "journal") as tail:
+    records = [record for record in inputs_of_part(tmp_path / "all") if not isinstance(record, Ticked)]
+    with LogTail(tmp_path / "journal") as tail:
         assert tail.read() == []
         assert tail.is_written() is None
-        with JournalWriter(tmp_path / "journal", read_header(tmp_path / "all")) as writer:
+        with LogWriter(tmp_path / "journal", read_header(tmp_path / "all")) as writer:
             for record in records:
                 writer.append(record)
             assert tail.read(2) == records[:2]
@@ -174,23 +174,23 @@ def test_what_is_written_between_two_looks_at_a_part_that_ends_is_read(
     """A watcher has the lowest priority: it may stand between any two of its lines for as long as an epoch needs."""
     journal = tmp_path / "journal"
     (tmp_path / "all").write_bytes(whole)
-    records = list(iter_part(tmp_path / "all"))
-    header, is_over, late = read_header(tmp_path / "all"), JournalTail._is_over, [records[3:]]
+    records = list(inputs_of_part(tmp_path / "all"))
+    header, is_over, late = read_header(tmp_path / "all"), LogTail._is_over, [records[3:]]
 
-    def stood_meanwhile(tail: JournalTail) -> bool:
+    def stood_meanwhile(tail: LogTail) -> bool:
         if late:
-            with JournalWriter.append_to(journal) as writer:
+            with LogWriter.append_to(journal) as writer:
                 for record in late.pop():
                     writer.append(record)
             put_aside(journal)
-            JournalWriter(journal, header).close()
+            LogWriter(journal, header).close()
         return is_over(tail)
 
-    with JournalWriter(journal, header) as writer:
+    with LogWriter(journal, header) as writer:
         for record in records[:3]:
             writer.append(record)
-    monkeypatch.setattr(JournalTail, "_is_over", stood_meanwhile)
-    with JournalTail(journal) as tail:
+    monkeypatch.setattr(LogTail, "_is_over", stood_meanwhile)
+    with LogTail(journal) as tail:
         assert tail.read() == records[:3]
         assert tail.read() == records[3:]
         assert tail.read() == []

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.support.framing import read_whole
 from tests.support.journals import eventful_run, nudged, rewritten
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.records import record_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
 from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.cli.recordings.film_page import FilmOrder, play_start
 from wcsim.config import load_run_config
@@ -33,11 +33,12 @@ from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError, TownError
-from wcsim.server.journal.journal import Ticked, _read_journal
+from wcsim.log.drive import read_drive
+from wcsim.log.reader import read_states
+from wcsim.log.records import Ticked
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile
-from wcsim.users.recording.drive_reader import read_drive
 
 
 class Filmed:
@@ -75,13 +76,13 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> None:
     shown = Filmed(journal_film(run / "journal", None, ""))
-    ticked = [record for record in _read_journal(run / "journal").records if isinstance(record, Ticked)]
+    ticked = [record for record in read_whole(run / "journal").records if isinstance(record, Ticked)]
     frames = shown.frames()
     assert [(frame.epoch, frame.tick) for frame in frames] == [(record.epoch, record.tick) for record in ticked]
     for frame, record in zip(frames, ticked, strict=True):
         given = [(round(c.joystick.x, 4), round(c.joystick.y, 4)) for c in record.commands]
         assert [chair.commanded for chair in frame.chairs] == given
-    _, records = read_trace(run / "beside.trace")
+    _, records = read_states(run / "beside.trace")
     for frame, record in zip(frames, records, strict=False):
         places = np.array([chair.p_WB_m for chair in frame.chairs]).reshape(-1, 3)
         assert np.allclose(places, record.plants[:, :3], atol=1e-4)
@@ -97,7 +98,7 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
 
 @pytest.mark.proof
 def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path) -> None:
-    records = _read_journal(run / "journal").records
+    records = read_whole(run / "journal").records
     at = next(i for i, r in enumerate(records) if isinstance(r, Ticked) and (r.epoch, r.tick) == (1, 40))
     other = rewritten(run / "journal", tmp_path / "journal", {at: nudged(records[at])})
     shown = Filmed(journal_film(other, 1, ""))
@@ -107,7 +108,7 @@ def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path)
 
 def test_a_trace_shows_places_alone(run: Path, corner: Path) -> None:
     shown = Filmed(trace_film(run / "beside.trace", None, str(corner)))
-    _, records = read_trace(run / "beside.trace")
+    _, records = read_states(run / "beside.trace")
     frames = shown.frames()
     assert len(frames) == sum(len(record.plants) > 0 for record in records)
     chair = frames[-1].chairs[0]

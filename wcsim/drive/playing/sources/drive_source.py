@@ -15,8 +15,8 @@ from wcsim.bridge.world import World
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, Flag, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays
-from wcsim.users.recording.drive_reader import read_drive
-from wcsim.users.recording.drive_types import DriveRecording, RecordedEvent, RecordedTick
+from wcsim.log.drive import DriveRecording, read_drive
+from wcsim.log.records import DriveTick, Note
 
 NOT_IN_DRIVES: Final = (
     "Unsafe positions: a drive records what the policy chose, not why.",
@@ -39,20 +39,20 @@ def drive_film(path: Path) -> Iterator[Said]:
         ConfigError: Its settings or its user cannot be used here.
     """
     drive = read_drive(path)
-    header, worlds = drive.header, list[World]()
-    policy = f", assisted by {header.policy}" if header.policy else ""
+    header, about, worlds = drive.header, drive.about, list[World]()
+    policy = f", assisted by {about.policy}" if about.policy else ""
     yield FilmAbout(
-        title=f"drive in {header.town}: {header.profile}{policy}",
+        title=f"drive in {header.town_name}: {about.profile}{policy}",
         town=town_of_drive(header).address,
         tick_s=header.tick_s,
         camera=config_of_drive(header).cameras[0].model_dump_json(),
         actions=config_of_drive(header).env.actions,
         unknown=list(NOT_IN_DRIVES),
         ticks=len(drive.ticks),
-        warns=bool(header.policy),
+        warns=bool(about.policy),
         tells_who=True,
     )
-    yield FilmNames(names={0: header.profile})
+    yield FilmNames(names={0: about.profile})
     maker, differs, decides = FrameMaker(), 0, _WhoDecides(drive)
 
     def before(world: World) -> None:
@@ -73,12 +73,12 @@ class _WhoDecides:
     """Whose say it is, tick by tick, as the events of a drive tell."""
 
     def __init__(self, drive: DriveRecording) -> None:
-        header = drive.header
-        self._events, self._hands_over = deque(drive.events), header.accompanied and bool(header.episode)
+        about = drive.about
+        self._events, self._hands_over = deque(drive.events), about.accompanied and bool(about.episode)
         self._assisted, self._simulated = True, False
-        self._can_assist = header.policy not in ("", UNAIDED)
+        self._can_assist = about.policy not in ("", UNAIDED)
 
-    def flags(self, tick: RecordedTick) -> Flag:
+    def flags(self, tick: DriveTick) -> Flag:
         """Of the next tick. A simulated user who drives where the person was to does so before a handover.
 
         Handovers are in episodes of suites alone; elsewhere an older recording may not say that the user was to drive.
@@ -88,7 +88,7 @@ class _WhoDecides:
         alone = self._hands_over and not self._simulated and not by_person(tick)
         return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._can_assist and self._assisted else Flag.UNAIDED)
 
-    def _note(self, event: RecordedEvent) -> None:
+    def _note(self, event: Note) -> None:
         if event.kind == EventKind.ASSISTANCE:
             self._assisted = event.detail == "on"
         elif event.kind == EventKind.POLICY_FAILED:
@@ -97,7 +97,7 @@ class _WhoDecides:
             self._simulated = event.detail == DriverKind.SIMULATED
 
 
-def _said(tick: RecordedTick, flags: Flag) -> TickSays:
+def _said(tick: DriveTick, flags: Flag) -> TickSays:
     for flag, name in _SAYS:
         flags |= flag if getattr(tick, name) else Flag(0)
     return TickSays(stick=tick.stick, commanded=tick.commanded, flags=flags)

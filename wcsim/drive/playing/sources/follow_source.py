@@ -15,11 +15,11 @@ from typing import Final
 from wcsim.bridge.world import World
 from wcsim.drive.playing.film_states import FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.journal_source import RecordScene, journal_about
+from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked
+from wcsim.log.tail import LogTail
+from wcsim.log.writer import JOURNAL
 from wcsim.server.host.epoch_cap import EPOCH_OVER
-from wcsim.server.journal.journal import JOURNAL
-from wcsim.server.journal.records import Ended, EpochBegun, JournalHeader, JournalRecord, Ticked
-from wcsim.server.journal.replay import JournalPlayer, journal_worlds
-from wcsim.server.journal.tail import JournalTail
+from wcsim.server.replay import JournalPlayer, journal_worlds
 
 SKIPS_TICKS: Final = 100  # a newer epoch is gone over to at once where more ticks than this are left of the old one
 _MOST_WAITING: Final = 200_000  # records
@@ -49,7 +49,7 @@ def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone,
         TownError, ConfigError: Its world cannot be made here.
         WcsimError: Its records do not follow from each other.
     """
-    with JournalTail(run / JOURNAL) as tail:
+    with LogTail(run / JOURNAL) as tail:
         first = tail.read()
         while tail.header is None:
             say(FilmLine(kind="now", told="The run has not started yet."))
@@ -71,11 +71,11 @@ def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone,
 class _Following:
     """What has come and was not done again yet, and the world in which it will be."""
 
-    def __init__(self, run: Path, header: JournalHeader, hook: str, say: Callable[[Said], object]) -> None:
+    def __init__(self, run: Path, header: Header, hook: str, say: Callable[[Said], object]) -> None:
         self._run, self._say = run, say
-        self._player = JournalPlayer[World](journal_worlds(header, hook), header.capacity)
+        self._player = JournalPlayer[World](journal_worlds(header, hook), header.seats)
         self._scene = RecordScene()
-        self._queue = deque[JournalRecord]()
+        self._queue = deque[Input]()
         self._ended = ""
         self._heard_s = self._told_s = self._asked_s = 0.0
         self._told, self._differed = "", False
@@ -86,7 +86,7 @@ class _Following:
         """Records that were not done again yet."""
         return len(self._queue)
 
-    def hear(self, records: list[JournalRecord]) -> None:
+    def hear(self, records: list[Input]) -> None:
         """These have come; what an epoch makes needless is left out."""
         self._queue.extend(records)
         begun = [number for number, record in enumerate(self._queue) if isinstance(record, EpochBegun)]
@@ -96,7 +96,7 @@ class _Following:
                 self._player.seats.note(self._queue.popleft())
             self._say(FilmLine(kind="mark", told=f"{left} ticks were skipped to reach the newest world."))
 
-    def turn(self, tail: JournalTail, gone: Gone, clock: Clock) -> bool:
+    def turn(self, tail: LogTail, gone: Gone, clock: Clock) -> bool:
         """Do the next record again, or wait for one; False when nobody listens any more."""
         now_s = clock()
         if not self._queue or now_s - self._asked_s > _POLL_S:
@@ -116,7 +116,7 @@ class _Following:
         """End the world."""
         self._player.close()
 
-    def _do(self, record: JournalRecord) -> None:
+    def _do(self, record: Input) -> None:
         self._ended = record.reason if isinstance(record, Ended) else ""
         self._scene.before(self._player.world, record)
         world = self._player.play(record)
@@ -128,7 +128,7 @@ class _Following:
             self._differed = True
             self._say(FilmLine(kind="bad", told="The film differs from the run: its version or machine is another."))
 
-    def _status(self, tail: JournalTail, now_s: float) -> str:
+    def _status(self, tail: LogTail, now_s: float) -> str:
         """What goes on with the run."""
         behind = sum(isinstance(record, Ticked) for record in self._queue)
         if behind > _BEHIND:

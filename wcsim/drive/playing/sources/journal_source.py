@@ -10,9 +10,9 @@ from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_before, intervening
-from wcsim.server.journal.journal import read_header
-from wcsim.server.journal.records import Admitted, EpochBegun, JournalHeader, JournalRecord, Ticked
-from wcsim.server.journal.replay import count_ticks, replayed
+from wcsim.log.reader import read_header
+from wcsim.log.records import Admitted, EpochBegun, Header, Input, Ticked
+from wcsim.server.replay import count_ticks, replayed
 from wcsim.server.specs import town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.types import Joystick
@@ -23,7 +23,7 @@ NOT_IN_JOURNALS = (
 )
 
 
-def journal_about(header: JournalHeader, ticks: int, *, epoch: int | None = None, live: bool = False) -> FilmAbout:
+def journal_about(header: Header, ticks: int, *, epoch: int | None = None, live: bool = False) -> FilmAbout:
     """What a journal shows: one epoch, or from its first one on."""
     town, maps = header.town, list[str]()
     if header.more_towns:
@@ -67,13 +67,13 @@ class RecordScene:
         self._names: dict[int, str] = {}
         self._asked: dict[int, Joystick] = {}
 
-    def before(self, world: World | None, record: JournalRecord) -> None:
+    def before(self, world: World | None, record: Input) -> None:
         """What is so before a record is done."""
         if isinstance(record, Ticked) and world is not None:
             self._maker.begin(world)
             self._asked = asked_before(world.snapshot.clients)
 
-    def said(self, world: World, record: JournalRecord) -> Iterator[Said]:
+    def said(self, world: World, record: Input) -> Iterator[Said]:
         """What there is to say after it."""
         match record:
             case EpochBegun():

@@ -8,13 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.bridge.recording.trace import TickRecord, TraceHeader
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.config import ChairConfig
 from wcsim.core.reading import escaped
 from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmLine, Said
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, quaternion
 from wcsim.errors import ConfigError, TownError
+from wcsim.log.reader import read_states
+from wcsim.log.records import Header, WorldState
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.types import F64, ActorState
@@ -41,7 +41,7 @@ def trace_film(path: Path, epoch: int | None, town: str) -> Iterator[Said]:
         TownError: The town is not there, or another one.
         ConfigError: There is no chair in it.
     """
-    header, records = read_trace(path)
+    header, records = read_states(path)
     chosen = [record for record in records if epoch in (None, record.epoch) and len(record.plants)]
     if not chosen:
         raise ConfigError(f"{escaped(path)}: has no wheelchair to follow; expected a run with --chairs")
@@ -61,14 +61,14 @@ def trace_film(path: Path, epoch: int | None, town: str) -> Iterator[Said]:
     yield FilmLine(kind="end", told="The whole trace is loaded.")
 
 
-def _town(header: TraceHeader, name: str) -> Town:
+def _town(header: Header, name: str) -> Town:
     """The town of a trace. Raises TownError when it is not there, or has its origin elsewhere."""
     try:
-        town = find_town(name or header.name)
+        town = find_town(name or header.town)
     except TownError as error:
         if name:
             raise
-        raise TownError(f"the trace is of a town {escaped(header.name, 80)!r}: {error}; name it with --town") from None
+        raise TownError(f"the trace is of a town {escaped(header.town, 80)!r}: {error}; name it with --town") from None
     if tuple(town.file.origin_m) != tuple(header.origin_m):
         raise TownError(
             f"the trace has its origin at {header.origin_m}, {town.name} at {town.file.origin_m}; expected the town "
@@ -77,13 +77,13 @@ def _town(header: TraceHeader, name: str) -> Town:
     return town
 
 
-def _outline(header: TraceHeader) -> tuple[float, float, float, float]:
+def _outline(header: Header) -> tuple[float, float, float, float]:
     usual = plant_spec(ChairConfig()).outline
     length_m, middle_x_m = header.chair_box_m or (usual.length_m, usual.middle_x_m)
     return length_m, usual.width_m, usual.height_m, middle_x_m
 
 
-def _chairs(record: TickRecord, outline: tuple[float, float, float, float]) -> list[FilmChair]:
+def _chairs(record: WorldState, outline: tuple[float, float, float, float]) -> list[FilmChair]:
     seats = record.seats or tuple(range(len(record.plants)))
     found = []
     for seat, plant, given in zip(seats, record.plants.tolist(), record.commands.tolist(), strict=True):
@@ -106,7 +106,7 @@ def _turn(values: Sequence[float]) -> tuple[float, float, float, float]:
     return quaternion(values) if any(values) else (0.0, 0.0, 0.0, 1.0)
 
 
-def _near(record: TickRecord, places_W_m: F64) -> list[ActorState]:
+def _near(record: WorldState, places_W_m: F64) -> list[ActorState]:
     """Who is in sight of a chair."""
     if not record.bodies:
         return []

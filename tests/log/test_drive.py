@@ -2,44 +2,42 @@
 
 from __future__ import annotations
 
-import io
 import json
+import math
 import signal
+import struct
 import subprocess
 import sys
-from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.users.recording.drives import drive_header, tick, write_drive
+from tests.log.drives import drive_header, tick, write_drive
+from tests.support.framing import chained, payloads_of
 from wcsim.config import load_run_config
 from wcsim.errors import ConfigError, JournalError, WcsimError
+from wcsim.log.drive import read_drive
+from wcsim.log.framing import framed
+from wcsim.log.reader import is_log, read_header
+from wcsim.log.records import (
+    Ended,
+    Note,
+    changed,
+    header_bytes,
+    record_bytes,
+    record_of,
+    start_json,
+    start_of_json,
+)
+from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick, StartSpec
-from wcsim.users.recording.drive_bytes import _tick_of, header_payload, start_json, start_of_json, tick_payload
-from wcsim.users.recording.drive_reader import is_drive, read_drive, read_drive_header
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import DRIVE_MAGIC, RecordedEvent
-from wcsim.users.recording.framing import framed, whole_records
 
 FLAGS = ("warning", "intervening", "overruled", "helped", "arrived", "gave_up", "crashed", "truncated")
+FAR = {"p_W_m": [1.0, 1e300], "yaw_rad": 0.0, "goal_W_m": [0.0, 0.0]}
 UNIT = st.floats(-1.0, 1.0)
-
-
-def rechained(payloads):
-    """Records, each with the checksum of the one before."""
-    data, after = b"", 0
-    for payload in payloads:
-        record = framed(payload, after)
-        after = int.from_bytes(record[4:8], "little")
-        data += record
-    return data
-
-
-def payloads_of(path):
-    return [record.payload for record in whole_records(io.BytesIO(path.read_bytes()), 0)]
 
 
 def test_a_start_in_an_event_is_whole_or_refused():
@@ -52,18 +50,18 @@ def test_a_start_in_an_event_is_whole_or_refused():
 
 def test_what_is_recorded_is_read(tmp_path):
     ticks = [tick(1), tick(2, intent=None, helped=True), tick(3, crashed=True), tick(4, episode=1)]
-    events = (RecordedEvent(tick=0, time_s=0.0, kind="help", detail="a" * 1900),)
+    events = (Note(tick=0, time_s=0.0, kind="help", detail="a" * 1000),)
     start = StartSpec(p_W_m=(1.0, 2.0), yaw_rad=0.5, goal_W_m=(9.0, 2.0))
     path = write_drive(tmp_path / "deep" / "a.drive", ticks, events, start=start)
     drive = read_drive(path)
-    assert drive.header == drive_header(start=start) == read_drive_header(path)
+    assert drive.header == drive_header(start=start) == read_header(path)
     assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
-    assert drive.ticks[0] == replace(ticks[0], sticks=ticks[0].sticks.astype(np.float32).astype(float))
-    assert drive.events == (replace(events[0], detail="a" * 1000),)
+    assert drive.ticks[0] == changed(ticks[0], sticks=ticks[0].sticks)
+    assert drive.events == events
     assert (drive.ticks[1].intent, drive.ticks[1].helped, drive.knows_intents, drive.torn) == (None, True, False, False)
     assert [len(part) for part in drive.episodes] == [3, 1]
     assert [item.ends for item in drive.ticks] == [False, False, True, False]
-    assert is_drive(path)
+    assert is_log(path)
 
 
 @pytest.mark.parametrize("substeps", ["contact_substeps", "substeps"])
@@ -76,8 +74,8 @@ def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path, s
 
 @pytest.mark.parametrize("wrong", [{"seed": 1 << 63}, {"seed": -1}, {"max_steps": 0}, {"tick_s": float("nan")}])
 def test_a_header_that_could_not_be_read_again_begins_no_recording(tmp_path, wrong):
-    with pytest.raises(ConfigError, match=r"a\.drive: .* is out of bounds; expected a seed of 0 to 2\^62"):
-        DriveRecorder(tmp_path / "a.drive", drive_header(**wrong))
+    with pytest.raises(ConfigError, match=r"a\.drive: its header is out of bounds .*change seed, tick or steps"):
+        LogWriter(tmp_path / "a.drive", drive_header(**wrong))
     assert not list(tmp_path.iterdir())
 
 
@@ -85,14 +83,14 @@ def test_a_header_that_could_not_be_read_again_begins_no_recording(tmp_path, wro
 def test_a_tick_is_the_same_after_it_was_bytes(x, y, flags, action, samples):
     sticks = np.linspace(-1.0, 1.0, 2 * samples).reshape(-1, 2).astype(np.float32).astype(float)
     made = tick(5, stick=Joystick(x, y), action=action, sticks=sticks, **dict.fromkeys(flags, True))
-    assert _tick_of(tick_payload(made)) == made
+    assert record_of(record_bytes(made)) == made
 
 
 def test_a_killed_drive_keeps_what_was_driven(tmp_path):
     code = (
-        "import os, sys; from pathlib import Path; from tests.users.recording.drives import *\n"
-        "recorder = DriveRecorder(Path(sys.argv[1]), drive_header())\n"
-        "for number in range(1, 8): recorder.record(tick(number))\n"
+        "import os, sys; from pathlib import Path; from tests.log.drives import *\n"
+        "recorder = LogWriter(Path(sys.argv[1]), drive_header())\n"
+        "for number in range(1, 8): recorder.append(tick(number))\n"
         f"os.kill(os.getpid(), {int(signal.SIGKILL)})"
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.drive")], check=False)
@@ -119,22 +117,36 @@ def test_a_torn_end_is_left_out_and_damage_before_it_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"magic": "wcsim-drive-2"}, "is of format 'wcsim-drive-2'; expected 'wcsim-drive-1'"),
-        ({"tick_s": 0.0}, "no header of a drive"),
-        ({"tick_s": "0.1"}, "no header of a drive"),
-        ({"seed": -1}, "no header of a drive"),
-        ({"seed": True}, "no header of a drive"),
-        ({"town": 3}, "no header of a drive"),
-        ({"start": {"p_W_m": [1.0], "yaw_rad": 0.0, "goal_W_m": [0.0, 0.0]}}, "no header of a drive"),
-        ({"more": 1}, "no header of a drive"),
-        ({"magic": "wcsim-trace-1"}, "is not a drive"),
+        ({"magic": "wcsim-log-2"}, "is of format 'wcsim-log-2'; expected 'wcsim-log-1'"),
+        ({"tick_s": 0.0}, "header cannot be used"),
+        ({"tick_s": "0.1"}, "header cannot be used"),
+        ({"seed": -1}, "header cannot be used"),
+        ({"seed": True}, "header cannot be used"),
+        ({"town": 3}, "header cannot be used"),
+        ({"seats": 65}, "header cannot be used"),
+        ({"seats": 0}, "header cannot be used"),
+        ({"config": ""}, "header cannot be used"),
+        ({"drive": {"wcsim": "1", "profile": "p", "start": {"p_W_m": [1.0], "yaw_rad": 0.0}}}, "header cannot be used"),
+        ({"drive": {"wcsim": "1", "profile": "p", "start": FAR}}, "header cannot be used"),
+        ({"drive": {"wcsim": "1", "profile": "p", "max_steps": 0}}, "header cannot be used"),
+        ({"more": 1}, "header cannot be used"),
+        ({"drive": None}, "is not a drive but a journal"),
+        ({"drive": None, "config": ""}, "is not a drive but a trace"),
+        ({"magic": "other"}, "is not a log"),
     ],
 )
 def test_a_header_that_cannot_be_is_refused(tmp_path, change, says):
-    data = json.loads(header_payload(drive_header())) | change
-    (tmp_path / "a.drive").write_bytes(rechained([json.dumps(data).encode(), tick_payload(tick(1))]))
+    data = json.loads(header_bytes(drive_header())) | change
+    (tmp_path / "a.drive").write_bytes(chained([json.dumps(data).encode(), record_bytes(tick(1))]))
     with pytest.raises(JournalError, match=says):
         read_drive(tmp_path / "a.drive")
+
+
+def with_field(place, value):
+    """A second tick whose record has something else at one place."""
+    fields = msgspec.msgpack.decode(record_bytes(tick(2)))
+    fields[place] = value
+    return msgspec.msgpack.encode(fields)
 
 
 @pytest.mark.parametrize(
@@ -142,75 +154,87 @@ def test_a_header_that_cannot_be_is_refused(tmp_path, change, says):
     [
         b"",
         b"X",
-        b"T" + bytes(20),
-        tick_payload(tick(2))[:-3],
-        tick_payload(tick(2)) + bytes(8),
-        b"E{}",
-        b'E{"tick": 1, "time_s": 0.1, "kind": 3, "detail": ""}',
-        b"E" + json.dumps({"tick": 1, "time_s": 0.1, "kind": "a" * 99, "detail": ""}).encode(),
-        tick_payload(tick(7)),
-        tick_payload(tick(2, time_s=0.05)),
+        b"\xdc\x00\x18\xa1k" + bytes(20),
+        record_bytes(tick(2))[:-3],
+        record_bytes(tick(2)) + bytes(8),
+        msgspec.msgpack.encode(["n"]),
+        msgspec.msgpack.encode(["n", 1, 0.1, 3, ""]),
+        msgspec.msgpack.encode(["n", 1, 0.1, "a" * 99, ""]),
+        with_field(3, math.nan),
+        with_field(3, -0.1),
+        with_field(4, {"x": 1.1, "y": 0.0}),
+        with_field(6, [[2, 2], 4, bytes(15)]),
+        with_field(6, [[481, 2], 4, bytes(481 * 8)]),
+        with_field(6, [[1, 2], 8, struct.pack("<2d", 1.1, 0.0)]),
+        with_field(6, [[2, 1], 4, bytes(8)]),
+        with_field(6, [[0, -1], 4, b""]),
+        with_field(6, [[1 << 62, 0], 4, b""]),
+        with_field(9, 1 << 20),
+        with_field(10, [[3], 8, struct.pack("<3d", math.inf, 0.0, 0.0)]),
+        with_field(10, [[2], 8, bytes(16)]),
+        record_bytes(Ended()),
+        record_bytes(tick(7)),
+        record_bytes(tick(2, time_s=0.05)),
     ],
 )
 def test_a_record_that_cannot_be_is_refused(tmp_path, payload):
-    records = [header_payload(drive_header()), tick_payload(tick(1)), payload]
-    (tmp_path / "a.drive").write_bytes(rechained(records))
-    with pytest.raises(JournalError, match=r"unknown record|does not follow tick 1"):
+    records = [header_bytes(drive_header()), record_bytes(tick(1)), payload]
+    (tmp_path / "a.drive").write_bytes(chained(records))
+    with pytest.raises(JournalError, match=r"does not belong in a log|belongs in no drive|does not follow tick 1"):
         read_drive(tmp_path / "a.drive")
 
 
-def test_json_that_would_fill_the_memory_is_not_parsed(tmp_path):
+def test_text_that_would_fill_the_memory_is_not_parsed(tmp_path):
     bomb = json.dumps({"a": list(range(200_000))}).encode()
     for records in (
-        [header_payload(drive_header())[:-1] + b", " + bomb[1:]],
-        [header_payload(drive_header()), b"E" + bomb],
+        [header_bytes(drive_header())[:-1] + b", " + bomb[1:]],
+        [header_bytes(drive_header()), msgspec.msgpack.encode(["n", *range(400_000)])],
     ):
-        (tmp_path / "a.drive").write_bytes(rechained(records))
-        with pytest.raises(JournalError, match="characters of JSON; expected at most"):
+        (tmp_path / "a.drive").write_bytes(chained(records))
+        with pytest.raises(JournalError, match=r"bytes( of JSON)?; expected at most"):
             read_drive(tmp_path / "a.drive")
 
 
 def test_numbers_that_no_reader_takes_are_not_written(tmp_path):
-    with DriveRecorder(tmp_path / "a.drive", drive_header()) as recorder:
-        recorder.record(tick(1))
+    with LogWriter(tmp_path / "a.drive", drive_header()) as recorder:
+        recorder.append(tick(1))
         for wrong in ({"yaw_rad": np.nan}, {"stick": Joystick(1.1, 0.0)}, {"p_WB_m": np.array([1e12, 0.0, 0.0])}):
-            with pytest.raises(WcsimError, match="tick 2 holds a number"):
-                recorder.record(tick(2, **wrong))
-        recorder.record(tick(2))
+            with pytest.raises(WcsimError, match="a number is not finite or out of its bounds"):
+                recorder.append(tick(2, **wrong))
+        recorder.append(tick(2))
     assert len(read_drive(tmp_path / "a.drive").ticks) == 2
     with pytest.raises(WcsimError, match="closed"):
-        recorder.record(tick(3))
+        recorder.append(tick(3))
 
 
 def test_a_recording_is_begun_once_and_in_a_place_that_can_be_written(tmp_path):
     write_drive(tmp_path / "a.drive", [tick(1)])
     before = (tmp_path / "a.drive").read_bytes()
     with pytest.raises(ConfigError, match=r"a\.drive: cannot be created \(File exists\)"):
-        DriveRecorder(tmp_path / "a.drive", drive_header())
+        LogWriter(tmp_path / "a.drive", drive_header())
     with pytest.raises(ConfigError, match="choose the name of a new file"):
-        DriveRecorder(tmp_path / "a.drive" / "b", drive_header())
+        LogWriter(tmp_path / "a.drive" / "b", drive_header())
     assert (tmp_path / "a.drive").read_bytes() == before
     (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match="link"):
-        DriveRecorder(tmp_path / "link", drive_header())
+        LogWriter(tmp_path / "link", drive_header())
 
 
-def test_what_is_no_drive_is_not_taken_for_one(tmp_path):
+def test_what_is_no_log_is_not_taken_for_a_drive(tmp_path):
     (tmp_path / "a.csv").write_text("time_s,x,y\n0,0,0\n")
-    (tmp_path / "a.trace").write_bytes(framed(b'{"magic": "wcsim-trace-1"}'))
-    assert not any(is_drive(path) for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "none"))
+    (tmp_path / "a.txt").write_bytes(framed(b"{}"))
+    assert not any(is_log(path) for path in (*tmp_path.iterdir(), tmp_path, tmp_path / "none"))
     for path in tmp_path.iterdir():
-        with pytest.raises(JournalError, match="is not a drive"):
+        with pytest.raises(JournalError, match="is not a log"):
             read_drive(path)
-    assert DRIVE_MAGIC == "wcsim-drive-1"
 
 
 def test_a_drive_is_never_longer_than_what_can_be_read(tmp_path, monkeypatch):
-    monkeypatch.setattr("wcsim.users.recording.drive_recorder.MOST_RECORDS", 3)
-    monkeypatch.setattr("wcsim.users.recording.drive_reader.MOST_RECORDS", 3)
-    with DriveRecorder(tmp_path / "a.drive", drive_header()) as recorder:
+    monkeypatch.setattr("wcsim.log.writer.MOST_RECORDS", 3)
+    monkeypatch.setattr("wcsim.log.drive.MOST_RECORDS", 3)
+    with LogWriter(tmp_path / "a.drive", drive_header()) as recorder:
         for number in range(3):
-            recorder.record(tick(number + 1))
+            recorder.append(tick(number + 1))
         with pytest.raises(WcsimError, match="is full, with 3 records"):
-            recorder.record(tick(4))
+            recorder.append(tick(4))
     assert len(read_drive(tmp_path / "a.drive").ticks) == 3

@@ -5,7 +5,8 @@ import struct
 import time
 import zlib
 
-from wcsim.users.recording.framing import MOST_TORN_BYTES, framed, torn_bytes, whole_records
+from tests.support.framing import chained
+from wcsim.log.framing import MOST_TORN_BYTES, crc_of, framed, torn_bytes, whole_records
 
 
 class Growing(io.BytesIO):
@@ -27,15 +28,17 @@ class Growing(io.BytesIO):
 
 
 def test_what_is_written_while_somebody_looks_at_the_end_is_no_damage():
-    first, second = framed(b"one"), framed(b"two")
+    first = framed(b"one")
+    second = framed(b"two", crc_of(first))
     file = Growing(first, second)
-    assert torn_bytes(file, len(first)) == 0
+    assert torn_bytes(file, len(first), crc_of(first)) == 0
     file.seek(len(first))
-    assert [record.payload for record in whole_records(file)] == [b"two"]
+    assert [record.payload for record in whole_records(file, crc_of(first))] == [b"two"]
 
 
 def test_what_is_torn_whole_or_damaged_is_told_apart():
-    first, second = framed(b"one"), framed(b"two" * 50)
+    first = framed(b"one")
+    second = framed(b"two" * 50, crc_of(first))
     for end, after, told in (
         (first, b"", 0),
         (first, second[:-1], len(second) - 1),
@@ -43,7 +46,7 @@ def test_what_is_torn_whole_or_damaged_is_told_apart():
         (first, second, -1),
         (first, b"\x05" + second, None),
     ):
-        assert torn_bytes(io.BytesIO(end + after), len(end)) == told
+        assert torn_bytes(io.BytesIO(end + after), len(end), crc_of(first)) == told
 
 
 def cost_s(rest: bytes) -> tuple[float, int | None]:
@@ -67,9 +70,9 @@ def test_a_torn_end_of_many_beginnings_costs_little_and_is_damage():
 
 
 def test_a_record_that_unpacks_to_far_more_than_it_has_is_none():
-    sound = [framed(bytes(4000)), framed(bytes(range(256)) * 30), framed(b"two")]
-    assert len(list(whole_records(io.BytesIO(b"".join(sound))))) == 3
-    bomb = framed(bytes(1 << 20))
-    assert [record.payload for record in whole_records(io.BytesIO(sound[2] + bomb + sound[2]))] == [b"two"]
-    for rest in (bomb, bomb + sound[2]):
+    sound = chained([bytes(4000), bytes(range(256)) * 30, b"two"])
+    assert len(list(whole_records(io.BytesIO(sound)))) == 3
+    two = chained([b"two", bytes(1 << 20), b"two"])
+    assert [record.payload for record in whole_records(io.BytesIO(two))] == [b"two"]
+    for rest in (framed(bytes(1 << 20)), chained([bytes(1 << 20), b"two"])):
         assert torn_bytes(io.BytesIO(rest), 0) is None

@@ -1,44 +1,47 @@
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.framing import chained, last_crc
+from tests.support.framing import chained, last_crc, read_whole
 from wcsim.errors import ConfigError, DiskFullError, WcsimError
-from wcsim.server.journal.diff import journal_difference
-from wcsim.server.journal.journal import (
+from wcsim.log.diff import first_difference
+from wcsim.log.framing import framed
+from wcsim.log.reader import iter_inputs, iter_log, log_digest, read_header
+from wcsim.log.records import (
     Admitted,
     Dismissed,
     Ended,
     EpochBegun,
-    JournalHeader,
-    JournalRecord,
-    JournalWriter,
+    Header,
+    Input,
     Respawned,
     Ticked,
-    _read_journal,
-    iter_journal,
-    journal_digest,
-    read_header,
+    changed,
+    header_bytes,
+    header_of,
+    record_of,
+    ticked,
 )
-from wcsim.server.journal.records import header_bytes, header_of, record_of
+from wcsim.log.writer import LogWriter
 from wcsim.types import Command, Joystick, SeatSpec, StartSpec
-from wcsim.users.recording.framing import framed
 
-HEADER = JournalHeader(
+pack = msgspec.msgpack.encode
+HEADER = Header(
     name="run",
     town="/somewhere/corner",
     town_sha256="ab" * 32,
     config='{"world": {"tick_s": 0.1}}',
     seed=7,
-    capacity=3,
+    seats=3,
     tick_s=0.1,
     fingerprint="numpy-1",
 )
@@ -50,11 +53,10 @@ def tick(number: int, seats: tuple[int, ...] = (0, 1, 2), epoch: int = 0) -> Tic
     commands = tuple(
         Command(seat=seat, tick=number - 1, joystick=Joystick(x, y)) for seat, (x, y) in zip(seats, sticks, strict=True)
     )
-    return Ticked(epoch=epoch, tick=number, commands=commands, state_hash=f"{number * 0x9E3779B97F4A7C15:016x}"[-16:])
+    return ticked(epoch, number, commands, f"{number * 0x9E3779B97F4A7C15:016x}"[-16:])
 
 
-FIRST = header_bytes(HEADER).replace(b'"version":2', b'"version":1')  # of a journal that is not chained
-RECORDS: tuple[JournalRecord, ...] = (
+RECORDS: tuple[Input, ...] = (
     EpochBegun(epoch=0, seed=11),
     Admitted(epoch=0, tick=0, seat=1, spec=SeatSpec(max_steps=9, truth=True, start=START), name="zoë \n"),
     tick(1, (1,)),
@@ -68,36 +70,38 @@ RECORDS: tuple[JournalRecord, ...] = (
 
 
 def write(path: Path, records=RECORDS, header=HEADER) -> str:
-    with JournalWriter(path, header) as writer:
+    with LogWriter(path, header) as writer:
         for record in records:
             writer.append(record)
-        return writer.digest
+    return log_digest(path)
 
 
 def test_what_was_written_is_read(tmp_path):
     write(tmp_path / "j")
-    journal = _read_journal(tmp_path / "j")
+    journal = read_whole(tmp_path / "j")
     assert (journal.header, journal.records, journal.torn) == (HEADER, RECORDS, False)
     assert read_header(tmp_path / "j") == HEADER
-    assert tuple(iter_journal(tmp_path / "j")) == RECORDS
+    assert tuple(iter_inputs(tmp_path / "j")) == RECORDS
 
 
 def test_commands_come_back_to_the_last_bit(tmp_path):
     sticks = [(-0.0, 5e-324), (0.1 + 0.2, -1.0), (1.0, 0.25)]
     commands = tuple(Command(seat=i, tick=4, joystick=Joystick(x, y)) for i, (x, y) in enumerate(sticks))
-    write(tmp_path / "j", [Ticked(epoch=0, tick=5, commands=commands, state_hash="ff")])
-    (got,) = _read_journal(tmp_path / "j").records
+    write(tmp_path / "j", [ticked(0, 5, commands, "ff")])
+    (got,) = read_whole(tmp_path / "j").records
     assert isinstance(got, Ticked)
     assert [(c.seat, c.tick) for c in got.commands] == [(0, 4), (1, 4), (2, 4)]
     assert [(c.joystick.x.hex(), c.joystick.y.hex()) for c in got.commands] == [(x.hex(), y.hex()) for x, y in sticks]
 
 
-def test_json_that_would_fill_the_memory_is_not_parsed():
+def test_text_that_would_fill_the_memory_is_not_parsed():
     bomb = b'{"a": [' + b"[]," * (1 << 19) + b"[]]}"
     with pytest.raises(WcsimError, match="bytes of JSON; expected at most"):
+        header_of(header_bytes(HEADER)[:-1] + b", " + bomb[1:])
+    with pytest.raises(WcsimError, match="is not a log"):
         header_of(bomb)
-    for record in (b'["a", ' + bomb + b"]", b'["t",0,1,"ff",[' + b"0," * (1 << 20) + b"0]]\n"):
-        with pytest.raises(WcsimError, match="bytes of JSON; expected at most"):
+    for record in (pack(["a", *[[]] * (1 << 21)]), pack(["t", 0, 1, [0] * (1 << 21), [], "ff"])):
+        with pytest.raises(WcsimError, match="bytes; expected at most"):
             record_of(record)
 
 
@@ -109,19 +113,19 @@ def test_a_tick_of_three_seats_is_small(tmp_path):
 
 def test_the_digest_is_that_of_what_happened_and_of_nothing_else(tmp_path):
     digest = write(tmp_path / "a")
-    elsewhere = replace(HEADER, name="other", town="/elsewhere", fingerprint="numpy-2")
-    assert write(tmp_path / "b", header=elsewhere) == digest == journal_digest(tmp_path / "a")
-    renamed = {1: replace(RECORDS[1], name="4711"), 5: replace(RECORDS[5], reason="silent for 1.2 s")}
+    elsewhere = changed(HEADER, name="other", town="/elsewhere", fingerprint="numpy-2")
+    assert write(tmp_path / "b", header=elsewhere) == digest == log_digest(tmp_path / "a")
+    renamed = {1: changed(RECORDS[1], name="4711"), 5: changed(RECORDS[5], reason="silent for 1.2 s")}
     assert write(tmp_path / "c", [renamed.get(number, record) for number, record in enumerate(RECORDS)]) == digest
-    assert journal_difference(tmp_path / "a", tmp_path / "b") == ""
-    assert journal_difference(tmp_path / "a", tmp_path / "c") == ""
+    assert first_difference(tmp_path / "a", tmp_path / "b") == ""
+    assert first_difference(tmp_path / "a", tmp_path / "c") == ""
     others = [
         write(tmp_path / "shorter", RECORDS[:-1]),
         write(tmp_path / "swapped", (*RECORDS[:-2], *RECORDS[:-3:-1])),
-        write(tmp_path / "hash", [replace(r, state_hash="0") if isinstance(r, Ticked) else r for r in RECORDS]),
+        write(tmp_path / "hash", [changed(r, state_hash="0") if isinstance(r, Ticked) else r for r in RECORDS]),
         *(
-            write(tmp_path / name, header=replace(HEADER, **{name: value}))
-            for name, value in {"seed": 8, "config": "{}", "town_sha256": "", "capacity": 4, "hook": "a:B"}.items()
+            write(tmp_path / name, header=changed(HEADER, **{name: value}))
+            for name, value in {"seed": 8, "config": "{}", "town_sha256": "", "seats": 4, "hook": "a:B"}.items()
         ),
     ]
     assert len({digest, *others}) == 1 + len(others)
@@ -132,14 +136,14 @@ def test_a_journal_is_gone_on_with_where_it_was_torn(tmp_path):
     digest = write(whole)
     for cut in (1, 7, 20):
         path.write_bytes(whole.read_bytes()[:-cut])
-        assert _read_journal(path).torn
-        assert _read_journal(path).records == RECORDS[:-1]
-        with JournalWriter.append_to(path) as writer:
+        assert read_whole(path).torn
+        assert read_whole(path).records == RECORDS[:-1]
+        with LogWriter.append_to(path) as writer:
             writer.append(RECORDS[-1])
-            assert writer.digest == digest
+            assert log_digest(path) == digest
         assert path.read_bytes() == whole.read_bytes()
     path.write_bytes(whole.read_bytes() + bytes(3 * 4096))  # pages that a machine had no time to write
-    JournalWriter.append_to(path).close()
+    LogWriter.append_to(path).close()
     assert path.read_bytes() == whole.read_bytes()
 
 
@@ -147,14 +151,17 @@ def test_a_journal_is_never_written_over(tmp_path):
     write(tmp_path / "j")
     before = (tmp_path / "j").read_bytes()
     with pytest.raises(ConfigError, match="exists"):
-        JournalWriter(tmp_path / "j", HEADER)
-    with pytest.raises(ConfigError, match="No such file"):
-        JournalWriter(tmp_path / "none" / "j", HEADER)
+        LogWriter(tmp_path / "j", HEADER)
+    with pytest.raises(ConfigError, match="choose the name of a new file"):
+        LogWriter(tmp_path / "j" / "k", HEADER)
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match="link"):
+        LogWriter(tmp_path / "link", HEADER)
     assert (tmp_path / "j").read_bytes() == before
 
 
 def test_a_closed_journal_says_so(tmp_path):
-    writer = JournalWriter(tmp_path / "j", HEADER)
+    writer = LogWriter(tmp_path / "j", HEADER)
     writer.close()
     writer.close()
     with pytest.raises(WcsimError, match="closed"):
@@ -162,20 +169,20 @@ def test_a_closed_journal_says_so(tmp_path):
 
 
 def test_every_record_can_be_read_as_soon_as_it_is_written(tmp_path):
-    with JournalWriter(tmp_path / "j", HEADER) as writer:
-        reading = iter_journal(tmp_path / "j")
+    with LogWriter(tmp_path / "j", HEADER) as writer:
+        reading = iter_inputs(tmp_path / "j")
         for count, record in enumerate(RECORDS, start=1):
             writer.append(record)
             assert next(reading) == record
-            assert len(_read_journal(tmp_path / "j").records) == count
+            assert len(read_whole(tmp_path / "j").records) == count
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", bytes(64), framed(b"{}"), framed(b"[1]"), framed(b"\xff"), None])
 def test_something_else_is_refused(tmp_path, data):
     if data is not None:
         (tmp_path / "j").write_bytes(data)
-    for read in (read_header, _read_journal, journal_digest, JournalWriter.append_to):
-        with pytest.raises(WcsimError, match=r"j: .*(not a journal|cannot be read)"):
+    for read in (read_header, read_whole, log_digest, LogWriter.append_to):
+        with pytest.raises(WcsimError, match=r"j: .*(not a log|cannot be read)"):
             read(tmp_path / "j")
 
 
@@ -183,15 +190,21 @@ def test_something_else_is_refused(tmp_path, data):
     "payload",
     [
         b"",
-        b"[]",
-        b'["q",{}]',
-        b'["e",{"epoch":1}]',
-        b'["e",{"epoch":"1","seed":2}]',
-        b'["a",{"epoch":0,"tick":0,"seat":0,"spec":{"max_steps":"many"}}]',
-        b'["t",0,1,"ab",[0]]\n1234',
-        b'["t",0,1,"ab",0]\n',
-        b"[" * 4_000,
-        b'["z",{"reason":"\xff"}]',
+        pack([]),
+        pack(["q", {}]),
+        pack(["e", 1]),
+        pack(["e", "1", 2, False]),
+        pack(["e", 1, 2, False, 0]),
+        pack(["e", 1, -1, False]),
+        pack(["a", 0, 0, 0, {"max_steps": "many"}, "", ""]),
+        pack(["a", 0, 0, 0, {"start": {"p_W_m": [1.0, math.nan], "yaw_rad": 0.0, "goal_W_m": [0.0, 1.0]}}, "", ""]),
+        pack(["t", 0, 1, [0], [], "ab"]),
+        pack(["t", 0, 1, 0, [], "ab"]),
+        pack(["t", 0, 1, [64], [[0.0, 0.0]], "ab"]),
+        pack(["t", 0, 1, [0], [[math.nan, 0.0]], "ab"]),
+        pack(["t", 0, 1, list(range(64)) * 2, [[0.0, 0.0]] * 128, "ab"]),
+        b"\x91" * 4_000,
+        pack(["z", b"\xff"]),
     ],
 )
 def test_a_whole_record_that_is_none_is_refused(tmp_path, payload):
@@ -200,12 +213,12 @@ def test_a_whole_record_that_is_none_is_refused(tmp_path, payload):
     with (tmp_path / "j").open("ab") as file:
         file.write(chained([payload], last))
     with pytest.raises(WcsimError, match=r"j: after \d+ bytes"):
-        _read_journal(tmp_path / "j")
+        read_whole(tmp_path / "j")
 
 
 @given(data=st.binary(max_size=200))
 def test_no_payload_raises_anything_else(data):
-    for payload in (data, b'["t",' + data, b'["a",' + data):
+    for payload in (data, b"\x96\xa1t" + data, b"\x97\xa1a" + data, b"\x9b\xa1s" + data):
         try:
             record_of(payload)
         except WcsimError:
@@ -221,7 +234,7 @@ def test_damage_leaves_a_prefix_or_an_error_of_ours(tmp_path_factory, cut, flips
         data[bit // 8 % len(data)] ^= 1 << bit % 8
     path.write_bytes(bytes(data[: max(0, len(data) - cut)]))
     try:
-        journal = _read_journal(path)
+        journal = read_whole(path)
     except WcsimError:
         return
     assert journal.records == RECORDS[: len(journal.records)]
@@ -231,12 +244,14 @@ def test_damage_leaves_a_prefix_or_an_error_of_ours(tmp_path_factory, cut, flips
 FILL = """
 import resource, sys
 from pathlib import Path
-from tests.server.journal.test_journal import HEADER, tick
+from tests.log.test_log import HEADER, tick
 from wcsim.errors import DiskFullError
-from wcsim.server.journal.journal import JournalWriter, journal_digest, _read_journal
+from tests.support.framing import read_whole
+from wcsim.log.reader import log_digest
+from wcsim.log.writer import LogWriter
 path = Path(sys.argv[1])
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-with JournalWriter(path, HEADER) as writer:
+with LogWriter(path, HEADER) as writer:
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 1000, hard))
     written = 0
     try:
@@ -245,14 +260,14 @@ with JournalWriter(path, HEADER) as writer:
             written += 1
     except DiskFullError as error:
         print(error)
-    journal = _read_journal(path)
+    journal = read_whole(path)
     assert (len(journal.records), journal.torn) == (written, False), journal
     assert 5 < written < 20
-    assert writer.digest == journal_digest(path)
+    assert log_digest(path) == log_digest(path)
     resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     writer.append(tick(written + 1))
-assert len(_read_journal(path).records) == written + 1
-assert writer.digest == journal_digest(path)
+assert len(read_whole(path).records) == written + 1
+assert log_digest(path) == log_digest(path)
 """
 
 
@@ -274,16 +289,16 @@ def test_a_journal_that_cannot_begin_leaves_no_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr("os.fdatasync", fails)
     with pytest.raises(DiskFullError, match="No space left"):
-        JournalWriter(tmp_path / "j", HEADER)
+        LogWriter(tmp_path / "j", HEADER)
     assert not (tmp_path / "j").exists()
 
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from tests.server.journal.test_journal import HEADER, tick
-from wcsim.server.journal.journal import JournalWriter
-writer = JournalWriter(Path(sys.argv[1]), HEADER)
+from tests.log.test_log import HEADER, tick
+from wcsim.log.writer import LogWriter
+writer = LogWriter(Path(sys.argv[1]), HEADER)
 for number in range(1, 200):
     writer.append(tick(number))
     os.write(1, b"%d\\n" % number)
@@ -303,20 +318,20 @@ def test_a_killed_process_loses_nothing_that_was_acknowledged(tmp_path):
     assert done.returncode == -9, done.stderr
     acknowledged = int(done.stdout.split()[-1])
     assert acknowledged == 123
-    assert _read_journal(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
+    assert read_whole(tmp_path / "j").records == tuple(tick(n) for n in range(1, acknowledged + 1))
 
 
 def test_a_journal_has_one_writer_at_a_time(tmp_path):
-    with JournalWriter(tmp_path / "j", HEADER) as writer:
+    with LogWriter(tmp_path / "j", HEADER) as writer:
         writer.append(RECORDS[0])
-        with pytest.raises(ConfigError, match="another process is writing this journal"):
-            JournalWriter.append_to(tmp_path / "j")
+        with pytest.raises(ConfigError, match="another process is writing this log"):
+            LogWriter.append_to(tmp_path / "j")
         writer.append(RECORDS[1])
-    with JournalWriter.append_to(tmp_path / "j") as writer:
+    with LogWriter.append_to(tmp_path / "j") as writer:
         writer.append(RECORDS[2])
-    assert _read_journal(tmp_path / "j").records == RECORDS[:3]
+    assert read_whole(tmp_path / "j").records == RECORDS[:3]
 
 
 def test_a_journal_is_read_without_its_ticks(tmp_path):
     write(tmp_path / "j")
-    assert list(iter_journal(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]
+    assert list(iter_log(tmp_path / "j", ticks=False)) == [r for r in RECORDS if not isinstance(r, Ticked)]

@@ -19,8 +19,8 @@ from pathlib import Path
 from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, opened
 from wcsim.errors import DiskFullError, JournalError
-from wcsim.server.journal.records import JournalRecord, Ticked
-from wcsim.server.journal.torn import keep_torn
+from wcsim.log.records import Input, Ticked
+from wcsim.log.torn import keep_torn
 
 _ENTRY = struct.Struct("<16siqI")  # session, epoch, tick, and 31 bits of checksum above one bit: stepped
 _MOST_TORN_BYTES = 2 * _ENTRY.size  # less than that is cut off an end: a last entry, and a part of one
@@ -203,7 +203,7 @@ class Audit:
     phantom: int  # steps that a client saw and the journal does not have
 
 
-def audit(records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Iterable[LedgerEntry]]]) -> Audit:
+def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[LedgerEntry]]]) -> Audit:
     """Compare a journal with (seat, ledger) of each client.
 
     Only the very last step of a life may be missing from a ledger: its client acted, and died before it saw the frame.
@@ -218,7 +218,7 @@ def audit(records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Iterabl
 
 
 def audits(
-    records: Iterable[JournalRecord], ledgers: Sequence[tuple[int, Iterable[LedgerEntry]]]
+    records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[LedgerEntry]]]
 ) -> tuple[int, tuple[Audit, ...]]:
     """The same, and each ledger by itself: how many ticks the world did, and what is wrong with each.
 

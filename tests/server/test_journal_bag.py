@@ -9,7 +9,7 @@ from tests.bridge.recording.test_ros import messages, stamp_ns
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.ego.randomization import moved
 from wcsim.physics.sensors.camera_geometry import mount
-from wcsim.server.journal.journal_bag import recompute_bag
+from wcsim.server.journal_bag import recompute_bag
 from wcsim.types import SeatSpec
 
 

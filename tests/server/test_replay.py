@@ -5,30 +5,19 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.framing import read_whole
 from tests.support.journals import SPEC, JournaledWorld, eventful_run, nudged, rewritten
 from wcsim.bridge.recording.fcd import write_fcd
-from wcsim.bridge.recording.trace import TraceHeader, TraceWriter
-from wcsim.bridge.recording.trace_diff import first_difference
-from wcsim.bridge.recording.trace_file import read_trace
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.drive.playing.sources.journal_source import journal_about
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
-from wcsim.server.journal.diff import journal_difference
-from wcsim.server.journal.journal import (
-    Admitted,
-    Dismissed,
-    Ended,
-    EpochBegun,
-    JournalWriter,
-    Respawned,
-    Ticked,
-    _read_journal,
-    journal_digest,
-    read_header,
-)
-from wcsim.server.journal.replay import Seats, journal_worlds, rebuild_world, recompute, recompute_fcd, verify
+from wcsim.log.diff import first_difference
+from wcsim.log.reader import log_digest, read_header, read_states
+from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Header, Respawned, Ticked, changed, ticked
+from wcsim.log.writer import LogWriter
 from wcsim.server.protocol.barrier import Kept
+from wcsim.server.replay import Seats, journal_worlds, rebuild_world, recompute, recompute_fcd, verify
 from wcsim.towns.scenario.town import find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -38,13 +27,13 @@ def run(corner, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("journaled")
     facts = eventful_run(corner, folder)
     assert facts["episodes"] >= 2  # that ended within a tick
-    assert facts["digest"] == journal_digest(folder / "journal")
+    assert facts["digest"] == log_digest(folder / "journal")
     return folder
 
 
 @pytest.fixture(scope="module")
 def records(run):
-    return _read_journal(run / "journal").records
+    return read_whole(run / "journal").records
 
 
 def made_again(journal: Path) -> tuple[World, tuple[Kept, ...]]:
@@ -66,8 +55,8 @@ def test_who_is_in_after_the_records_of_a_journal():
     assert kept(begun, came(1, 0, "b"), came(0, 0, "a"), respawned, respawned) == [(0, "a", 0), (1, "b", 2)]
     assert seats.kept()[0].claim == b"\xab"
     assert seats.specs(3) == (SPEC, SPEC, None)
-    ticked = Ticked(epoch=0, tick=1, commands=(), state_hash="")
-    assert kept(ticked, Dismissed(epoch=0, tick=1, seat=0)) == [(1, "b", 0)]
+    first = ticked(0, 1, (), "")
+    assert kept(first, Dismissed(epoch=0, tick=1, seat=0)) == [(1, "b", 0)]
     assert kept(respawned, EpochBegun(epoch=1, seed=2)) == [(1, "b", 0)]
     assert kept(respawned, Dismissed(epoch=1, tick=0, seat=1), came(1, 0, "c")) == [(1, "c", 0)]
     assert kept(EpochBegun(epoch=2, seed=2, fresh=True)) == []
@@ -87,8 +76,8 @@ def test_a_whole_run_is_made_again_state_by_state(run, records):
 
 def test_equal_runs_have_equal_journals_and_digests(run, corner, tmp_path):
     eventful_run(corner, tmp_path / "again")
-    assert journal_digest(tmp_path / "again" / "journal") == journal_digest(run / "journal")
-    assert journal_difference(run / "journal", tmp_path / "again" / "journal") == ""
+    assert log_digest(tmp_path / "again" / "journal") == log_digest(run / "journal")
+    assert first_difference(run / "journal", tmp_path / "again" / "journal") == ""
 
 
 def test_a_part_is_compared_from_the_beginning_of_its_epoch(run):
@@ -106,7 +95,7 @@ def test_one_bit_of_a_command_is_found_at_its_tick(run, records, tmp_path):
     assert (result.first.tick, result.ticks) == (12, 60)
     assert 1 <= result.mismatches <= 49
     assert verify(other, 1, 0, 11).mismatches == 0
-    told = journal_difference(run / "journal", other)
+    told = first_difference(run / "journal", other)
     assert told.startswith("Ticked (epoch 1, tick 12): seat 0 is commanded (")
     with pytest.raises(ReplayMismatchError, match=r"epoch 1, tick 12: got state \w+, expected \w+"):
         made_again(other)
@@ -134,7 +123,7 @@ def test_the_world_after_the_last_record_goes_on_as_the_first_one_would_have(cor
         assert [(one.seat, one.name, one.life) for one in kept] == [(2, "c2", 0)]
         assert (world.epoch, world.snapshot.tick, [seat.index for seat in world.seats]) == (1, 12, [2])
         world.admit(1, kept[0].spec)
-        for record in _read_journal(tmp_path / "run" / "journal").records[-10:]:
+        for record in read_whole(tmp_path / "run" / "journal").records[-10:]:
             assert world.tick(record.commands).state_hash == record.state_hash
         assert world.snapshot.state_hash == expected.state_hash
 
@@ -168,7 +157,7 @@ def test_a_run_is_the_same_floating_car_data_from_trace_and_journal(run, tmp_pat
 def test_records_that_do_not_follow_from_each_other_are_refused(run, records, tmp_path):
     at = place_of(records, 0, 30)
     for change, told in (
-        (replace(records[at], tick=31), "tick 31 follows epoch 0, tick 29; expected the next tick"),
+        (changed(records[at], tick=31), "tick 31 follows epoch 0, tick 29; expected the next tick"),
         (Dismissed(epoch=0, tick=29, seat=2), "seat 2 is free"),
         (Admitted(epoch=0, tick=28, seat=2, spec=records[1 + 5].spec), "expected this one"),
     ):
@@ -187,11 +176,11 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
         ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
     ):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        JournalWriter(path, replace(header, **change)).close()
+        LogWriter(path, changed(header, **change)).close()
         for again in (made_again, lambda path: list(recompute(path))):
             with pytest.raises(kind, match=told):
                 again(path)
-    JournalWriter(tmp_path / "empty", header).close()
+    LogWriter(tmp_path / "empty", header).close()
     with pytest.raises(WcsimError, match="no epoch"):
         made_again(tmp_path / "empty")
     with pytest.raises(WcsimError, match="no epoch: it is truncated"):
@@ -201,15 +190,15 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
 def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, monkeypatch):
     words = (str(corner), build_scene(find_scene("two-chairs"), tmp_path / "two-chairs")[0].address)
     towns = [find_town(word) for word in words]
-    header = replace(read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns))
-    monkeypatch.setattr("wcsim.server.journal.replay.World", lambda town, *given, epoch: town)
+    header = changed(read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns))
+    monkeypatch.setattr("wcsim.server.replay.World", lambda town, *given, epoch: town)
     make = journal_worlds(header)
     assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]
     about = [journal_about(header, 9, epoch=epoch) for epoch in (None, 1)]
     assert [film.town for film in about] == [town.address for town in towns]
     assert all("change towns" in film.unknown[-1] for film in about)
     with pytest.raises(TownError, match="a net has changed"):
-        journal_worlds(replace(header, more_towns=words[:1]))
+        journal_worlds(changed(header, more_towns=words[:1]))
 
 
 def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp_path):
@@ -217,53 +206,58 @@ def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp
 
     def against(change=None, kept=records, head=header) -> str:
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        with JournalWriter(path, head) as writer:
+        with LogWriter(path, head) as writer:
             for number, record in enumerate(kept):
                 writer.append((change or {}).get(number, record))
-        return journal_difference(run / "journal", path)
+        return first_difference(run / "journal", path)
 
     last = len(records) - 1
     assert against() == ""
-    assert against(head=replace(header, name="other", fingerprint="x")) == ""
-    assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
+    assert against(head=changed(header, name="other", fingerprint="x")) == ""
+    assert against(head=changed(header, seed=6)) == "header: seed is 5 and 6"
     assert "ends after Ticked (epoch 1, tick 59); the other one continues with Ticked (epoch 1, tick 60)" in against(
         kept=records[:-1]
     )
-    assert against({last: replace(records[last], state_hash="ff")}).startswith("Ticked (epoch 1, tick 60): state_hash")
+    assert against({last: changed(records[last], state_hash="ff")}).startswith("Ticked (epoch 1, tick 60): state_hash")
     one = place_of(records, 1, 60)
     assert "commands for seats [0, 1, 2] and [1, 2]" in against(
-        {one: replace(records[one], commands=records[one].commands[1:])}
+        {one: changed(records[one], seats=records[one].seats[1:], sticks=records[one].sticks[1:])}
     )
     assert against({1: Ended()}) == "Ticked (epoch 0, tick 1) against Ended"
-    assert against({6: replace(records[6], name="x")}) == ""
-    told = against({6: replace(records[6], spec=replace(records[6].spec, truth=True))})
+    assert against({6: changed(records[6], name="x")}) == ""
+    told = against({6: changed(records[6], spec=replace(records[6].spec, truth=True))})
     assert told.startswith("Admitted (epoch 0, tick 5, seat 1): spec is SeatSpec(profile='competent'")
 
 
 def test_the_first_difference_of_two_traces_is_told_in_words(run, tmp_path):
-    header, ticks = read_trace(run / "beside.trace")
+    header, ticks = read_states(run / "beside.trace")
 
-    def against(kept=ticks, head: TraceHeader = header) -> str:
-        with TraceWriter(tmp_path / "other", head) as writer:
+    def against(kept=ticks, head: Header = header) -> str:
+        (tmp_path / "other").unlink(missing_ok=True)
+        with LogWriter(tmp_path / "other", head) as writer:
             for tick in kept:
                 writer.append(tick)
         return first_difference(run / "beside.trace", tmp_path / "other")
 
-    def changed(**fields) -> list:
-        return [*ticks[:40], replace(ticks[40], **fields), *ticks[41:]]
+    def with_other(**fields) -> list:
+        return [*ticks[:40], changed(ticks[40], **fields), *ticks[41:]]
 
     assert against() == ""
-    assert against(head=replace(header, fingerprint="x", name="y")) == ""
-    assert against(head=replace(header, seed=6)) == "header: seed is 5 and 6"
-    assert "ends after 89 ticks, the other after 90" in against(kept=ticks[:-1])
-    assert against(changed(state_hash="0")).startswith("epoch 0, tick 41: state ")
-    assert against(changed(commands=ticks[40].commands + 0.5)).startswith("epoch 0, tick 41: seat 0 is commanded (")
-    assert against(changed(plants=ticks[40].plants + 0.5)).endswith("tick 41: seat 0 is 0.5 m away from the other")
+    assert against(head=changed(header, fingerprint="x", name="y")) == ""
+    assert against(head=changed(header, seed=6)) == "header: seed is 5 and 6"
+    assert "ends after WorldState (epoch 0, tick 89); the other one continues with WorldState" in against(
+        kept=ticks[:-1]
+    )
+    assert against(with_other(state_hash="0")).startswith("WorldState (epoch 0, tick 41): state ")
+    assert against(with_other(commands=ticks[40].commands + 0.5)).startswith(
+        "WorldState (epoch 0, tick 41): seat 0 is commanded ("
+    )
+    assert against(with_other(plants=ticks[40].plants + 0.5)).endswith("tick 41): seat 0 is 0.5 m away from the other")
     body, *others = ticks[40].bodies
     ids = ("v:x", *ticks[40].actor_ids[1:])
-    told = against(changed(actor_ids=ids, bodies=(replace(body, id="v:x"), *others)))
-    assert told == f"epoch 0, tick 41: actors {sorted([body.id, 'v:x'])} are in one trace only"
-    assert against(changed(epoch=1)) == "epoch 0, tick 41: the other trace has epoch 1, tick 41"
+    told = against(with_other(actor_ids=ids, bodies=(changed(body, id="v:x"), *others)))
+    assert told == f"WorldState (epoch 0, tick 41): actors {sorted([body.id, 'v:x'])} are in one trace only"
+    assert against(with_other(epoch=1)) == "WorldState (epoch 0, tick 41) against WorldState (epoch 1, tick 41)"
 
 
 def test_habits_that_were_drawn_for_episodes_are_drawn_again(corner, tmp_path):
@@ -278,5 +272,5 @@ def test_habits_that_were_drawn_for_episodes_are_drawn_again(corner, tmp_path):
     world, _ = made_again(tmp_path / "journal")
     with world:
         assert [client.drawn for client in world.snapshot.clients] == drawn
-        assert world.snapshot.state_hash == _read_journal(tmp_path / "journal").records[-1].state_hash
+        assert world.snapshot.state_hash == read_whole(tmp_path / "journal").records[-1].state_hash
     assert len({one.reaction_s for one in drawn}) == len({one.attention for one in drawn}) == 2

@@ -2,44 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from wcsim import __version__
 from wcsim.config import load_run_config
+from wcsim.log.records import Drive, DriveTick, Header, Note, changed
+from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile, profile_json
-from wcsim.users.recording.drive_recorder import DriveRecorder
-from wcsim.users.recording.drive_types import DriveHeader, RecordedEvent, RecordedTick
 
 TICK_S = 0.1
 
 
-def drive_header(**changes: object) -> DriveHeader:
+def drive_header(**changes: object) -> Header:
     """The header of a drive that never was."""
-    header = DriveHeader(
+    about = Drive(
         wcsim=__version__,
-        fingerprint="numpy-0",
-        town="nowhere",
-        town_address="/nowhere",
-        town_sha256="ab" * 32,
-        seed=7,
-        tick_s=TICK_S,
-        config=load_run_config("quick").model_dump_json(),
         profile="competent",
         user=profile_json(profile("competent")),
         policy="dwa",
         level="1",
         episode="dev 3.1",
     )
-    return replace(header, **changes)
+    header = Header(
+        fingerprint="numpy-0",
+        town="/nowhere",
+        town_name="nowhere",
+        town_sha256="ab" * 32,
+        seed=7,
+        seats=1,
+        tick_s=TICK_S,
+        config=load_run_config("quick").model_dump_json(),
+        drive=changed(about, **{key: value for key, value in changes.items() if key in about.__struct_fields__}),
+    )
+    return changed(header, **{key: value for key, value in changes.items() if key in header.__struct_fields__})
 
 
-def tick(number: int, **changes: object) -> RecordedTick:
+def tick(number: int, **changes: object) -> DriveTick:
     """One tick of a chair that drives east, its stick a little to the right of before."""
-    made = RecordedTick(
+    made = DriveTick(
         tick=number,
         episode=0,
         time_s=TICK_S * number,
@@ -53,16 +56,14 @@ def tick(number: int, **changes: object) -> RecordedTick:
         yaw_rad=0.0,
         speed_mps=1.0,
     )
-    return replace(made, **changes)
+    return changed(made, **changes)
 
 
-def write_drive(
-    path: Path, ticks: list[RecordedTick], events: tuple[RecordedEvent, ...] = (), **header: object
-) -> Path:
+def write_drive(path: Path, ticks: list[DriveTick], events: tuple[Note, ...] = (), **header: object) -> Path:
     """A drive on disk."""
-    with DriveRecorder(path, drive_header(**header)) as recorder:
+    with LogWriter(path, drive_header(**header)) as recorder:
         for event in events:
-            recorder.note(event)
+            recorder.append(event)
         for item in ticks:
-            recorder.record(item)
+            recorder.append(item)
     return path

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from wcsim.errors import DiskFullError, JournalError
-from wcsim.server.journal.ledger import LedgerEntry, LedgerWriter, _read_ledger
+from wcsim.server.ledger import LedgerEntry, LedgerWriter, _read_ledger
 
 FILL = """
 import resource, sys
 from pathlib import Path
-from tests.server.journal.test_ledger_writer import entry
+from tests.server.test_ledger_writer import entry
 from wcsim.errors import DiskFullError
-from wcsim.server.journal.ledger import LedgerWriter, _read_ledger
+from wcsim.server.ledger import LedgerWriter, _read_ledger
 path = Path(sys.argv[1])
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 with LedgerWriter(path) as ledger:

@@ -11,26 +11,15 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from wcsim.bridge.recording.fcd import write_steps
-from wcsim.bridge.recording.trace import TickRecord, TraceHeader, chair_box_m, record_of
+from wcsim.bridge.recording.states import chair_box_m, state_of
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.town_run import as_recorded
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
-from wcsim.server.journal.journal import (
-    Admitted,
-    Dismissed,
-    Ended,
-    EpochBegun,
-    JournalHeader,
-    JournalRecord,
-    Respawned,
-    Ticked,
-    iter_journal,
-    iter_part,
-    read_header,
-)
+from wcsim.log.reader import inputs_of_part, iter_inputs, read_header
+from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Header, Input, Respawned, Ticked, WorldState
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.seat_world import MakesEpoch, SeatWorld, Specs
 from wcsim.towns.making.asked_town import asked_town
@@ -48,7 +37,7 @@ Iterations = Generator[T, None, None]
 class _Recomputed:
     """What a journal says, and the world's state after the same was done again."""
 
-    record: JournalRecord
+    record: Input
     state_hash: str
 
     @property
@@ -122,9 +111,9 @@ def rebuild_world(
         ReplayMismatchError: A tick gave another state than the journal says.
         WcsimError: What `make` raises; or it is no journal, or its records do not follow from each other.
     """
-    player = JournalPlayer(make, read_header(journal).capacity)
-    records: list[JournalRecord] = []
-    for record in iter_part(journal):  # those before it are over
+    player = JournalPlayer(make, read_header(journal, "journal").seats)
+    records: list[Input] = []
+    for record in inputs_of_part(journal):  # those before it are over
         if isinstance(record, EpochBegun):
             for before in records:
                 player.seats.note(before)
@@ -144,7 +133,7 @@ def rebuild_world(
         raise
 
 
-def journal_worlds(header: JournalHeader, hook: str = "") -> MakesEpoch[World]:
+def journal_worlds(header: Header, hook: str = "") -> MakesEpoch[World]:
     """Makes the worlds of a journal; `hook` has to be the journal's own step hook.
 
     Raises ConfigError for another hook and for settings that cannot be used, TownError when the town is not there or
@@ -172,7 +161,7 @@ def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> i
     """
     with closing(replayed(journal, epoch, None, hook)) as steps:
         world, _ = next(steps)
-        written = write_steps(_trace_header(read_header(journal), world), _ticks(steps), out)
+        written = write_steps(_trace_header(read_header(journal, "journal"), world), _ticks(steps), out)
     if not written:
         raise WcsimError(f"{journal}: has no tick of epoch {epoch}; choose another --epoch")
     return written
@@ -180,22 +169,22 @@ def recompute_fcd(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> i
 
 def count_ticks(journal: Path, epoch: int | None = None) -> int:
     """How many ticks a journal has, in one epoch or in all. Raises JournalError when it is none."""
-    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_journal(journal))
+    return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_inputs(journal))
 
 
-def _ticks(steps: Iterable[tuple[World, JournalRecord]]) -> Iterator[TickRecord]:
+def _ticks(steps: Iterable[tuple[World, Input]]) -> Iterator[WorldState]:
     for world, record in steps:
         require_equal(world, record)
         if isinstance(record, Ticked):
-            yield record_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.everyone()))
+            yield state_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.everyone()))
 
 
-def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
-    return TraceHeader(
-        name=world.town.name,
+def _trace_header(header: Header, world: World) -> Header:
+    return Header(
+        town=world.town.name,
         seed=header.seed,
         tick_s=header.tick_s,
-        seats=header.capacity,
+        seats=header.seats,
         fingerprint=header.fingerprint,
         origin_m=world.town.file.origin_m,
         origin_z_m=world.street.net_origin_m[2],
@@ -203,7 +192,7 @@ def _trace_header(header: JournalHeader, world: World) -> TraceHeader:
     )
 
 
-def require_equal(world: SeatWorld, record: JournalRecord) -> None:
+def require_equal(world: SeatWorld, record: Input) -> None:
     """Raise ReplayMismatchError when a tick gave another state than the journal says."""
     if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
         raise ReplayMismatchError(
@@ -217,8 +206,8 @@ def replayed(
     epoch: int | None,
     until_tick: int | None,
     hook: str,
-    before: Callable[[World | None, JournalRecord], object] = lambda world, record: None,
-) -> Iterations[tuple[World, JournalRecord]]:
+    before: Callable[[World | None, Input], object] = lambda world, record: None,
+) -> Iterations[tuple[World, Input]]:
     """Each record of the wanted epochs, with the world after it; the world is closed with the iterator.
 
     Args:
@@ -228,11 +217,11 @@ def replayed(
         hook: As for `recompute`, which raises the same.
         before: Is shown the world before each record, None where there is none yet.
     """
-    header = read_header(journal)
-    player = JournalPlayer(journal_worlds(header, hook), header.capacity)
+    header = read_header(journal, "journal")
+    player = JournalPlayer(journal_worlds(header, hook), header.seats)
     known: set[int] = set()
     try:
-        for record in iter_journal(journal):
+        for record in iter_inputs(journal):
             if isinstance(record, Ended):
                 continue
             begins, wanted = isinstance(record, EpochBegun), epoch in (None, record.epoch)
@@ -263,7 +252,7 @@ class Seats:
         self._taken: dict[int, Admitted] = {}
         self._lives: Counter[int] = Counter()  # respawns of a seat since the last tick
 
-    def note(self, record: JournalRecord) -> None:
+    def note(self, record: Input) -> None:
         """Hear the next record."""
         match record:
             case Admitted():
@@ -316,7 +305,7 @@ class JournalPlayer(Generic[W]):
             self._world.close()
             self._world = None
 
-    def play(self, record: JournalRecord) -> W:
+    def play(self, record: Input) -> W:
         """Do what a record says; raises WcsimError when it does not follow from those before."""
         self.seats.note(record)
         if isinstance(record, EpochBegun):
@@ -351,7 +340,7 @@ def _require_now(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ti
         )
 
 
-def _config_of(header: JournalHeader) -> dict[str, object]:
+def _config_of(header: Header) -> dict[str, object]:
     try:
         config = json.loads(header.config)
     except (ValueError, RecursionError):

@@ -1,9 +1,9 @@
-"""The framing of traces and journals: a file of records, each `length, CRC-32, zlib payload`.
+"""The framing of a log: a file of records, each `length, CRC-32, zlib payload`.
 
 What was written whole is read whole: reading ends before the first record that is torn or damaged, so a file may be
-read while another process appends to it. In a chained file a record's CRC begins with that of the one before, so that
-none can be left out, doubled or moved. A zlib stream says itself where it ends: damage to a length is told from a
-record that was only begun.
+read while another process appends to it. A record's CRC begins with that of the one before, so that none can be left
+out, doubled or moved. A zlib stream says itself where it ends: damage to a length is told from a record that was only
+begun.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Record:
 
 
 def framed(payload: bytes, after: int = 0) -> bytes:
-    """A payload as the record that holds it; `after` is the CRC of the record before it in a chained file."""
+    """A payload as the record that holds it; `after` is the CRC of the record before it."""
     packed = zlib.compress(payload, _LEVEL)
     return _FRAME.pack(len(packed), zlib.crc32(packed, after)) + packed
 
@@ -46,26 +46,26 @@ def crc_of(record: bytes) -> int:
     return crc
 
 
-def whole_records(file: BinaryIO, after: int | None = None) -> Iterator[Record]:
+def whole_records(file: BinaryIO, after: int = 0) -> Iterator[Record]:
     """The records from here on, up to the end or to the first one that is torn or damaged.
 
     Args:
         file: Open for reading.
-        after: The CRC of the record before, in a chained file; None in one that is not chained.
+        after: The CRC of the record before.
     """
     end = 0
     while len(head := file.read(_FRAME.size)) == _FRAME.size:
         size, crc = _FRAME.unpack(head)
         packed = file.read(size) if size <= MAX_RECORD_BYTES else b""
-        payload = _unpacked(packed) if len(packed) == size and zlib.crc32(packed, after or 0) == crc else None
+        payload = _unpacked(packed) if len(packed) == size and zlib.crc32(packed, after) == crc else None
         if payload is None:
             return
         end += _FRAME.size + size
-        after = None if after is None else crc
+        after = crc
         yield Record(payload=payload, end=end, crc=crc)
 
 
-def torn_bytes(file: BinaryIO, end: int, after: int | None = None) -> int | None:
+def torn_bytes(file: BinaryIO, end: int, after: int = 0) -> int | None:
     """How many bytes after the last whole record were never a whole one; None when they may have been.
 
     Zeros are what a file system leaves where it had no time to write. The answer is -1 when there is a whole record by

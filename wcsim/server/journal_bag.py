@@ -10,9 +10,9 @@ from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair
 from wcsim.bridge.world import World
 from wcsim.errors import WcsimError
-from wcsim.server.journal.journal import read_header
-from wcsim.server.journal.records import JournalRecord, Ticked
-from wcsim.server.journal.replay import replayed, require_equal
+from wcsim.log.reader import read_header
+from wcsim.log.records import Input, Ticked
+from wcsim.server.replay import replayed, require_equal
 from wcsim.types import ClientSnapshot, Drawn
 
 
@@ -27,9 +27,9 @@ def recompute_bag(journal: Path, out: Path, epoch: int = 0, hook: str = "") -> d
     chairs: dict[int, RosChair] = {}
     drawn: dict[int, Drawn | None] = {}  # by which the cameras of each seat were mounted last
     answered: dict[int, ClientSnapshot] = {}  # what the commands of the next tick answer
-    alone = read_header(journal).capacity == 1
+    alone = read_header(journal, "journal").seats == 1
 
-    def before(world: World | None, record: JournalRecord) -> None:
+    def before(world: World | None, record: Input) -> None:
         if world is not None and isinstance(record, Ticked):
             answered.update((client.seat, client.first or client) for client in world.snapshot.clients)
 

@@ -7,14 +7,15 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.server.journal.journal import EpochBegun, Ticked
-from wcsim.server.journal.ledger import LedgerEntry, audit, audits, ledger_facts
+from wcsim.log.records import EpochBegun
+from wcsim.log.records import ticked as log_ticked
+from wcsim.server.ledger import LedgerEntry, audit, audits, ledger_facts
 from wcsim.types import Command, Joystick
 
 
 def ticked(epoch, tick, *seats):
     commands = tuple(Command(seat=seat, tick=tick - 1, joystick=Joystick(0.0, 0.0)) for seat in seats)
-    return Ticked(epoch=epoch, tick=tick, commands=commands, state_hash="00" * 8)
+    return log_ticked(epoch, tick, commands, "00" * 8)
 
 
 def seen(*frames):

@@ -1,4 +1,4 @@
-"""The end of a journal that somebody else is writing: what has come since one looked last. Nothing is locked."""
+"""The end of a log that somebody else is writing: what has come since one looked last. Nothing is locked."""
 
 from __future__ import annotations
 
@@ -9,34 +9,33 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from wcsim.core.closing import Closing
-from wcsim.core.reading import FileKind, opened
-from wcsim.errors import JournalError, WcsimError
-from wcsim.server.journal.parts import part_files
-from wcsim.server.journal.records import JournalHeader, JournalRecord, header_of, is_chained, record_of
-from wcsim.users.recording.framing import torn_bytes, whole_records
+from wcsim.core.reading import opened
+from wcsim.log.framing import torn_bytes, whole_records
+from wcsim.log.parts import part_files
+from wcsim.log.reader import LOG_FILE, damaged, read_first, read_record
+from wcsim.log.records import Header, Input
 
-_KIND: Final = FileKind(what="a journal", limit_bytes=1 << 62, error=JournalError)
 _LOCKS: Final = Path("/proc/locks")
 
 
-class JournalTail(Closing):
-    """Reads a journal from the beginning of its newest part on, and goes over into the part that follows it.
+class LogTail(Closing):
+    """Reads the inputs of a log from the beginning of its newest part on, and goes over into the part after it.
 
     Args:
-        path: Of the journal; it need not be there yet.
+        path: Of the log; it need not be there yet.
     """
 
     def __init__(self, path: Path) -> None:
-        self.header: JournalHeader | None = None  # once there is a journal
+        self.header: Header | None = None  # once there is a log
         self._path, self._held = path, ExitStack()
         self._file: BinaryIO | None = None
-        self._end, self._after = 0, None  # type: int, int | None
+        self._end, self._after = 0, 0
 
-    def read(self, most: int = 1000) -> list[JournalRecord]:
+    def read(self, most: int = 1000) -> list[Input]:
         """The records that have come, oldest first, so many at the most; none where nothing has come.
 
         Raises:
-            JournalError: It is no journal, or damaged.
+            JournalError: It is no log, or damaged.
         """
         if self._file is None and not self._open():
             return []
@@ -55,7 +54,7 @@ class JournalTail(Closing):
         self._file = None
 
     def is_written(self) -> bool | None:
-        """Whether a process has the journal open for writing; None where that cannot be known.
+        """Whether a process has the log open for writing; None where that cannot be known.
 
         Where a file system has no device of its own (btrfs, overlay), a file and its lock may name different ones.
         """
@@ -73,36 +72,32 @@ class JournalTail(Closing):
         parts = part_files(self._path)
         if not parts:
             return False
-        file = self._held.enter_context(opened(parts[-1], _KIND))
-        first = next(whole_records(file), None)
-        if first is None:
+        file = self._held.enter_context(opened(parts[-1], LOG_FILE))
+        if parts[-1].stat().st_size == 0:
             self._held.close()
-            if parts[-1].stat().st_size > 0:
-                raise JournalError(f"{parts[-1]}: is not a journal; expected a file written by wcsim")
             return False
         try:
-            self.header = header_of(first.payload)
-        except WcsimError as error:
-            raise JournalError(f"{parts[-1]}: is not a journal of this version: {error}") from None
-        self._file, self._end = file, first.end
-        self._after = first.crc if is_chained(first.payload) else None
+            self.header, self._end, self._after = read_first(file, parts[-1])
+        except BaseException:
+            self._held.close()
+            raise
+        self._file = file
         return True
 
-    def _records(self, most: int) -> list[JournalRecord]:
-        file, found = self._file, list[JournalRecord]()
+    def _records(self, most: int) -> list[Input]:
+        file, found = self._file, list[Input]()
         if file is None:
             return found
         start = file.seek(self._end)
         for item in whole_records(file, self._after):
-            try:
-                found.append(record_of(item.payload))
-            except WcsimError as error:
-                raise JournalError(f"{self._path}: after {self._end} bytes: {error}") from None
-            self._end, self._after = start + item.end, None if self._after is None else item.crc
+            record = read_record(item.payload, self._path, self._end)
+            if isinstance(record, Input):
+                found.append(record)
+            self._end, self._after = start + item.end, item.crc
             if len(found) >= most:
                 break
         if not found and torn_bytes(file, self._end, self._after) is None:
-            raise JournalError(f"{self._path}: is damaged at byte {self._end}; restore it from a copy")
+            raise damaged(self._path, self._end)
         return found
 
     def _is_over(self) -> bool:

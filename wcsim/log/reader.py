@@ -1,0 +1,195 @@
+"""Reading logs, which somebody else may have written: record by record, checked, up to the last whole one."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from wcsim.core.reading import FileKind, escaped, opened
+from wcsim.errors import FileError, JournalError, WcsimError
+from wcsim.log.framing import torn_bytes, whole_records
+from wcsim.log.parts import part_files
+from wcsim.log.records import (
+    ActorBody,
+    Header,
+    Input,
+    LogKind,
+    LogRecord,
+    WorldState,
+    begins_log,
+    changed,
+    header_content,
+    header_of,
+    is_tick,
+    record_bytes,
+    record_of,
+    told_apart,
+)
+
+LOG_FILE: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
+_IN_MEMORY_BYTES: Final = 4 << 30  # of a file whose states or ticks are read at once
+_MADE_BY: Final = {
+    "journal": "a run folder of a server, or its journal",
+    "trace": "a file of `wcsim town run`, or the golden trace of a scene",
+    "drive": "a file of `wcsim users record` or `wcsim drive`",
+}
+
+
+class LogScan:
+    """One reading of a log; `end` is where the last record that was read ends, `after` its CRC."""
+
+    def __init__(self, path: Path, expected: LogKind | None = None) -> None:
+        """Read the header. Raises JournalError when it is none of this version, or of another kind than expected."""
+        self._path = path
+        with opened(path, LOG_FILE) as file:
+            self.header, self.end, self.after = read_first(file, path)
+        if expected is not None and expected != self.header.kind:
+            raise JournalError(
+                f"{escaped(path)}: is not a {expected} but a {self.header.kind}; expected {_MADE_BY[expected]}"
+            )
+        self.torn_bytes = 0  # known in the end
+
+    def to_end(self) -> None:
+        """Find where the last whole record ends, without a look at what the records say. Raises JournalError."""
+        for _ in self._payloads():
+            pass
+
+    def records(self, ticks: bool = True) -> Iterator[LogRecord]:
+        """Those after the header. Raises JournalError for a whole record that no log holds, and for damage."""
+        told: dict[str, ActorBody] = {}
+        for payload in self._payloads():
+            if not ticks and is_tick(payload):
+                continue
+            record = read_record(payload, self._path, self.end)
+            yield _with_bodies(record, told, self._path) if isinstance(record, WorldState) else record
+
+    def _payloads(self) -> Iterator[bytes]:
+        with opened(self._path, LOG_FILE) as file:
+            torn: int | None = -1
+            while torn == -1:
+                start = file.seek(self.end)
+                for item in whole_records(file, self.after):
+                    yield item.payload
+                    self.end, self.after = start + item.end, item.crc
+                torn = torn_bytes(file, self.end, self.after)
+        if torn is None:
+            raise damaged(self._path, self.end)
+        self.torn_bytes = torn
+
+
+def read_first(file: BinaryIO, path: Path) -> tuple[Header, int, int]:
+    """The header of a log, where it ends, and its CRC. Raises JournalError when there is none of this version."""
+    first = next(whole_records(file), None)
+    if first is None:
+        raise JournalError(
+            f"{escaped(path)}: is not a log, or was truncated in its first record; expected a whole file written by "
+            "wcsim: copy it again, or record it again"
+        )
+    try:
+        return header_of(first.payload), first.end, first.crc
+    except WcsimError as error:
+        raise JournalError(f"{escaped(path)}: {error}") from None
+
+
+def read_record(payload: bytes, path: Path, end: int) -> LogRecord:
+    """A record that begins at byte `end` of a log. Raises JournalError when no log holds it."""
+    try:
+        return record_of(payload)
+    except WcsimError as error:
+        raise JournalError(f"{escaped(path)}: after {end} bytes: {error}") from None
+
+
+def damaged(path: Path, end: int) -> JournalError:
+    """What is said of a log in which more follows after its last whole record."""
+    return JournalError(
+        f"{escaped(path)}: is damaged at byte {end}; restore it from a copy, or record it again in a new file"
+    )
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file begins as a log does, of whatever version; False for what cannot be read."""
+    try:
+        with opened(path, LOG_FILE) as file:
+            first = next(whole_records(file), None)
+    except FileError:
+        return False
+    return first is not None and begins_log(first.payload)
+
+
+def read_header(path: Path, expected: LogKind | None = None) -> Header:
+    """The header of a log, of its newest part. Raises JournalError when it is none, or of another kind."""
+    return LogScan(_parts(path)[-1], expected).header
+
+
+def iter_log(path: Path, ticks: bool = True) -> Iterator[LogRecord]:
+    """The records of a log one by one, of all its parts, up to the last whole one; somebody may be writing it.
+
+    Without `ticks` those of `Ticked` are left out, unread: nearly all are, and reading them takes most of the time.
+    Raises JournalError when it is no log, and at the place of a damage that is no torn end.
+    """
+    first, *others = _parts(path)
+    return chain(LogScan(first).records(ticks), *(LogScan(part).records(ticks) for part in others))
+
+
+def iter_inputs(path: Path, ticks: bool = True) -> Iterator[Input]:
+    """What was done to the world of a journal, of all its parts. Raises as `iter_log`."""
+    first, *others = _parts(path)
+    return chain(inputs_of_part(first, ticks), *(inputs_of_part(part, ticks) for part in others))
+
+
+def inputs_of_part(path: Path, ticks: bool = True) -> Iterator[Input]:
+    """As `iter_inputs`, of one part of a journal alone (`log/parts.py`)."""
+    return (record for record in LogScan(path, "journal").records(ticks) if isinstance(record, Input))
+
+
+def read_states(path: Path) -> tuple[Header, tuple[WorldState, ...]]:
+    """All states of a trace, each with the bodies of all its actors; a torn last record is left out.
+
+    Raises:
+        JournalError: The file is none, what it says cannot be, or there is damage in it.
+    """
+    scan = scan_in_memory(path, "trace")
+    return scan.header, tuple(record for record in scan.records() if isinstance(record, WorldState))
+
+
+def scan_in_memory(path: Path, expected: LogKind) -> LogScan:
+    """A log that may be held in memory. Raises JournalError for a longer one, and as `LogScan`."""
+    scan = LogScan(path, expected)
+    if path.stat().st_size > _IN_MEMORY_BYTES:
+        raise JournalError(f"{escaped(path)}: larger than {_IN_MEMORY_BYTES} bytes; expected {LOG_FILE.what}")
+    return scan
+
+
+def log_digest(path: Path) -> str:
+    """A hash (hex) over what was done up to the last whole record; equal for two equal runs, wherever they ran.
+
+    Names, reasons, places and versions are left out. Raises JournalError as `iter_log`.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    for payload in (header_content(read_header(path)), *map(_content, iter_log(path))):
+        digest.update(struct.pack("<I", len(payload)) + payload)
+    return digest.hexdigest()
+
+
+def _content(record: LogRecord) -> bytes:
+    return record_bytes(told_apart(record))
+
+
+def _parts(path: Path) -> tuple[Path, ...]:
+    """The parts of a log; where there is none, the file that should be there."""
+    return part_files(path) or (path,)
+
+
+def _with_bodies(state: WorldState, told: dict[str, ActorBody], path: Path) -> WorldState:
+    """A state with the bodies of all its actors, of which a file tells once. Raises JournalError."""
+    told.update((body.id, body) for body in state.bodies)
+    try:
+        return changed(state, bodies=tuple(told[name] for name in state.actor_ids) if told else ())
+    except KeyError as error:
+        raise JournalError(
+            f"{escaped(path)}: tick {state.tick} has no size of actor {error}; record it again"
+        ) from None

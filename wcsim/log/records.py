@@ -1,0 +1,389 @@
+"""What a log holds: a header, and records of inputs, of states, of drives and notes; each as a payload, and back.
+
+The header is JSON, a record is MessagePack; every number of both is bounded as it is read.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Final, Literal, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+
+from wcsim.core.reading import MOST_JSON_BYTES, escaped
+from wcsim.errors import JournalError, WcsimError
+from wcsim.types import F64, ActorKind, Command, Joystick, SeatSpec, StartSpec
+
+MAGIC: Final = "wcsim-log-1"
+MOST_SEATS: Final = 64  # of a world
+MAX_SEED: Final = (1 << 63) - 1
+MOST_SAMPLES: Final = 480  # of the stick in a tick: as many as the steps that a tick's physics may have
+MOST_DETAIL: Final = 1000  # letters of a note
+NO_ACTION: Final = -1
+PERSON: Final = "person"
+"""The profile of a drive in which somebody drove who is not simulated."""
+RESPAWN: Final = "respawn"
+"""The note of an episode that was cut and begun anew: the replay does the same at that tick.
+
+Its detail is the start as JSON, or "" where that was drawn.
+"""
+USER: Final = "user"
+"""The note of another simulated user beside the person, in a chair made anew; its detail is that profile as JSON."""
+_LARGEST: Final = 1e9
+_ON_STICK: Final = 1.0 + 1e-6  # of an axis, with what rounding adds
+_STATE_BYTES: Final = 32 << 20  # names, bodies and numbers of some 100,000 actors
+_NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # and what turns a line round
+_CONTENT: Final = 1  # version of what the digest is over
+_FIRST: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')  # of a header, and of those of older formats
+
+LogKind = Literal["journal", "trace", "drive"]
+Count = Annotated[int, Meta(ge=0, le=1 << 62)]
+Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
+Seat = Annotated[int, Meta(ge=0, le=MOST_SEATS - 1)]
+Number = Annotated[float, Meta(ge=-_LARGEST, le=_LARGEST)]
+Document = Annotated[str, Meta(max_length=MOST_JSON_BYTES)]
+Hash = Annotated[str, Meta(max_length=64)]
+Printable = Annotated[str, Meta(max_length=4096, pattern=rf"\A[^{_NO_XML}]*\Z")]
+
+
+class Drive(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the header of a drive says of who drove: enough, with its ticks, to make the same drive again."""
+
+    wcsim: Document  # version
+    profile: Document  # of the simulated user, or `PERSON`
+    user: Document = ""  # JSON of the simulated user's parameters as they were drawn; "" for a person
+    beside: Document = ""  # JSON of the profile of who sat beside a person, and said where the way goes; "" for nobody
+    policy: Document = ""  # who assisted; "" for nobody
+    level: Document = ""  # of the assistance
+    episode: Document = ""  # of a suite: its name, block and seat
+    scene: Document = ""  # where the street is a generated scene: its family, seed and SHA-256; "" for a town
+    max_steps: Annotated[int, Meta(ge=1, le=1 << 62)] = 10_000
+    start: StartSpec | None = None  # of every episode; None where it was drawn
+
+    @property
+    def accompanied(self) -> bool:
+        """Whether a person drove beside somebody who says where the way goes: a profile, or a scene's recorded user."""
+        return bool(self.beside or (self.scene and not self.user))
+
+
+class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="magic", tag=MAGIC):
+    """What the world of a log is made from; `fingerprint` names the versions that its exact hashes hold for."""
+
+    name: Document = ""  # of the run
+    town: Document  # what `find_town` takes
+    town_name: Document = ""
+    town_sha256: Document = ""  # see `towns_hash`
+    more_towns: tuple[Document, ...] = ()  # that take turns with it, an epoch each
+    config: Document = ""  # resolved, as JSON; "" where no world can be made of this log
+    seed: Seed  # the root of all epochs' seeds
+    seats: Annotated[int, Meta(ge=0, le=MOST_SEATS)]  # taken or free
+    tick_s: Annotated[float, Meta(ge=1e-3, le=10.0)]
+    fingerprint: Document
+    hook: Document = ""  # the user's own step hook, module:Class
+    recovery: Document = "new_epoch"  # what a server does with the log after a crash
+    origin_m: tuple[Number, Number] = (0.0, 0.0)  # W's origin in the town's net coordinates
+    origin_z_m: Number = 0.0
+    chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
+    drive: Drive | None = None  # who drove, where the log is of one chair's ticks
+
+    @property
+    def kind(self) -> LogKind:
+        """What the log holds: a drive's ticks, a world's inputs (journal), or its states (trace)."""
+        return "drive" if self.drive is not None else "journal" if self.config else "trace"
+
+
+class _Record(Struct, frozen=True, kw_only=True, array_like=True, forbid_unknown_fields=True):
+    """A record: a tag, then its fields in their order."""
+
+
+class EpochBegun(_Record, frozen=True, kw_only=True, tag="e"):
+    """The world began (again); the seats that are taken stay so, unless it is a `fresh` world, where all are free."""
+
+    epoch: Count
+    seed: Seed
+    fresh: bool = False
+
+
+class Admitted(_Record, frozen=True, kw_only=True, tag="a"):
+    """A client took a seat at this tick."""
+
+    epoch: Count
+    tick: Count
+    seat: Seat
+    spec: SeatSpec
+    name: Document = ""
+    claim: Document = ""  # see `hub.sealed`; hexadecimal
+
+
+class Dismissed(_Record, frozen=True, kw_only=True, tag="d"):
+    """A seat became free at this tick."""
+
+    epoch: Count
+    tick: Count
+    seat: Seat
+    reason: Document = ""
+
+
+class Respawned(_Record, frozen=True, kw_only=True, tag="r"):
+    """A seat's next episode began at this tick, without one."""
+
+    epoch: Count
+    tick: Count
+    seat: Seat
+
+
+class Ticked(_Record, frozen=True, kw_only=True, tag="t"):
+    """The world reached `tick` by these commands (of tick - 1), one for each taken seat; see `ticked`."""
+
+    epoch: Count
+    tick: Count
+    seats: Annotated[tuple[Seat, ...], Meta(max_length=MOST_SEATS)]
+    sticks: Annotated[tuple[tuple[Number, Number], ...], Meta(max_length=MOST_SEATS)]  # x right, y forward
+    state_hash: Hash
+
+    @property
+    def commands(self) -> tuple[Command, ...]:
+        """The commands."""
+        return tuple(
+            Command(seat=seat, tick=self.tick - 1, joystick=Joystick(x, y))
+            for seat, (x, y) in zip(self.seats, self.sticks, strict=True)
+        )
+
+
+class Ended(_Record, frozen=True, kw_only=True, tag="z"):
+    """The server ended in good order."""
+
+    reason: Document = ""
+
+
+class ActorBody(Struct, frozen=True, kw_only=True, array_like=True, forbid_unknown_fields=True):
+    """What an actor is, as far as a replay has to know."""
+
+    id: Printable
+    kind: ActorKind
+    size_lwh_m: tuple[Number, Number, Number]
+    piece: Count = 0  # as in `ActorState`
+
+
+class WorldState(_Record, frozen=True, kw_only=True, tag="s", eq=False):
+    """One tick: who was commanded what, and where everything was afterwards."""
+
+    epoch: Count
+    tick: Count
+    commands: F64  # (seats, 2) x, y
+    plants: F64  # (seats, 15) position, quaternion, velocity, angular velocity, wheel speeds
+    actor_ids: tuple[Printable, ...]
+    actors: F64  # (n, 8) position, yaw, pitch, velocity
+    state_hash: Hash
+    time_s: Number = 0.0  # SUMO's own time
+    bodies: tuple[ActorBody, ...] = ()  # one for each actor, in their order; in a file those that are new or changed
+    seats: tuple[Seat, ...] = ()  # whose the commands and plants are; empty when they are those of 0, 1, 2, ...
+
+
+class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
+    """A tick of a drive: what was done in it, and where the chair was at its end."""
+
+    tick: Count  # at its end, of the world
+    episode: Count
+    time_s: Annotated[float, Meta(ge=0.0, le=_LARGEST)]  # at its end, of the drive
+    stick: Joystick  # the person's at its beginning, which the policy answered
+    intent: Joystick | None = None  # what the person wanted during it, where that is known
+    sticks: F64 = msgspec.field(default_factory=lambda: np.zeros((0, 2)))  # (S, 2) within it at equal times
+    commanded: Joystick  # what the chair was given
+    chosen: Joystick  # what the policy chose: the same unless overruled
+    action: Annotated[int, Meta(ge=NO_ACTION, le=1 << 16)] = NO_ACTION  # of the action set, as chosen
+    p_WB_m: F64  # (3,) at its end, as all that follows
+    yaw_rad: Number
+    roll_rad: Number = 0.0
+    pitch_rad: Number = 0.0
+    speed_mps: Number
+    warning: bool = False
+    intervening: bool = False
+    overruled: bool = False
+    helped: bool = False  # the person asked for help
+    arrived: bool = False
+    gave_up: bool = False
+    crashed: bool = False
+    truncated: bool = False
+
+    @property
+    def ends(self) -> bool:
+        """Whether an episode ended with it."""
+        return self.crashed or self.truncated
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is DriveTick and _ENCODER.encode(self) == _ENCODER.encode(other)
+
+
+class Note(_Record, frozen=True, kw_only=True, tag="n"):
+    """Something that happened beside the ticks."""
+
+    tick: Count  # of the world
+    time_s: Number  # of the drive
+    kind: Annotated[str, Meta(max_length=40)]  # a word
+    detail: Annotated[str, Meta(max_length=MOST_DETAIL)] = ""
+
+
+Input = EpochBegun | Admitted | Dismissed | Respawned | Ticked | Ended
+LogRecord = Input | WorldState | DriveTick | Note
+S = TypeVar("S", bound=Struct)
+
+
+def ticked(epoch: int, tick: int, commands: tuple[Command, ...], state_hash: str) -> Ticked:
+    """That a world reached a tick by these commands."""
+    return Ticked(
+        epoch=epoch,
+        tick=tick,
+        seats=tuple(command.seat for command in commands),
+        sticks=tuple((command.joystick.x, command.joystick.y) for command in commands),
+        state_hash=state_hash,
+    )
+
+
+def header_bytes(header: Header) -> bytes:
+    """A header as a payload."""
+    return msgspec.json.encode(header)
+
+
+def header_of(payload: bytes) -> Header:
+    """A payload as a header. Raises WcsimError when it is none of this version."""
+    if not payload.startswith(_FIRST):
+        raise WcsimError("is not a log; expected a file written by wcsim")
+    if len(payload) > MOST_JSON_BYTES:
+        raise WcsimError(f"its header has {len(payload)} bytes of JSON; expected at most {MOST_JSON_BYTES}")
+    try:
+        header = _HEADERS.decode(payload)
+        _require(not header.config or header.seats > 0)
+        if header.drive is not None:
+            _require(header.config != "", _is_start(header.drive.start))
+    except (msgspec.MsgspecError, UnicodeError, RecursionError, ValueError) as error:
+        named = payload[:80].split(b'"')[3].decode("ascii", "replace")
+        if named != MAGIC:
+            raise WcsimError(
+                f"is of format {named!r}; expected {MAGIC!r}: use the wcsim that made it, or record it again"
+            ) from None
+        raise WcsimError(f"its header cannot be used: {error}; expected one as wcsim writes it") from None
+    return header
+
+
+def begins_log(payload: bytes) -> bool:
+    """Whether a file's first record says that it is a log, of whatever version."""
+    return payload.startswith(_FIRST)
+
+
+def header_content(header: Header) -> bytes:
+    """What two equal runs have in common, for the digest: neither names, nor places, nor this machine's versions."""
+    same = ("town_sha256", "config", "seed", "seats", "tick_s", "hook", "recovery")
+    return msgspec.json.encode({"version": _CONTENT, **{name: getattr(header, name) for name in same}})
+
+
+def record_bytes(record: LogRecord) -> bytes:
+    """A record as a payload."""
+    return _ENCODER.encode(record)
+
+
+def told_apart(record: LogRecord) -> LogRecord:
+    """A record without what may differ between equal runs: names, reasons, claims."""
+    if isinstance(record, Admitted):
+        return changed(record, name="", claim="")
+    return changed(record, reason="") if isinstance(record, Dismissed | Ended) else record
+
+
+def changed(record: S, **fields: Any) -> S:
+    """The same record or header with other values in some fields, as `dataclasses.replace` has it."""
+    return msgspec.structs.replace(record, **fields)
+
+
+def is_tick(payload: bytes) -> bool:
+    """Whether a payload is that of `Ticked`, without a look at the rest."""
+    return payload[1:3] == _TICK
+
+
+def record_of(payload: bytes) -> LogRecord:
+    """A payload as a record. Raises WcsimError when it is none."""
+    most = _STATE_BYTES if payload[1:3] == _STATE else MOST_JSON_BYTES
+    if len(payload) > most:
+        raise WcsimError(f"a record has {len(payload)} bytes; expected at most {most}")
+    try:
+        record: LogRecord = _RECORDS.decode(payload)
+        _require_whole(record)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError, ValueError) as error:
+        raise WcsimError(f"a record does not belong in a log: {error}") from None
+    return record
+
+
+def start_json(start: StartSpec) -> str:
+    """A start as the detail of a note `RESPAWN`, every number to the last bit."""
+    return msgspec.json.encode(start).decode()
+
+
+def start_of_json(text: str) -> StartSpec:
+    """What `start_json` wrote. Raises JournalError for anything else."""
+    try:
+        start = msgspec.json.decode(text, type=StartSpec)
+        _require(_is_start(start))
+    except (msgspec.MsgspecError, UnicodeError, RecursionError, ValueError):
+        raise JournalError(
+            f"the drive's respawn at {escaped(text, 80)}: is not a start; expected a place, a heading and a goal: "
+            "record it again"
+        ) from None
+    return start
+
+
+def _require_whole(record: LogRecord) -> None:
+    """Refuse what no type says: shapes, and numbers inside them. Raises ValueError."""
+    match record:
+        case Ticked():
+            _require(len(record.seats) == len(record.sticks))
+        case Admitted():
+            _require(_is_start(record.spec.start))
+        case WorldState():
+            count = len(record.plants)
+            _require(
+                record.commands.shape == (count, 2),
+                record.plants.shape == (count, 15),
+                record.actors.shape == (len(record.actor_ids), 8),
+                count <= MOST_SEATS and len(record.seats) in (0, count),
+            )
+        case DriveTick():
+            sticks = (record.stick, record.intent or record.stick, record.commanded, record.chosen)
+            _require(
+                record.p_WB_m.shape == (3,),
+                record.sticks.shape == (len(record.sticks), 2) and len(record.sticks) <= MOST_SAMPLES,
+                bool((np.abs(record.sticks) <= _ON_STICK).all()),
+                all(abs(stick.x) <= _ON_STICK and abs(stick.y) <= _ON_STICK for stick in sticks),
+            )
+
+
+def _require(*facts: bool) -> None:
+    if not all(facts):
+        raise ValueError("out of bounds")
+
+
+def _is_start(start: StartSpec | None) -> bool:
+    numbers = () if start is None else (*start.p_W_m, start.yaw_rad, *start.goal_W_m)
+    return all(math.isfinite(number) and abs(number) <= _LARGEST for number in numbers)
+
+
+def _array_bytes(array: Any) -> Any:
+    """An array as its shape, the bytes of a number, and all numbers, little-endian."""
+    if not isinstance(array, np.ndarray):
+        raise NotImplementedError(type(array))
+    return array.shape, array.itemsize, array.astype(f"<f{array.itemsize}", copy=False).tobytes()
+
+
+def _array_of(_: type, told: Any) -> F64:
+    """What `_array_bytes` wrote, as float64. Raises ValueError."""
+    shape, size, data = msgspec.convert(told, tuple[tuple[int, ...], Literal[4, 8], bytes], strict=True)
+    _require(1 <= len(shape) <= 2, all(side >= 0 for side in shape), math.prod(shape) * size == len(data))
+    numbers: F64 = np.frombuffer(data, f"<f{size}").astype(np.float64, copy=False).reshape(shape)
+    _require(bool((np.abs(numbers) <= _LARGEST).all()))
+    return numbers
+
+
+_TICK, _STATE = b"\xa1t", b"\xa1s"  # the tags, after the byte that counts the fields
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=_array_bytes)
+_HEADERS = msgspec.json.Decoder(Header)
+_RECORDS = msgspec.msgpack.Decoder(LogRecord, dec_hook=_array_of)
