@@ -16,7 +16,7 @@ from rich.progress import Progress
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, WcsimError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -268,7 +268,7 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
 
     order = SoakOrder(
         town=town,
-        config=load_run_config("quick"),
+        config=resolve("quick"),
         seconds=60.0 * (30.0 if options.minutes is None else options.minutes),
         folder=folder,
         clients=options.clients or 3,

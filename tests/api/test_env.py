@@ -26,7 +26,7 @@ from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.runs.own_terms import find_reward_term
-from wcsim.config import load_run_config, with_overrides
+from wcsim.config import resolve
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
 from wcsim.types import Events, PlantState, RewardTerms
 
@@ -47,9 +47,7 @@ Shown = list[tuple[Any, ...]]
 
 
 @contextmanager
-def made(
-    town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any
-) -> Iterator[gymnasium.Env[Any, Any]]:
+def made(town: Path, *overrides: str, sized: tuple[str, ...] = TINY, **more: Any) -> Iterator[gymnasium.Env[Any, Any]]:
     env = gymnasium.make(wcsim.ENV_ID, town=str(town), overrides=(NO_WARMUP, *sized, *overrides), **more)
     try:
         yield env
@@ -207,9 +205,7 @@ def test_a_program_ends_though_its_second_world_died_and_nobody_closed_anything(
 
 def test_gymnasiums_own_vector_environments_work(corner):
     overrides = (NO_WARMUP, *TINY, "env.max_steps=4")
-    vec = gymnasium.make_vec(
-        wcsim.ENV_ID, num_envs=2, vectorization_mode="sync", town=str(corner), overrides=overrides
-    )
+    vec = gymnasium.make_vec(wcsim.ENV_ID, num_envs=2, vectorization_mode="sync", town=str(corner), overrides=overrides)
     try:
         vec.reset(seed=3)
         for _ in range(6):
@@ -345,7 +341,7 @@ def test_info_says_what_is_promised(corner):
         assert isinstance(info["reward_terms"], RewardTerms)
         assert info["truth"] is None
         assert reward == pytest.approx(info["reward_terms"].total)
-        assert 0.0 <= info["joystick_distance"] <= 2.0 ** 1.5
+        assert 0.0 <= info["joystick_distance"] <= 2.0**1.5
 
 
 def test_noise_turn_rates_and_heading_are_a_matter_of_configuration(corner):
@@ -534,10 +530,10 @@ def test_the_options_are_named_where_an_editor_shows_them(face):
 
 @pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
 def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_refused(face):
-    config = load_run_config("quick", TINY)
+    config = resolve("quick", TINY)
     env = face(config=config, overrides=("env.max_steps=7",))
     found = (env.unwrapped if face is by_id else env).config
-    assert found == with_overrides(config, ("env.max_steps=7",)) != config
+    assert found == resolve(config, ("env.max_steps=7",)) != config
     with pytest.raises(ConfigError, match=r"config and preset='laptop': expected one of them"):
         face(config=config, preset="laptop")
 

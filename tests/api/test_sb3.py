@@ -24,7 +24,7 @@ from tests.agents.toy import ToyStreet, a_run
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.cli.main import main
-from wcsim.config import CameraConfig, RunConfig, load_run_config
+from wcsim.config import CameraConfig, RunConfig, resolve
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STEPS = 152  # a multiple of learn.train_every
@@ -46,12 +46,12 @@ def without_wall_times(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def run(corner, tmp_path_factory) -> Path:
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     return train(a_run(config, tmp_path_factory.mktemp("runs") / "first", 3, town="corner"), maker(corner, config))
 
 
 def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     env, second = maker(corner, config)(), Monitor(maker(corner, config)())
     try:
         model = DQN(
@@ -72,7 +72,7 @@ def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
 
 
 def test_stock_dqn_learns_from_two_worlds_at_once(corner):
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     envs = DummyVecEnv([maker(corner, config)] * 2)
     try:
         model = DQN("MultiInputPolicy", envs, buffer_size=100, learning_starts=8, batch_size=8, seed=1)
@@ -89,7 +89,7 @@ def test_a_run_folder_is_complete(run):
     manifest = json.loads((run / "manifest.json").read_text())
     assert (manifest["status"], manifest["steps"], manifest["seed"], manifest["town"]) == ("done", STEPS, 3, "corner")
     assert manifest["versions"]["libsumo"]
-    assert RunConfig.model_validate_json((run / "config.json").read_text()) == load_run_config("dqn", SMALL)
+    assert RunConfig.model_validate_json((run / "config.json").read_text()) == resolve("dqn", SMALL)
     rows = without_wall_times(run / "metrics.csv")
     assert [row["phase"] for row in rows] == sorted(row["phase"] for row in rows)
     assert {row["phase"] for row in rows} == {"1", "2"}
@@ -100,7 +100,7 @@ def test_a_run_folder_is_complete(run):
 
 
 def test_equal_seeds_give_equal_runs_in_the_real_street(run, corner, tmp_path):
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     again = train(a_run(config, tmp_path / "again", 3), maker(corner, config))
     assert without_wall_times(run / "metrics.csv") == without_wall_times(again / "metrics.csv")
     for stage in ("phase1", "final"):
@@ -129,7 +129,7 @@ def test_a_model_of_sb3_is_a_policy_for_tests(tmp_path, monkeypatch):
     model = DQN("MultiInputPolicy", ToyStreet(CameraConfig(width_px=80, height_px=60)), buffer_size=10, seed=1)
     model.save(tmp_path / "dqn.zip")
     monkeypatch.chdir(tmp_path)
-    policy = runpy.run_path(str(EXAMPLES / "sb3_policy.py"))["Sb3Policy"](load_run_config("quick"))
+    policy = runpy.run_path(str(EXAMPLES / "sb3_policy.py"))["Sb3Policy"](resolve("quick"))
     policy.begin()
     policy.reset()
     seen = ToyStreet(CameraConfig(width_px=80, height_px=60)).reset(seed=1)[0]

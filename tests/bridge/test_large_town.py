@@ -89,10 +89,10 @@ import resource, sys, time
 start = time.perf_counter()
 import psutil
 from wcsim.bridge.world import World, as_users_wish
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
-with World(find_town(sys.argv[1]), load_run_config("quick"), (SeatSpec(),), 0) as world:
+with World(find_town(sys.argv[1]), resolve("quick"), (SeatSpec(),), 0) as world:
     world.tick(as_users_wish(world.snapshot))
     first_tick_s = time.perf_counter() - start
     spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

@@ -25,7 +25,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 
@@ -84,7 +84,7 @@ def _settings(overrides: tuple[str, ...]) -> RunConfig:
     for text in overrides:
         if not text.strip().startswith(_SECTIONS) or text.partition("=")[0].strip() == "chair.plant":
             raise ConfigError(f"--set {escaped(text)}: expected a key of [chair] or [imu]; --plants names the plants")
-    return with_overrides(RunConfig(), overrides)
+    return resolve(RunConfig(), overrides)
 
 
 def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:

@@ -15,7 +15,7 @@ from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.server.journal.journal import JOURNAL, JournalWriter
@@ -85,7 +85,7 @@ def run(words: list[str]) -> int:
     in_bounds("--lease", options.lease, 1.0, 86_400.0)
     in_bounds("--max-think", 1.0 if options.max_think is None else options.max_think, 0.1, 86_400.0)
     _check_doors(options)
-    config = load_run_config(options.preset, options.set, options.config)
+    config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
         check_folder("--run", options.run)
         _require_ours(options.run)

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from wcsim.bridge.world import World, as_users_wish
-from wcsim.config import CameraConfig, RunConfig, WorldConfig, with_overrides
+from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town
@@ -47,7 +47,7 @@ class _FilmedDrive:
     ) -> None:
         camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
-        config = with_overrides(config, settings)
+        config = resolve(config, settings)
         self.world = World(town, config, (SeatSpec(profile=profile),), seed)
         self._camera = config.cameras[0]
         self.tick_s = self.world.config.world.tick_s

@@ -89,10 +89,10 @@ def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
 def a_small_run(tmp_path: Path, corner: Path) -> Path:
     """A run folder as `wcsim train` leaves it, but for its policies."""
     from wcsim.cli.shared.run_config import learning
-    from wcsim.config import load_run_config
+    from wcsim.config import resolve
     from wcsim.towns.scenario.town import find_town, streets_hash
 
-    config = learning(load_run_config("dqn", ("learn.total_steps=30", "learn.network=patch")))
+    config = learning(resolve("dqn", ("learn.total_steps=30", "learn.network=patch")))
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner))
     info = RunInfo(seed=1, town=town.name, town_sha256=streets_hash(town), command=words)

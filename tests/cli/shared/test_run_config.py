@@ -17,7 +17,7 @@ from wcsim.cli.shared.run_config import (
     resolve_run,
 )
 from wcsim.cli.training.train import Options
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
@@ -54,7 +54,7 @@ def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left
 
 
 def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path):
-    town, config = find_town(str(corner)), load_run_config("quick")
+    town, config = find_town(str(corner)), resolve("quick")
     (tmp_path / "file").write_text("mine")
     for info, out, error in (
         (INFO, tmp_path / "file", ConfigError),
@@ -98,11 +98,11 @@ def test_a_file_with_settings_of_learning_means_q_learning(tmp_path):
 
 
 def test_rounds_refuse_what_they_would_not_hear_of():
-    rounds, said = load_run_config("quick"), {"--steps": True, "--hook": "", "--reward": ("a:B",)}
+    rounds, said = resolve("quick"), {"--steps": True, "--hook": "", "--reward": ("a:B",)}
     with pytest.raises(ConfigError, match=r"^--steps, --reward: .*--preset dqn"):
         require_heard(rounds, said)
     require_heard(rounds, {"--steps": False})
-    require_heard(load_run_config("dqn"), said)
+    require_heard(resolve("dqn"), said)
 
 
 def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):

@@ -25,7 +25,7 @@ from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import _with_steps, how_it_learns, learning
 from wcsim.cli.training.clients import ALL_DONE, _told_stop, client_names, resolved, train_clients
 from wcsim.cli.training.train import Options
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.server.journal.journal import EpochBegun, iter_journal
 from wcsim.server.launch.backoff import RestartRules
@@ -128,8 +128,8 @@ def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
         assert short.phase1_steps == round(steps * learn.phase1_steps / learn.total_steps)
         assert short.learning_starts <= max(steps / 2, 1)
         assert f"{steps} steps: {short.phase1_steps} in" in how_it_learns(_with_steps(RunConfig(), steps))
-    assert "an oracle's labels (learn.aid=oracle)" in how_it_learns(load_run_config("dqn"))
-    assert how_it_learns(load_run_config("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
+    assert "an oracle's labels (learn.aid=oracle)" in how_it_learns(resolve("dqn"))
+    assert how_it_learns(resolve("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
 
 
 def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):

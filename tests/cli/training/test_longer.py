@@ -6,7 +6,7 @@ from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open
 from wcsim.cli.main import main
 from wcsim.cli.shared.run_config import learning
 from wcsim.cli.training.resume import Typed, require_same_config, resumed
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -60,7 +60,7 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
         "dqn": (("--data mine", "--data: only"), ("--worlds 2", "--worlds: only"), ("--lease 9", "--lease: only")),
     }
     for preset, words in refused.items():
-        config = learning(load_run_config(preset))
+        config = learning(resolve(preset))
         create_run(tmp_path / preset, config, make_manifest(config, info))
         for typed, told in words:
             assert main(["train", "--resume", "--out", str(tmp_path / preset), *typed.split()]) == 2
@@ -70,7 +70,7 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
 
 def test_what_was_typed_once_may_be_typed_again_also_of_a_run_from_before_it_was_noted(run):
     words = ("world.warmup_s=0",)
-    config = with_overrides(open_run(run).config, words)
+    config = resolve(open_run(run).config, words)
     assert not config.world.town_warmup
     before = config.with_usual_warmup()
     require_same_config(run, before, Typed(set=words))
@@ -81,7 +81,7 @@ def test_what_was_typed_once_may_be_typed_again_also_of_a_run_from_before_it_was
 def test_folders_of_data_are_typed_again_by_any_path_to_them(run, tmp_path, monkeypatch):
     words = ('collect.data=["mine"]',)
     monkeypatch.chdir(tmp_path)
-    config = learning(with_overrides(open_run(run).config, words))
+    config = learning(resolve(open_run(run).config, words))
     assert config.collect.data == (str(tmp_path / "mine"),)
     require_same_config(run, config, Typed(set=words))
     monkeypatch.chdir(tmp_path.parent)

@@ -23,7 +23,7 @@ from wcsim.cli.training import phases_apart
 from wcsim.cli.training.clients import resolved
 from wcsim.cli.training.phases_apart import _best_of, _first_phase, _judged_of, _policy_of, _second_phase
 from wcsim.cli.training.train import Options
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.view.report.client_sections import client_sections
@@ -43,9 +43,9 @@ def a_group(*words):
 
 
 def test_the_paper_chooses_by_kpi_1_and_trains_figure_6_in_a_supervised_way():
-    learn = load_run_config("paper").learn
+    learn = resolve("paper").learn
     assert (learn.select_by, learn.network, learn.phase1, learn.margin) == ("kpi1", "fig6", "supervised", 1.0)
-    assert load_run_config("dqn").learn.select_by == ""
+    assert resolve("dqn").learn.select_by == ""
 
 
 def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():

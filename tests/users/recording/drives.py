@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim import __version__
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile, profile_json
 from wcsim.users.recording.drive_recorder import DriveRecorder
@@ -27,7 +27,7 @@ def drive_header(**changes: object) -> DriveHeader:
         town_sha256="ab" * 32,
         seed=7,
         tick_s=TICK_S,
-        config=load_run_config("quick").model_dump_json(),
+        config=resolve("quick").model_dump_json(),
         profile="competent",
         user=profile_json(profile("competent")),
         policy="dwa",

@@ -28,7 +28,7 @@ from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, without_veto
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import POLICY_JSON, is_danger, read_danger_file, read_policy_file
 from wcsim.agents.runs.shipped import SHIPPED, shipped_folder
-from wcsim.config import RunConfig, load_run_config, parse, with_overrides
+from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
@@ -267,17 +267,17 @@ def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunCon
     path = policy_path(name)
     run = _enclosing_run(path)
     if run is not None:
-        return with_overrides(run.config, overrides)
-    config = load_run_config(preset)
+        return resolve(run.config, overrides)
+    config = resolve(preset)
     if is_danger(path):
         told = read_danger_file(path)
         env = config.env.model_copy(update={"actions": told.net.actions, "classes": told.classes, "window": 1})
         own = {"cameras": (told.camera,), "env": env, "chair": told.chair}
-        return with_overrides(config.model_copy(update=own), overrides)
+        return resolve(config.model_copy(update=own), overrides)
     file = read_policy_file(path)
     seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
     env = config.env.model_copy(update={"actions": file.net.actions, **seen})
-    return with_overrides(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
+    return resolve(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
 
 
 def _enclosing_run(policy: Path) -> RunFolder | None:

@@ -10,10 +10,10 @@ from typing import Any, Protocol
 
 from wcsim.agents.networks.names import check_network, is_own
 from wcsim.agents.runs.own_terms import find_reward_term
-from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
+from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
-from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, resolve
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.reading import counted, escaped
@@ -162,8 +162,7 @@ def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunC
         ConfigError: An option cannot be used, or the user is kept for tests.
     """
     named = (f'learn.network="{network}"',) if network else ()
-    config = load_run_config(preset_of(asked, network), (*asked.set, *named), asked.config)
-    config = config if file is None else with_file(config, file)
+    config = resolve(preset_of(asked, network), asked.config, asked.set, named, file)
     config = _with_steps(config, asked.steps, _given_parts(asked, (asked.config, file)))
     require_trained_users(config)
     return learning(config)
@@ -225,7 +224,7 @@ def _with_steps(config: RunConfig, steps: int | None, given: Collection[str] = (
         raise ConfigError(f"--steps {steps}: expected 1 or more")
     learn = config.learn
     parts = {key: _shrunk(getattr(learn, key), learn.total_steps, steps) for key in _PARTS if key not in given}
-    return with_overrides(config, tuple(f"learn.{key}={part}" for key, part in {"total_steps": steps, **parts}.items()))
+    return resolve(config, {"learn": {"total_steps": steps, **parts}})
 
 
 def _shrunk(part: int, total: int, steps: int) -> int:
@@ -255,7 +254,8 @@ def learning(config: RunConfig) -> RunConfig:
     """
     learn = config.learn
     env = {"max_steps": learn.episode_steps, "truth": learn.aid == "oracle", "truth_visible": False}
-    return with_whole_data(config.model_copy(update={"env": config.env.model_copy(update=env)}))
+    data = [str(Path(folder).absolute()) for folder in config.collect.data]  # a run may go on from another place
+    return resolve(config, {"env": env, "collect": {"data": data}})
 
 
 def learns_in_rounds(config: RunConfig) -> bool:

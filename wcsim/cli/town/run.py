@@ -24,7 +24,7 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.supervisor.fault import blamed
@@ -96,7 +96,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
 
 def _config(options: RunOptions) -> RunConfig:
     """The settings; without a wheelchair nobody waits for the traffic to warm up, as in plain sumo."""
-    config = load_run_config(options.preset, options.set)
+    config = resolve(options.preset, options.set)
     asked = any(word.partition("=")[0].strip() == "world.warmup_s" for word in options.set)
     if options.chairs or asked:
         return config

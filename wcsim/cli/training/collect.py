@@ -17,7 +17,7 @@ from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.named_policies import require_policy, require_without_veto
 from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, InterruptedRunError
 
@@ -56,7 +56,7 @@ def run(words: list[str]) -> int:
     """Drive, and leave a data folder."""
     options = parse(Options, words, "collect")
     own = (f"learn.network={json.dumps(options.network)}",) if options.network else ()
-    config = load_run_config(options.preset, (*options.set, *own), options.config)
+    config = resolve(options.preset, options.config, options.set, own)
     if options.policy:
         require_without_veto(options.policy, "collecting")
         require_policy(options.policy, config.learn.network)

@@ -12,7 +12,7 @@ from wcsim.agents.runs.resumed_folder import extend
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json, with_kept_plant
 from wcsim.cli.shared.common import some_words
 from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
-from wcsim.config import RunConfig, parse, with_file, with_overrides
+from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.plant import plant_text
 from wcsim.core.files import locked
 from wcsim.errors import PolicyError, TownError
@@ -137,13 +137,13 @@ def require_same_config(path: Path, config: RunConfig, typed: Typed, files: Sequ
     """
     network = () if typed.network is None else (f'learn.network="{typed.network}"',)
     for file in (*([] if typed.config is None else [typed.config]), *files):
-        _require_equal(path, config, with_file(config, file), f"the file {file}")
+        _require_equal(path, config, resolve(config, file), f"the file {file}")
     words = (*typed.set, *network)
-    if _equal(path, config, with_overrides(config, words)):  # a later word may take back an earlier one
+    if _equal(path, config, resolve(config, words)):  # a later word may take back an earlier one
         return
     for text in reversed(words):
         said = f"--network {typed.network}" if text in network else f"--set {text}"
-        _require_equal(path, config, with_overrides(config, (text,)), said)
+        _require_equal(path, config, resolve(config, (text,)), said)
 
 
 def _require_own_config(path: Path, manifest: Manifest) -> None:

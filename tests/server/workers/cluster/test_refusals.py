@@ -12,7 +12,7 @@ import pytest
 
 from wcsim.cli.main import main
 from wcsim.cli.shared.machine_options import machines_of
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.server.workers.cluster import joining, ray_workers
 from wcsim.server.workers.cluster.joining import LinkSpec
@@ -66,14 +66,14 @@ def test_commands_refuse_it_with_code_2_and_leave_nothing(words, tmp_path, monke
 def test_what_lies_on_this_machine_alone_is_refused():
     from wcsim.agents.runs.parcels import require_travels
 
-    config = load_run_config("quick")
+    config = resolve("quick")
     require_travels(config, ("env.profile=slow",), ("patch",))
     for own in (
         lambda: require_travels(config, own_code=("own_network:OwnNet",)),
         lambda: require_travels(config, ("chair.plant=my.toml",)),
         lambda: require_travels(config, ('chair.plant="my.toml"',)),
         lambda: require_travels(config, users=("me.toml",)),
-        lambda: require_travels(load_run_config("quick", ("collect.profiles=['recorded:mine.csv']",))),
+        lambda: require_travels(resolve("quick", ("collect.profiles=['recorded:mine.csv']",))),
     ):
         with pytest.raises(ConfigError, match=r"cannot be sent; expected .* without --cluster"):
             own()
