@@ -150,7 +150,7 @@ def test_a_network_and_a_reward_of_ones_own_train_and_are_tested_from_the_comman
         (tmp_path / name).write_text((EXAMPLES / name).read_text(encoding="utf-8"), encoding="utf-8")
     small = [word for text in (*SMALL, "learn.total_steps=60", "learn.phase1_steps=30") for word in ("--set", text)]
     words = ["--town", str(corner), "--network", "own_network:OwnNet", "--reward", "own_reward:Gentle", "--out", "run"]
-    assert main(["train", *words, *small]) == 0
+    assert main(["train-q", *words, *small]) == 0
     policy = json.loads((tmp_path / "run" / "policies" / "final" / "policy.json").read_text())
     assert policy["net"]["network"] == "own_network:OwnNet"
     test = ["test", "run", "--town", str(corner), "--allow-train-town", "--episodes", "1", "--max-steps", "10"]
@@ -165,7 +165,7 @@ def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_oth
     monkeypatch.chdir(tmp_path)
     small = [word for text in (*SMALL, "learn.total_steps=60", "learn.phase1_steps=30") for word in ("--set", text)]
     for network, window in (("patch", 1), ("fig6", 4)):
-        assert main(["train", "--town", str(corner), "--network", network, "--out", network, *small]) == 0
+        assert main(["train-q", "--town", str(corner), "--network", network, "--out", network, *small]) == 0
         config = json.loads((tmp_path / network / "config.json").read_text())
         policy = json.loads((tmp_path / network / "policies" / "final" / "policy.json").read_text())
         assert (config["env"]["window"], policy["window"]) == (window, window)
@@ -174,5 +174,4 @@ def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_oth
     rows = json.loads(Path("test.json").read_text())["rows"]
     baselines = ["follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle"]
     assert [row["policy"] for row in rows] == ["patch", "fig6", *baselines]
-    resumed = ["train", "--town", str(corner), "--network", "fig6", "--out", "fig6", *small, "--resume"]
-    assert main(resumed) == 0
+    assert main(["resume", "fig6"]) == 0

@@ -152,7 +152,7 @@ REPLAYS = {
     "replay a b --first-difference --epoch 1": ("--epoch",),
     "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
     "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
-    "watch nowhere": ("nowhere: is not there", "wcsim train --clients"),
+    "watch nowhere": ("nowhere: is not there", "wcsim train-clients"),
     "watch . --port -1": ("--port -1", "0 to 65535"),
     "replay a --page": ("a: has no trace and no journal", "a drive"),
     "replay a --verify --block 3": ("--block", "for --page"),
@@ -228,7 +228,7 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
 
 @pytest.mark.proof
 def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_path):
-    assert wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
+    assert wcsim("train-q", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
     renamed = broken(corner, "unknown-key", tmp_path / "renamed")
     (renamed / "town.toml").write_text('name = "elsewhere"\nsplit = "test"\n')
     refused(wcsim("test", "run", "--town", renamed), "was trained in elsewhere", "--allow-train-town")
@@ -259,7 +259,7 @@ def test_configuration_files_are_checked(wcsim, folder, corner):
 
 def test_a_run_that_never_began_leaves_no_folder(wcsim, folder, corner):
     words = ("--out", "run", *SHORT_TRAINING, "--set", "learn.mirror=true", "--set", "cameras.0.yaw_deg=9")
-    refused(wcsim("train", "--town", corner, *words), "set learn.mirror=false")
+    refused(wcsim("train-q", "--town", corner, *words), "set learn.mirror=false")
     assert files_in(folder) == set()
 
 
@@ -280,8 +280,8 @@ def test_training_never_writes_over_anything(wcsim, folder, corner):
     Path("full/thesis.tex").write_text("irreplaceable")
     Path("plain").write_text("a file")
     for out in ("full", "plain"):
-        refused(wcsim("train", "--town", corner, "--out", out, *SHORT_TRAINING), out)
-    refused(wcsim("train", "--town", corner, "--out", "new", "--resume", *SHORT_TRAINING), "new")
+        refused(wcsim("train-q", "--town", corner, "--out", out, *SHORT_TRAINING), out)
+    refused(wcsim("resume", "new"), "new")
     assert files_in(folder) == {"full", "full/thesis.tex", "plain"}
     assert Path("full/thesis.tex").read_text() == "irreplaceable"
 

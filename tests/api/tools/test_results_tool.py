@@ -30,7 +30,7 @@ def test_what_is_made_is_not_made_again_and_what_was_stopped_goes_on(tmp_path):
     (run.policy("final") / "policy.json").touch()
     for status in ("running", "interrupted"):
         run.with_status(status, 100)
-        assert command_of(step)[1:] == ["train", "--resume", "--out", str(tmp_path / "run")] and not is_done(part)
+        assert command_of(step)[1:] == ["resume", str(tmp_path / "run")] and not is_done(part)
     run.with_status("done", 100)
     assert is_done(part)
 

@@ -75,13 +75,13 @@ def test_resume_refuses_a_folder_that_names_code(
     manifest = read_json(a_small_run, MANIFEST)
     for changes in ({"hook": "evil:H"}, {"rewards": ["evil:H"]}):
         write_json(a_small_run / MANIFEST, {**manifest, **changes})
-        assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
+        assert main(["resume", str(a_small_run), "--steps", "40"]) == 2
         assert "made elsewhere" in capsys.readouterr().err
 
 
 def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
     with locked(a_small_run):
-        assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
+        assert main(["resume", str(a_small_run), "--steps", "40"]) == 2
     assert open_run(a_small_run).config.learn.total_steps == 30
 
 

@@ -36,7 +36,7 @@ EARLY = {
     "train --steps 0": "--steps 0: expected 1 or more",
     "train --steps 10x": "--steps",
     "train --out file/run": "is not a folder that can be written",
-    "train --out nothing --resume": "nothing is not a run",
+    "resume nothing": "nothing is not a run",
     "test folow": "did you mean 'follow'?",
     "test runs/none": "runs/none is not a run",
     "test follow:early": "module 'follow' was not found",
@@ -159,7 +159,7 @@ def test_a_missing_run_is_named_before_the_options_that_it_lacks(wcsim, folder):
 def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_that(wcsim, folder, corner):
     shutil.copy(ROOT / "examples" / "own_network.py", "own_network.py")
     words = ("--network", "own_network:OwnNet", "--out", "runs/my own", "--town", corner)
-    trained = wcsim("train", *words, *SMALL)
+    trained = wcsim("train-q", *words, *SMALL)
     assert trained.code == 0
     hint = trained.out.rstrip().rpartition("test it: ")[2]
     assert hint == "wcsim test 'runs/my own' --network own_network:OwnNet --town monaco"
@@ -184,16 +184,16 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
 
 
 def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
-    trained = wcsim("train", "--out", "run", "--town", corner, *SMALL, "--set", "learn.episode_steps=3")
+    trained = wcsim("train-q", "--out", "run", "--town", corner, *SMALL, "--set", "learn.episode_steps=3")
     assert trained.out.rstrip().endswith("test it: wcsim test run --town monaco")
     assert "note:" not in trained.err
     (last,) = re.findall("phase 2: 8/8 steps, [1-9] episodes", trained.err)
-    again = wcsim("train", "--out", "run", "--resume")
+    again = wcsim("resume", "run")
     assert again.code == 0 and last in again.err
     assert "note: run is finished: all of its 8 steps are done; extend it with --steps N" in again.err
 
 
 def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):
     words = ("--set", "learn.mirror=true", "--set", "cameras.0.yaw_deg=9")
-    refused(wcsim("train", "--town", corner, *words, *QUICK), "set learn.mirror=false")
+    refused(wcsim("train-q", "--town", corner, *words, *QUICK), "set learn.mirror=false")
     assert files_in(folder) == set()

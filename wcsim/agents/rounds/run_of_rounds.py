@@ -14,7 +14,7 @@ from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.rounds.round_checkpoint import damaged_rounds, newest_round
 from wcsim.agents.rounds.train_rounds import Progress, Rounds, keep_newest, train_rounds
 from wcsim.agents.runs.resumed_folder import folder_of
-from wcsim.agents.runs.run_folder import ResolvedRun, RunFolder, with_whole_data
+from wcsim.agents.runs.run_folder import ResolvedRun, RunFolder, how_to_resume, with_whole_data
 from wcsim.config import RunConfig
 from wcsim.core import files, seeding
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
@@ -99,7 +99,7 @@ def train_danger(
             folder.with_status("interrupted", 0)
             kept = "the policy of the complete rounds" if keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
-                f"stopped; {folder.path} holds {kept}, and can be continued with --resume"
+                f"stopped; {folder.path} holds {kept}; continue it: {how_to_resume(folder.path)}"
             ) from None
         folder.with_status("done", total * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)

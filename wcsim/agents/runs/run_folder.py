@@ -17,6 +17,7 @@ import contextlib
 import json
 import platform
 import re
+import shlex
 import subprocess
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -130,6 +131,15 @@ def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = 
     )
 
 
+def how_to_resume(path: Path) -> str:
+    """The command that goes on with a run, as it can be typed.
+
+    >>> how_to_resume(Path("runs/a b"))
+    "wcsim resume 'runs/a b'"
+    """
+    return shlex.join(["wcsim", "resume", str(path)])
+
+
 def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
     """Make a new run folder.
 
@@ -138,7 +148,8 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         ConfigError: The user's own plant file cannot be read.
     """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
+        raise PolicyError(f"{path} exists and is not empty; {told}")
     plant = plant_text(config.chair.plant)
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()
@@ -223,7 +234,7 @@ def policy_path(name: str) -> Path:
         have = ", ".join(s for s in STAGES if is_file(run.policy(s) / POLICY_JSON)) or "none"
         raise PolicyError(
             f"run {escaped(head)} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
-            "continue it with --resume"
+            f"continue it: {how_to_resume(Path(head))}"
         )
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
@@ -29,6 +31,22 @@ OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 MAX_SEED = (1 << 31) - 1
 MOST_JOBS = 256  # processes that a command may start
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The least and the most that an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
+
+    low: float
+    high: float = math.inf
+
+
+Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
+"""Worker processes; None for what `worlds_of` says."""
+
+Steps = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1)]
+"""Steps of a training by Q-learning in all; None for those of its settings."""
+
 _TOLD = 5
 _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
 
@@ -36,15 +54,25 @@ _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a giga
 def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
-    Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
+    Raises ConfigError for a number out of its bounds, and for a --json that cannot be written: it is better to
     hear of it before the work than after it. So it does for an option that is a word without a name, such as TOWN.
     """
     _require_bare(options, words, command)
     prog = f"{program} {command}"
-    parsed = tyro.cli(options, args=words, prog=prog, description=options.__doc__, registry=_numbers())
+    parsed = tyro.cli(options, args=words, prog=prog, description=inspect.getdoc(options), registry=_numbers())
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
+    _require_bounds(options, parsed)
     check_output("--json", getattr(parsed, "json", None))
     return parsed
+
+
+def _require_bounds(options: type, parsed: object) -> None:
+    """Refuse a number that is out of the bounds of its type."""
+    for name, hint in get_type_hints(options, include_extras=True).items():
+        value = getattr(parsed, name)
+        for note in getattr(hint, "__metadata__", ()):
+            if isinstance(note, Bounds) and value is not None:
+                in_bounds(f"--{name.replace('_', '-')}", value, note.low, note.high)
 
 
 def _require_bare(options: type, words: Sequence[str], command: str) -> None:

@@ -36,15 +36,6 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
     return Machines(count=count, cluster=cluster)
 
 
-def require_no_cluster(cluster: str, why: str) -> None:
-    """Refuse `--cluster` where nothing is driven apart. Raises ConfigError."""
-    if cluster:
-        raise ConfigError(
-            f"--cluster {cluster}: this training {why}; expected one in rounds, such as --preset quick or laptop: "
-            "leave out --cluster"
-        )
-
-
 def said_of(workers: tuple[WorkerNow, ...]) -> str:
     """Who is at what, in a line.
 

@@ -19,8 +19,8 @@ from wcsim.cli.shared.run_config import (
     QUICK,
     how_it_learns,
     learning,
-    learns_in_rounds,
     require_drawn_users,
+    require_head,
     require_unset,
     resolve_run,
 )
@@ -89,8 +89,8 @@ def run(words: list[str]) -> int:
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
     require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
     config = learning(resolve(QUICK, options.set))
-    if learns_in_rounds(config):
-        require_drawn_users(config, options.set, None)
+    require_head(config, in_rounds=True)
+    require_drawn_users(config, options.set, None)
     demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)

@@ -48,8 +48,6 @@ def test_the_nodes_say_how_many_work_at_once():
 @pytest.mark.parametrize(
     "words",
     [
-        ["train", "--clients", "patch,fig6", "--cluster", "local"],
-        ["train", "--preset", "dqn", "--cluster", "local"],
         ["train", "--cluster", "nowhere"],
         ["collect", "--cluster", "nowhere"],
         ["test", "--suite", "dev", "--cluster", "nowhere"],
