@@ -206,8 +206,8 @@ def _told(
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
         lost = "".join(f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved)
-        kept = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
-        print(f"wcsim: {outcome.message}{lost}; {kept}", file=sys.stderr)
+        again = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
+        print(f"wcsim: {outcome.message}{lost}; {again}", file=sys.stderr)
         return Exit.FAILED
     print_crossings(folder.path)
     if run.last:

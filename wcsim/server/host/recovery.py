@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.config import RunConfig
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.host.made_world import epoch_seed, street_world
@@ -138,7 +138,7 @@ def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
         town=order.town,
         more_towns=order.more_towns,
         town_sha256=towns_hash(towns),
-        config=_as_meant(world.config, towns).model_dump_json(),
+        config=resolve(world.config, _usual_warmup(towns)).model_dump_json(),
         seed=order.seed,
         capacity=order.rules.capacity,
         tick_s=world.config.world.tick_s,
@@ -148,11 +148,10 @@ def _header(order: WorldSpec, has_town: bool) -> JournalHeader:
     )
 
 
-def _as_meant(config: RunConfig, towns: Sequence[Town]) -> RunConfig:
-    """Without whether the warm-up was asked for where no town has one of its own: there it says nothing."""
-    if not towns or any(town.file.warmup_s is not None for town in towns):
-        return config
-    return config.with_usual_warmup()
+def _usual_warmup(towns: Sequence[Town]) -> tuple[str, ...]:
+    """Whether the warm-up was asked for says nothing where no town has one of its own: there it is left out."""
+    own = not towns or any(town.file.warmup_s is not None for town in towns)
+    return () if own else ("world.town_warmup=true",)
 
 
 def _require_same(path: Path, new: JournalHeader) -> None:
