@@ -24,17 +24,17 @@ HEAVY = ("torch", "libsumo", "pybullet")
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 
 EARLY = {
-    "train --network huge": "unknown network 'huge'",
-    "train --network patc": "did you mean 'patch'?",
-    "train --network nowhere:Net": "network module 'nowhere' was not found",
-    "train --reward nowhere:Term": "reward term module 'nowhere' was not found",
-    "train --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "train-q --network huge": "unknown network 'huge'",
+    "train-q --network patc": "did you mean 'patch'?",
+    "train-q --network nowhere:Net": "network module 'nowhere' was not found",
+    "train-q --reward nowhere:Term": "reward term module 'nowhere' was not found",
+    "train-q --hook nowhere:Hook": "step hook module 'nowhere' was not found",
     "train --town atlantis": "unknown town 'atlantis'",
     "train --town monaco": "monaco is a test town",
     "train --set learn.speed=3": "unknown key 'learn.speed'",
     "train --set env.profile=saint": "unknown user profile 'saint'",
-    "train --steps 0": "--steps 0: expected 1 or more",
-    "train --steps 10x": "--steps",
+    "train-q --steps 0": "--steps 0: expected 1 or more",
+    "train-q --steps 10x": "--steps",
     "train --out file/run": "is not a folder that can be written",
     "resume nothing": "nothing is not a run",
     "test folow": "did you mean 'follow'?",
@@ -91,9 +91,9 @@ def test_what_is_mistyped_is_refused_before_torch_and_the_simulators_are_loaded(
 
 def test_a_number_that_is_none_is_named_in_words(wcsim, folder):
     for words, told in (
-        ("train --steps 10x", "--steps: got '10x', expected a whole number"),
+        ("train-q --steps 10x", "--steps: got '10x', expected a whole number"),
         ("train --seed 1.5", "--seed: got '1.5', expected a whole number"),
-        ("train --lease soon", "--lease: got 'soon', expected a number"),
+        ("train-clients fig6 --lease soon", "--lease: got 'soon', expected a number"),
         ("serve --max-think x", "--max-think: got 'x', expected a number"),
     ):
         result = wcsim(*words.split())
