@@ -30,17 +30,10 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def second_words(told: str) -> list[str]:
-    """The second words of a command that has several, by its help."""
-    found = re.match(r"usage: wcsim [\w-]+ ([a-z|]+) \[options\]", told)
-    return found[1].split("|") if found else []
-
-
 def _command(words: tuple[str, ...]) -> str:
     told = help_of(words)
-    inner = second_words(told)
-    if inner:
-        return "\n".join(_command((*words, word)) for word in inner)
+    if inner := re.match(r"usage: wcsim \S+ ([a-z|]+) \[options\]", told):
+        return "\n".join(_command((*words, word)) for word in inner[1].split("|"))
     return f"### wcsim {' '.join(words)}\n\n```text\n{told.strip()}\n```\n"
 
 

@@ -17,12 +17,12 @@ from wcsim.cli.shared.common import (
     OutFolder,
     Repeated,
     check_folder,
+    machines_of,
     parse,
     some_words,
     write_json,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.named_policies import require_policy, require_without_veto
 from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town

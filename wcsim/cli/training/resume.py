@@ -17,8 +17,7 @@ from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.resumed_folder import extend
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, open_run, read_json
-from wcsim.cli.shared.common import Repeated, Steps, Worlds, check_folder, parse, some_words
-from wcsim.cli.shared.machine_options import machines_of
+from wcsim.cli.shared.common import Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
 from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
 from wcsim.cli.training.train import ToldOptions, told, train_in
 from wcsim.config import RunConfig, resolve

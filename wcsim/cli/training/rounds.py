@@ -9,8 +9,8 @@ from pathlib import Path
 from wcsim.agents.rounds.run_of_rounds import train_danger
 from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.cli.shared.common import machines_of
 from wcsim.cli.shared.exit_codes import NothingKept
-from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.bar import gone_if_nothing_came_of_it
 from wcsim.config import RunConfig
@@ -32,9 +32,7 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
         WcsimError: Something that was asked for cannot be used.
     """
     with StageBar("driving") as bar:
-        machines = replace(
-            machines_of(cluster, worlds, "--worlds"), say=lambda told: bar.say(told, left=False)
-        )
+        machines = replace(machines_of(cluster, worlds, "--worlds"), say=lambda told: bar.say(told, left=False))
 
         def show(now: RoundProgress) -> None:
             bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})

@@ -11,9 +11,8 @@ from typing import Annotated
 import tyro
 
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, Worlds, parse, some_words, write_json
+from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, Worlds, machines_of, parse, some_words, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_it_learns,

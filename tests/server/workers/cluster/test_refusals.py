@@ -11,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from wcsim.cli.main import main
-from wcsim.cli.shared.machine_options import machines_of
+from wcsim.cli.shared.common import machines_of
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.server.workers.cluster import joining, ray_workers
