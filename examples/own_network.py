@@ -3,7 +3,7 @@ from torch import nn
 
 
 class OwnNet(nn.Module):
-    """In this folder: `wcsim train --network own_network:OwnNet`. If `windowed = True`: image_shape (T, C, H, W)."""
+    """In this folder: `wcsim train-q --network own_network:OwnNet`. If `windowed = True`: image_shape (T, C, H, W)."""
     def __init__(self, image_shape: tuple[int, int, int], vector_size: int) -> None:  # (C, H, W); IMU + joystick
         super().__init__()
         self.cnn = nn.Sequential(nn.Conv2d(image_shape[0], 16, 8, 4), nn.ReLU(), nn.Conv2d(16, 16, 4, 2), nn.ReLU())

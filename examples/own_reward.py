@@ -1,4 +1,4 @@
-"""A reward term of your own. In this folder: `wcsim train --reward own_reward:Gentle`."""
+"""A reward term of your own. In this folder: `wcsim train-q --reward own_reward:Gentle`."""
 
 from wcsim.types import ClientSnapshot
 

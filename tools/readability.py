@@ -14,7 +14,7 @@ from typing import Final
 ROOT: Final = Path(__file__).parents[1]
 LONGEST: Final = 30  # words of a sentence
 MEAN: Final = 18.0  # words of a page's sentences
-_MADE: Final = ("docs/settings.md", "docs/api.md", "docs/overrides.md")  # written by tools
+_MADE: Final = ("docs/settings.md", "docs/commands.md", "docs/api.md", "docs/overrides.md")  # written by tools
 _CODE: Final = re.compile(r"^( *)```.*?^\1```", re.MULTILINE | re.DOTALL)
 _NO_PROSE: Final = re.compile(r"^(\||#|!\[|<|    ).*$", re.MULTILINE)
 _ITEM: Final = re.compile(r"^ *([-*]|\d+\.) +", re.MULTILINE)

@@ -9,7 +9,7 @@ from rich.progress import Progress, TaskID
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.reading import counted
 
 if TYPE_CHECKING:  # loads ZeroMQ, which --help must not
@@ -36,7 +36,7 @@ def run(options: BarrierOptions) -> int:
     in_bounds("--ticks", options.ticks, 10, 1_000_000)
     in_bounds("--width", options.width, 16, 2048)
     sizes = (f"cameras.0.width_px={options.width}", f"cameras.0.height_px={options.width * 3 // 4}")
-    config = load_run_config("quick", sizes)
+    config = resolve("quick", sizes)
 
     from benchmarks.barrier.barrier_cost import measure_barrier
 

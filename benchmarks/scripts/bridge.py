@@ -8,7 +8,7 @@ from rich.progress import Progress
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.towns.scenario.town import find_town
 
 
@@ -32,7 +32,7 @@ def run(options: BridgeOptions) -> int:
     """Run the bench."""
     in_bounds("--ticks", options.ticks, 10, 1_000_000)
     in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
-    config = load_run_config("quick", (f"world.demand_scale={options.demand_scale}",))
+    config = resolve("quick", (f"world.demand_scale={options.demand_scale}",))
     town = find_town(options.town)
 
     from benchmarks.tick.bridgeless_world import measure_bridge  # loads the simulators, which --help must not

@@ -24,7 +24,7 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.run_config import require_unset, require_user
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import by_name, find_town
 
@@ -120,7 +120,7 @@ def _config(options: CrashesOptions) -> RunConfig:
     if options.noise not in ("typical", "none"):
         raise ConfigError(f"--noise {options.noise!r}: expected typical or none")
     words = (f"world.action_delay_ticks={options.delay}", f"cameras.0.noise={options.noise}")
-    return load_run_config(options.preset, (*words, *options.set))
+    return resolve(options.preset, (*words, *options.set))
 
 
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:

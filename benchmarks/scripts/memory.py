@@ -10,7 +10,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -60,7 +60,7 @@ def run(options: MemoryOptions) -> int:
         f"cameras.0.width_px={options.width}",
         f"cameras.0.height_px={options.width * 3 // 4}",
     )
-    town, config, specs = find_town(options.town), load_run_config("quick", words), (SeatSpec(),) * options.chairs
+    town, config, specs = find_town(options.town), resolve("quick", words), (SeatSpec(),) * options.chairs
 
     from benchmarks.memory.roam import RoamingWorld, growth_mb, roam
 

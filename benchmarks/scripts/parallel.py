@@ -1,6 +1,6 @@
 """`python -m benchmarks parallel`: several networks learn in one world at once, and the same ones one after the other.
 
-Each run is the command `wcsim train --clients ...` in a process of its own, start-up included. Where the time went is
+Each run is the command `wcsim train-clients ...` in a process of its own, start-up included. Where the time went is
 what each client wrote into its times.json.
 """
 
@@ -22,7 +22,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.training.clients import client_names
+from wcsim.cli.training.train_clients import client_names
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 
@@ -104,7 +104,7 @@ def _numbers(option: str, text: str, most: int) -> tuple[int, ...]:
 def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path, cores: int) -> Trained:
     """One training command on so many cores. Raises WcsimError when it fails."""
     result = folder.with_suffix(".json")
-    words = ["train", "--town", options.town, "--preset", options.preset, "--clients", ",".join(networks)]
+    words = ["train-clients", ",".join(networks), "--town", options.town, "--preset", options.preset]
     words += ["--steps", str(options.steps), "--seed", str(options.seed), "--out", str(folder), "--json", str(result)]
     words += [word for item in options.set for word in ("--set", item)]
     all_cores = os.sched_getaffinity(0)

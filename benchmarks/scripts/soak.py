@@ -16,7 +16,7 @@ from rich.progress import Progress
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, in_bounds, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, WcsimError
 from wcsim.towns.scenario.town import Town, find_town
 
@@ -39,7 +39,7 @@ class SoakOptions:
     clients: int | None = None
     """Number of clients without a learner, a process each. (default: 3)"""
     networks: str = ""
-    """Clients that learn: networks separated by commas, as for `wcsim train --clients`."""
+    """Clients that learn: networks separated by commas, as for `wcsim train-clients`."""
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Steps of each learner, without --minutes. (default: 10000)"""
     kills: int | None = None
@@ -148,12 +148,12 @@ def _faults(options: SoakOptions, asked: int | None) -> int:
 
 
 def _soaked(options: SoakOptions, town: Town, folder: Path, struck: FaultOrder) -> LearnersFacts:
-    """One run of the learners, as `wcsim train --clients` would do it."""
+    """One run of the learners, as `wcsim train-clients` would do it."""
     from benchmarks.soak.learners import ENDLESS, SETTINGS, LearnersOrder, slowed, soak_learners
     from wcsim.agents.clients.group_run import GroupRun
     from wcsim.cli.shared.run_config import in_town
-    from wcsim.cli.training.clients import resolved, train_clients
-    from wcsim.cli.training.train import Options
+    from wcsim.cli.training.clients import train_clients
+    from wcsim.cli.training.train_clients import Options, resolved
     from wcsim.server.launch.states import RestartRules
     from wcsim.server.specs import RunInfo
 
@@ -268,7 +268,7 @@ def _run(options: SoakOptions, town: str, folder: Path) -> SoakFacts:
 
     order = SoakOrder(
         town=town,
-        config=load_run_config("quick"),
+        config=resolve("quick"),
         seconds=60.0 * (30.0 if options.minutes is None else options.minutes),
         folder=folder,
         clients=options.clients or 3,

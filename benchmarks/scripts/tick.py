@@ -11,7 +11,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town, find_town
@@ -98,7 +98,7 @@ def _profile(options: TickOptions, town: Town, config: RunConfig, numbers: list[
 
 
 def _config(options: TickOptions) -> RunConfig:
-    config = load_run_config("quick")
+    config = resolve("quick")
     substeps = round(options.physics_hz * config.world.tick_s)
     words = (
         f"world.substeps={substeps}",
@@ -106,7 +106,7 @@ def _config(options: TickOptions) -> RunConfig:
         f"cameras.0.width_px={options.width}",
         f"cameras.0.height_px={options.width * 3 // 4}",
     )
-    return load_run_config("quick", words)
+    return resolve("quick", words)
 
 
 def _chairs(text: str) -> list[int]:

@@ -12,7 +12,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.run_config import require_unset
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.users.profiles import profile, profile_names
 
@@ -63,7 +63,7 @@ def run(options: UsersOptions) -> int:
         check_folder("--pictures", options.pictures)
     names = tuple(profile(name).name for name in some_words("--profiles", options.profiles))
     towns = tuple(find_town(name) for name in some_words("--towns", options.towns))
-    config = load_run_config("quick", (*TINY_CAMERA, *options.set))
+    config = resolve("quick", (*TINY_CAMERA, *options.set))
     # A seed of its own for each town: with one for all, the same few users would be drawn in each again.
     seeds = range(options.seed, options.seed + len(towns))
     driven = _drive(options, towns, config, names, options.seconds, seeds)

@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.tick.bridgeless_world import settle
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import Town
 from wcsim.types import SeatSpec
@@ -48,7 +48,7 @@ def profiled(town: Town, config: RunConfig, chairs: int, ticks: int, seed: int) 
     Raises:
         WcsimError: What the world raises.
     """
-    alone = with_overrides(config, ("world.draw_threads=1",))
+    alone = resolve(config, ("world.draw_threads=1",))
     watched = _Watched(town, alone, (SeatSpec(),) * chairs, seed)
     with watched as world:
         settle(world)

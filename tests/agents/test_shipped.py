@@ -18,7 +18,7 @@ from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, ope
 from wcsim.agents.rounds.train_rounds import LEARNED
 from wcsim.agents.runs import policy_file, run_folder
 from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
-from wcsim.config import CameraConfig, with_overrides
+from wcsim.config import CameraConfig, resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core import files
 from wcsim.errors import PolicyError
@@ -26,7 +26,7 @@ from wcsim.server.specs import RunInfo
 
 ROOT = Path(__file__).parents[2]
 TOOL = runpy.run_path(str(ROOT / "tools" / "ship_policy.py"), run_name="tool")
-OWN = with_overrides(CONFIG, ("learn.head=danger",))
+OWN = resolve(CONFIG, ("learn.head=danger",))
 
 
 @pytest.fixture(scope="module")
@@ -81,15 +81,15 @@ def test_its_card_says_where_the_camera_sits_and_its_noise_in_words(made):
 def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, tmp_path, monkeypatch):
     words = ("collect.segments=0", "collect.made_towns=4")
     info = RunInfo(seed=3, town="helsinki", command=("wcsim", "train", "--out", "/home/me/a"))
-    in_rounds = with_overrides(OWN, ("collect.rounds=2",))
+    in_rounds = resolve(OWN, ("collect.rounds=2",))
     driven = create_run(tmp_path / "a", in_rounds, make_manifest(in_rounds, info)).path / "data"
     collected = tmp_path / "mine"
     names = ("1-000-0000", "1-000-0001", "2-000-0000")
     write_manifest(driven, in_rounds, {"helsinki": "a" * 64}, {})
-    met = with_overrides(OWN, ('collect.profiles=["slow", "ataxic"]',))
+    met = resolve(OWN, ('collect.profiles=["slow", "ataxic"]',))
     towns = {"corner": "b" * 64, "monaco": "c" * 64}
     write_manifest(collected, met, towns, {f"{name}.npz.zst": "d" * 64 for name in names})
-    own = with_overrides(OWN, (*words, f"collect.data={json.dumps([str(driven), str(collected)])}"))
+    own = resolve(OWN, (*words, f"collect.data={json.dumps([str(driven), str(collected)])}"))
     run = create_run(tmp_path / "b", own, make_manifest(own, info))
     collect = "wcsim collect --town corner,monaco --out data/mine"
     told = "  # with the settings in its data.json; SHA-256 of the data "
@@ -109,7 +109,7 @@ def test_driving_is_told_by_the_run_that_it_is_of_or_as_it_was_collected(made, t
 
 
 def test_what_cannot_be_told_is_known_before_anything_is_exported(tmp_path):
-    own = with_overrides(OWN, (f'collect.data=["{tmp_path / "gone"}"]',))
+    own = resolve(OWN, (f'collect.data=["{tmp_path / "gone"}"]',))
     run = create_run(tmp_path / "run", own, make_manifest(own, RunInfo(seed=3, town="helsinki")))
     with pytest.raises(PolicyError, match=r"gone/data\.json"):
         TOOL["ship"](run, ride(4), [], tmp_path / "here")

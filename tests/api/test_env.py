@@ -25,7 +25,7 @@ from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.config import load_run_config, with_overrides
+from wcsim.config import resolve
 from wcsim.errors import BadActionError, ConfigError, ProtocolError, TownError
 from wcsim.supervisor.rewards import find_reward_term
 from wcsim.types import Events, PlantState, RewardTerms
@@ -530,10 +530,10 @@ def test_the_options_are_named_where_an_editor_shows_them(face):
 
 @pytest.mark.parametrize("face", [WheelchairEnv, StreetParallelEnv, StreetVecEnv, by_id])
 def test_overrides_are_laid_over_a_configuration_too_and_a_preset_beside_one_is_refused(face):
-    config = load_run_config("quick", TINY)
+    config = resolve("quick", TINY)
     env = face(config=config, overrides=("env.max_steps=7",))
     found = (env.unwrapped if face is by_id else env).config
-    assert found == with_overrides(config, ("env.max_steps=7",)) != config
+    assert found == resolve(config, ("env.max_steps=7",)) != config
     with pytest.raises(ConfigError, match=r"config and preset='laptop': expected one of them"):
         face(config=config, preset="laptop")
 

@@ -13,7 +13,7 @@ from tests.api.streets import TINY, action_at, equal
 from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
 from wcsim.server.host.made_world import made_world
 from wcsim.server.links import socket
@@ -23,7 +23,7 @@ from wcsim.server.protocol.events import Lost, Rules
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.types import SeatSpec
 
-CONFIG = load_run_config("quick", TINY)
+CONFIG = resolve("quick", TINY)
 SPEC = SeatSpec(max_steps=12)
 
 

@@ -14,7 +14,7 @@ from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ConfigMismatchError
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.local import LocalLink
@@ -78,10 +78,10 @@ def test_every_face_shows_the_same(corner):
 
 def test_off_is_as_before(corner):
     off, on, none = quick_config(), quick_config(ON), quick_config("sensors.odometry=none")
-    assert off == none == with_overrides(on, ("sensors=none",))
+    assert off == none == resolve(on, ("sensors=none",))
     assert "sensors" not in off.model_dump() and "sensors" not in off.vary.model_dump()
     assert off.world_digest() != on.world_digest() and RunConfig.model_validate_json(on.model_dump_json()) == on
-    assert not load_run_config("paper").sensors.on()
+    assert not resolve("paper").sensors.on()
     with open_world(corner, seed=3) as world:
         assert follow(world).clients[0].sensors.readings == ()
 

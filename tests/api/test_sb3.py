@@ -24,7 +24,7 @@ from tests.agents.toy import ToyStreet, a_run
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.cli.main import main
-from wcsim.config import CameraConfig, RunConfig, load_run_config
+from wcsim.config import CameraConfig, RunConfig, resolve
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STEPS = 152  # a multiple of learn.train_every
@@ -46,12 +46,12 @@ def without_wall_times(path: Path) -> list[dict[str, str]]:
 
 @pytest.fixture(scope="module")
 def run(corner, tmp_path_factory) -> Path:
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     return train(a_run(config, tmp_path_factory.mktemp("runs") / "first", 3, town="corner"), maker(corner, config))
 
 
 def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     env, second = maker(corner, config)(), Monitor(maker(corner, config)())
     try:
         model = DQN(
@@ -72,7 +72,7 @@ def test_stock_dqn_with_an_eval_callback_learns_unchanged(corner, tmp_path):
 
 
 def test_stock_dqn_learns_from_two_worlds_at_once(corner):
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     envs = DummyVecEnv([maker(corner, config)] * 2)
     try:
         model = DQN("MultiInputPolicy", envs, buffer_size=100, learning_starts=8, batch_size=8, seed=1)
@@ -89,7 +89,7 @@ def test_a_run_folder_is_complete(run):
     manifest = json.loads((run / "manifest.json").read_text())
     assert (manifest["status"], manifest["steps"], manifest["seed"], manifest["town"]) == ("done", STEPS, 3, "corner")
     assert manifest["versions"]["libsumo"]
-    assert RunConfig.model_validate_json((run / "config.json").read_text()) == load_run_config("dqn", SMALL)
+    assert RunConfig.model_validate_json((run / "config.json").read_text()) == resolve("dqn", SMALL)
     rows = without_wall_times(run / "metrics.csv")
     assert [row["phase"] for row in rows] == sorted(row["phase"] for row in rows)
     assert {row["phase"] for row in rows} == {"1", "2"}
@@ -100,7 +100,7 @@ def test_a_run_folder_is_complete(run):
 
 
 def test_equal_seeds_give_equal_runs_in_the_real_street(run, corner, tmp_path):
-    config = load_run_config("dqn", SMALL)
+    config = resolve("dqn", SMALL)
     again = train(a_run(config, tmp_path / "again", 3), maker(corner, config))
     assert without_wall_times(run / "metrics.csv") == without_wall_times(again / "metrics.csv")
     for stage in ("phase1", "final"):
@@ -129,7 +129,7 @@ def test_a_model_of_sb3_is_a_policy_for_tests(tmp_path, monkeypatch):
     model = DQN("MultiInputPolicy", ToyStreet(CameraConfig(width_px=80, height_px=60)), buffer_size=10, seed=1)
     model.save(tmp_path / "dqn.zip")
     monkeypatch.chdir(tmp_path)
-    policy = runpy.run_path(str(EXAMPLES / "sb3_policy.py"))["Sb3Policy"](load_run_config("quick"))
+    policy = runpy.run_path(str(EXAMPLES / "sb3_policy.py"))["Sb3Policy"](resolve("quick"))
     policy.begin()
     policy.reset()
     seen = ToyStreet(CameraConfig(width_px=80, height_px=60)).reset(seed=1)[0]
@@ -150,7 +150,7 @@ def test_a_network_and_a_reward_of_ones_own_train_and_are_tested_from_the_comman
         (tmp_path / name).write_text((EXAMPLES / name).read_text(encoding="utf-8"), encoding="utf-8")
     small = [word for text in (*SMALL, "learn.total_steps=60", "learn.phase1_steps=30") for word in ("--set", text)]
     words = ["--town", str(corner), "--network", "own_network:OwnNet", "--reward", "own_reward:Gentle", "--out", "run"]
-    assert main(["train", *words, *small]) == 0
+    assert main(["train-q", *words, *small]) == 0
     policy = json.loads((tmp_path / "run" / "policies" / "final" / "policy.json").read_text())
     assert policy["net"]["network"] == "own_network:OwnNet"
     test = ["test", "run", "--town", str(corner), "--allow-train-town", "--episodes", "1", "--max-steps", "10"]
@@ -165,7 +165,7 @@ def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_oth
     monkeypatch.chdir(tmp_path)
     small = [word for text in (*SMALL, "learn.total_steps=60", "learn.phase1_steps=30") for word in ("--set", text)]
     for network, window in (("patch", 1), ("fig6", 4)):
-        assert main(["train", "--town", str(corner), "--network", network, "--out", network, *small]) == 0
+        assert main(["train-q", "--town", str(corner), "--network", network, "--out", network, *small]) == 0
         config = json.loads((tmp_path / network / "config.json").read_text())
         policy = json.loads((tmp_path / network / "policies" / "final" / "policy.json").read_text())
         assert (config["env"]["window"], policy["window"]) == (window, window)
@@ -174,5 +174,4 @@ def test_networks_with_windows_of_their_own_train_and_are_tested_beside_each_oth
     rows = json.loads(Path("test.json").read_text())["rows"]
     baselines = ["follow", "random", "zero", "stop", "dwa", "oracle-visible", "oracle"]
     assert [row["policy"] for row in rows] == ["patch", "fig6", *baselines]
-    resumed = ["train", "--town", str(corner), "--network", "fig6", "--out", "fig6", *small, "--resume"]
-    assert main(resumed) == 0
+    assert main(["resume", "fig6"]) == 0

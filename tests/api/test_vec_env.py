@@ -17,7 +17,7 @@ import wcsim
 from tests.api.streets import LEARNABLE, TINY, action_at, equal
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.learning.build import build_model
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, ProtocolError
 
 SHORT = "env.max_steps=20"
@@ -138,7 +138,7 @@ def learned(town: Path, envs: int = 2) -> tuple[Any, list[Any]]:
         "total_steps": 120, "phase1_steps": 40,
     }  # fmt: skip
     words = [f"learn.{key}={value}" for key, value in learn.items()]
-    config = load_run_config("dqn", (*LEARNABLE, "env.truth=true", "env.max_steps=15", *words))
+    config = resolve("dqn", (*LEARNABLE, "env.truth=true", "env.max_steps=15", *words))
     vec = StreetVecEnv(str(town), chairs=envs, config=config)
     try:
         model = build_model(config, vec, seed=2)

@@ -1,4 +1,4 @@
-"""Faults of whole runs: full disks, storms of SIGTERM, flipped bits. Afterwards --resume works, or says why."""
+"""Faults of whole runs: full disks, storms of SIGTERM, flipped bits. Afterwards wcsim resume works, or says why."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ HEAD = "| fault | runs | exit codes | defects | s |\n| --- | --- | --- | --- | -
 
 
 def start(folder: Path, *words: object, before: Sequence[str] = ()) -> subprocess.Popen[str]:
-    """`wcsim train WORDS` as a process of its own."""
+    """`wcsim WORDS` as a process of its own."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     return subprocess.Popen(
-        [*before, sys.executable, "-m", "wcsim", "train", *map(str, words)],
+        [*before, sys.executable, "-m", "wcsim", *map(str, words)],
         cwd=folder,
         env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "100", "PYTHONPATH": path},
         stdout=subprocess.DEVNULL,
@@ -93,7 +93,7 @@ def stopped_at(folder: Path, ticks: int, *words: object, limit_s: float = 120.0)
 def begun(folder: Path, corner: Path, steps: int = FOREVER, ticks: int = 25) -> Path:
     """An interrupted run of two clients in `folder/run`."""
     folder.mkdir(parents=True, exist_ok=True)
-    words = ("--town", corner, "--clients", "patch,patch", "--steps", steps, "--out", "run", *QUICK)
+    words = ("train-clients", "patch,patch", "--town", corner, "--steps", steps, "--out", "run", *QUICK)
     code, err = stopped_at(folder, ticks, *words)
     assert code == Exit.STOPPED, err
     return folder / "run"
@@ -128,7 +128,7 @@ def storms(folder: Path, corner: Path, count: int, seed: int) -> Row:
     run = begun(folder, corner)
     for number in range(count):
         rng = np.random.default_rng((seed, number))
-        child = start(folder, "--out", "run", "--resume")
+        child = start(folder, "resume", "run")
         time.sleep(float(rng.uniform(0.05, 9.0)))
         spacing_s = float(pick(rng, (0.0, 0.002, 0.05, 0.3)))
         for _ in range(int(rng.integers(3, 21))):
@@ -151,7 +151,7 @@ def full_disks(folder: Path, corner: Path, count: int, seed: int) -> Row:
         for number in range(count):
             rng = np.random.default_rng((seed, number))
             before = limit(int(rng.integers(0, 24)))
-            child = start(folder, "--out", "run", "--resume", before=before)
+            child = start(folder, "resume", "run", before=before)
             try:
                 _, err = child.communicate(timeout=120)
             except subprocess.TimeoutExpired:
@@ -168,7 +168,7 @@ def stops(folder: Path, corner: Path, count: int, seed: int) -> Row:
     """A client or the world that stands still for up to 20 s, as with SIGSTOP, and goes on; nobody loses a tick."""
     row, begin_s, run = Row(what="SIGSTOP and SIGCONT"), time.monotonic(), folder / "run"
     folder.mkdir()
-    words = ("--town", corner, "--clients", "patch,patch", "--steps", FOREVER, "--out", "run", *QUICK)
+    words = ("train-clients", "patch,patch", "--town", corner, "--steps", FOREVER, "--out", "run", *QUICK)
     child = start(folder, *words)
     for number in range(count):
         rng, before = np.random.default_rng((seed, number)), ticks_of(run)
@@ -202,7 +202,7 @@ def flips(folder: Path, corner: Path, count: int, seed: int) -> Row:
         shutil.copytree(folder / "sound", run)
         name = names[(number * 7) % len(names)]
         (run / name).write_bytes(flipped((run / name).read_bytes(), rng))
-        child = start(folder, "--out", "run", "--resume")
+        child = start(folder, "resume", "run")
         _, err = child.communicate(timeout=200)
         row.codes[child.returncode] += 1
         row.note(wrong_with(run, child.returncode, err, (Exit.DONE, Exit.REFUSED)), f"flip {number} in {name}")
@@ -215,7 +215,7 @@ def flips_when_done(
 ) -> Row:
     """So many bits of each file that is read when a finished run is asked for again, by `wcsim` in this process."""
     row, begin_s = Row(what="flipped bits, finished run"), time.monotonic()
-    words = ("--town", corner, "--clients", "patch,patch", "--steps", 30, "--out", "run", *QUICK)
+    words = ("train-clients", "patch,patch", "--town", corner, "--steps", 30, "--out", "run", *QUICK)
     folder.mkdir()
     _, err = start(folder, *words).communicate(timeout=200)
     run = folder / "run"
@@ -227,7 +227,7 @@ def flips_when_done(
         for number in range(each):
             rng = np.random.default_rng((seed, number))
             path.write_bytes(flipped(whole, rng))
-            code, err = wcsim(["train", "--out", str(run), "--resume"])
+            code, err = wcsim(["resume", str(run)])
             row.codes[code] += 1
             found = wrong_with(run, code, err, (Exit.DONE, Exit.REFUSED))
             row.note(found, f"{path.relative_to(run)}, {number}")
@@ -240,7 +240,7 @@ def flips_when_done(
 
 def _went_on(row: Row, folder: Path, begin_s: float) -> None:
     """After all faults the run goes on, and can be stopped."""
-    code, err = stopped_at(folder, 15, "--out", "run", "--resume")
+    code, err = stopped_at(folder, 15, "resume", "run")
     row.note(wrong_with(folder / "run", code, err, (Exit.STOPPED,)), "after the last one")
     row.seconds = time.monotonic() - begin_s
 

@@ -82,20 +82,20 @@ def test_flipped_bits_are_got_over_or_told(tmp_path: Path, corner: Path, capsys:
 def test_a_disk_that_is_full_early_costs_nothing(tmp_path: Path, corner: Path) -> None:
     """Before any episode or checkpoint: what the world has done is kept, and gone on with."""
     run = tmp_path / "run"
-    words = ("--town", corner, "--clients", "patch,patch", "--steps", 60, "--out", "run", *faults.QUICK)
+    words = ("train-clients", "patch,patch", "--town", corner, "--steps", 60, "--out", "run", *faults.QUICK)
     child = faults.start(tmp_path, *words, before=("bash", "-c", 'ulimit -f 200; exec "$@"', "-"))
     _, err = child.communicate(timeout=120)
     assert faults.wrong_with(run, child.returncode, err, (Exit.FAILED,)) == ""
-    assert "--resume" in err
+    assert "wcsim resume run" in err
     assert faults.ticks_of(run) > 0
-    child = faults.start(tmp_path, "--out", "run", "--resume")
+    child = faults.start(tmp_path, "resume", "run")
     _, err = child.communicate(timeout=120)
     assert faults.wrong_with(run, child.returncode, err, (Exit.DONE,)) == ""
 
 
 def test_too_few_open_files_are_told_before_anything_is_begun(tmp_path: Path, corner: Path) -> None:
-    words = ("--town", str(corner), "--clients", "patch,patch", "--out", "run")
-    command = ("bash", "-c", 'ulimit -n 24; exec "$@"', "-", sys.executable, "-m", "wcsim", "train", *words)
+    words = ("train-clients", "patch,patch", "--town", str(corner), "--out", "run")
+    command = ("bash", "-c", 'ulimit -n 24; exec "$@"', "-", sys.executable, "-m", "wcsim", *words)
     environment = {**os.environ, "PYTHONPATH": str(faults.ROOT)}
     child = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert (child.returncode, "ulimit -n 1024" in child.stderr) == (Exit.REFUSED, True), child.stderr

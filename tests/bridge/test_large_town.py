@@ -90,10 +90,10 @@ start = time.perf_counter()
 import psutil
 from wcsim.bridge.world_rollout import rollout
 from wcsim.bridge.world import World
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
-with World(find_town(sys.argv[1]), load_run_config("quick"), (SeatSpec(),), 0) as world:
+with World(find_town(sys.argv[1]), resolve("quick"), (SeatSpec(),), 0) as world:
     next(rollout(world))
     first_tick_s = time.perf_counter() - start
     spent = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

@@ -57,9 +57,9 @@ OPTIONS = {
     "doctor --seed -1": ("--seed -1",),
     "train --preset huge": ("unknown preset 'huge'", "dqn, laptop, paper, quick"),
     "test --preset huge": ("unknown preset 'huge'", "dqn, laptop, paper, quick"),
-    "train --network huge": ("unknown network 'huge'", "patch"),
-    "train --network nowhere:Net": ("'nowhere'", "not found"),
-    "train --reward nowhere": ("'nowhere'", "module:Class"),
+    "train-q --network huge": ("unknown network 'huge'", "patch"),
+    "train-q --network nowhere:Net": ("'nowhere'", "not found"),
+    "train-q --reward nowhere": ("'nowhere'", "module:Class"),
     "train --set learn": ("'learn'", "section.key=value"),
     "train --set learn.speed=3": ("unknown key 'learn.speed'",),
     "train --set lern.gamma=0.9": ("unknown key 'lern'",),
@@ -67,24 +67,23 @@ OPTIONS = {
     "train --set learn.total_steps=0": ("learn.total_steps", "got 0"),
     "train --set world.substeps=1": ("world.substeps",),
     "train --set cameras.3.width_px=64": ("cameras",),
-    "train --set learn.device=tpu": ("learn.device", "expected cpu"),
+    "train-q --set learn.device=tpu": ("learn.device", "expected cpu"),
     "train --set env.profile=ataxic": ("ataxic", "held out"),
     "train --set env.profile=saint": ("unknown user profile 'saint'", "competent"),
-    "train --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""", "--preset dqn"),
+    "train --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""", "wcsim train-q"),
     'train --set collect.profiles=["saint"]': ("unknown user profile 'saint'", "competent"),
     "users record helsinki --out a.drive --set env.profile=slow": ("env.profile", "--profile NAME"),
     "demo --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
     "demo --set env.max_steps=9": ("env.max_steps", "--max-steps N"),
     "collect --set env.profile=slow": ("""--set 'collect.profiles=["slow"]'""",),
     'collect --set collect.profiles=["none.toml"]': ("none.toml",),
-    "train --preset dqn --data data/mine": ("--data: only a danger network that learns in rounds", "--preset quick"),
-    "train --network fig6 --worlds 2": ("--worlds: only a danger network that learns in rounds",),
-    "train --clients fig6,patch --set learn.head=danger": ("learn.head=danger", "--preset dqn or paper"),
-    "train --clients fig6,patch --data data/mine": ("--data and --clients",),
-    "train --clients fig6,patch --worlds 2": ("--worlds 2: no clients are tested", "--select-by LIST"),
-    "train --config-for fig6=a.toml": ("--config-for: only for several networks", "--clients"),
-    "train --lease=120": ("--lease: only for several networks", "--clients"),
-    "train --preset dqn --recovery replay": ("--recovery: only for several networks", "--clients"),
+    "train --preset dqn": ("learn.head=residual", "preset quick, laptop or best, or wcsim train-q"),
+    "train-q --preset quick": ("learn.head=danger", "preset dqn or paper, or wcsim train"),
+    "train-clients fig6,patch --set learn.head=danger": ("learn.head=danger", "preset dqn or paper"),
+    "train-clients fig6,patch --worlds 2": ("--worlds 2: no clients are tested", "--select-by LIST"),
+    "train-clients fig6 --lease 0": ("--lease 0.0", "1.0 to 86400.0"),
+    "join ipc:///x --preset quick": ("learn.head=danger", "preset dqn or paper"),
+    "resume nowhere": ("nowhere is not a run", "wcsim train"),
     "test --set world.tick_s=nan": ("world.tick_s",),
     "test --set env.profile=tremor": ("--set env.profile", "--profile NAME"),
     "test --set env={max_steps=5}": ("--set env.max_steps", "--max-steps N"),
@@ -152,7 +151,7 @@ REPLAYS = {
     "replay a b --first-difference --epoch 1": ("--epoch",),
     "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
     "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
-    "watch nowhere": ("nowhere: is not there", "wcsim train --clients"),
+    "watch nowhere": ("nowhere: is not there", "wcsim train-clients"),
     "watch . --port -1": ("--port -1", "0 to 65535"),
     "replay a --page": ("a: has no trace and no journal", "a drive"),
     "replay a --verify --block 3": ("--block", "for --page"),
@@ -172,6 +171,7 @@ def test_wrong_options_for_runs_that_are_there_are_refused(wcsim, folder, words)
 @pytest.mark.parametrize(
     "words",
     [
+        *("train --steps 9", "train-q --data x", "resume a --seed 1", "train-clients", "train-q --lease=120"),
         *("train --bogus 1", "train --seed abc", "train --seed", "test --episodes many", "town check", "town list x"),
         *("town import --name x", "town make", "town make x --kind star", "snapshot a b", "doctor --json"),
     ],
@@ -226,7 +226,7 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
 
 @pytest.mark.proof
 def test_the_town_of_a_run_is_refused_under_any_name(wcsim, folder, corner, tmp_path):
-    assert wcsim("train", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
+    assert wcsim("train-q", "--town", corner, "--out", "run", *SHORT_TRAINING).code == 0
     renamed = broken(corner, "unknown-key", tmp_path / "renamed")
     (renamed / "town.toml").write_text('name = "elsewhere"\nsplit = "test"\n')
     refused(wcsim("test", "run", "--town", renamed), "was trained in elsewhere", "--allow-train-town")
@@ -257,7 +257,7 @@ def test_configuration_files_are_checked(wcsim, folder, corner):
 
 def test_a_run_that_never_began_leaves_no_folder(wcsim, folder, corner):
     words = ("--out", "run", *SHORT_TRAINING, "--set", "learn.mirror=true", "--set", "cameras.0.yaw_deg=9")
-    refused(wcsim("train", "--town", corner, *words), "set learn.mirror=false")
+    refused(wcsim("train-q", "--town", corner, *words), "set learn.mirror=false")
     assert files_in(folder) == set()
 
 
@@ -278,8 +278,8 @@ def test_training_never_writes_over_anything(wcsim, folder, corner):
     Path("full/thesis.tex").write_text("irreplaceable")
     Path("plain").write_text("a file")
     for out in ("full", "plain"):
-        refused(wcsim("train", "--town", corner, "--out", out, *SHORT_TRAINING), out)
-    refused(wcsim("train", "--town", corner, "--out", "new", "--resume", *SHORT_TRAINING), "new")
+        refused(wcsim("train-q", "--town", corner, "--out", out, *SHORT_TRAINING), out)
+    refused(wcsim("resume", "new"), "new")
     assert files_in(folder) == {"full", "full/thesis.tex", "plain"}
     assert Path("full/thesis.tex").read_text() == "irreplaceable"
 

@@ -146,7 +146,7 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
 def test_long_names_of_policies_are_shown_whole(wcsim, folder, corner, tmp_path):
     run = tmp_path / "a-run-with-a-long-name-in-a-deep-folder" / "helsinki-paper-1"
     small = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
-    trained = wcsim("train", "--town", corner, "--out", run, "--json", "train.json", *small)
+    trained = wcsim("train-q", "--town", corner, "--out", run, "--json", "train.json", *small)
     assert trained.code == 0
     assert read("train.json") == {"run": str(run), "town": "pedestrian-crossing", "seed": 0}
     words = ("--town", corner, "--allow-train-town", "--episodes", "1", "--max-steps", "5")

@@ -54,7 +54,7 @@ WRONG = (
     *((*words, "--set", "learn.nope=3") for words in (("train",), ("test",), ("serve",), ("demo",))),
     *((*words, "--set", "learn.nope=3") for words in (("join", "ipc://x"), ("town", "run", "helsinki"))),
     *(("train", "--set", "learn.gamma=x"), ("train", "--set", "learn.gamma=7"), ("train", "--preset", "nope")),
-    *(("train", "--network", "nope"), ("train", "--config", "nope.toml"), ("test", "--profile", "nope")),
+    *(("train-q", "--network", "nope"), ("train", "--config", "nope.toml"), ("test", "--profile", "nope")),
     *(("users", "record", "helsinki", "--out", "x", "--profile", "nope"), ("test", "--profile", "nope.toml")),
     *(("join", "nowhere"), ("test", "nowhere")),
 )

@@ -79,7 +79,7 @@ def test_an_import_that_is_ended_leaves_nothing(tmp_path):
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner):
     total = 300
     words = (
-        *("train", "--town", corner, "--out", "run"),
+        *("train-q", "--town", corner, "--out", "run"),
         *("--set", f"learn.total_steps={total}", "--set", "learn.phase1_steps=40", "--set", "learn.train_every=10"),
         *("--set", "learn.network=patch", "--set", "learn.batch_size=4", "--set", "learn.aid=none"),
         *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
@@ -91,23 +91,22 @@ def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner)
     _, err = child.communicate(timeout=200)
     assert child.returncode == Exit.STOPPED, err
     assert "Traceback" not in err
-    assert "--resume" in err
+    assert "wcsim resume run" in err
     manifest = json.loads((folder / "run" / "manifest.json").read_text())
     assert manifest["status"] == "interrupted"
     assert 0 < manifest["steps"] < total
     assert (folder / "run" / "policies" / "final" / "policy.json").is_file()
-    for other in (("--seed", 1), ("--set", "learn.gamma=0.5"), ("--network", "fig6"), ("--steps", 299)):
-        told = wcsim("train", "--out", "run", "--resume", *other)
-        assert (told.code, told.err.count("\n"), str(other[1]) in told.err) == (Exit.REFUSED, 1, True), told
-    told = wcsim("train", "--out", "run", "--resume")
+    told = wcsim("resume", "run", "--steps", 299)
+    assert (told.code, told.err.count("\n"), "299" in told.err) == (Exit.REFUSED, 1, True), told
+    told = wcsim("resume", "run")
     assert told.code == 0, told
     assert "\nrun folder: run" in told.out
     assert json.loads((folder / "run" / "manifest.json").read_text())["status"] == "done"
     config = (folder / "run" / "config.json").read_text()
     (folder / "run" / "config.json").write_text(config.replace('"gamma": 0.9', '"gamma": 0.8'))
-    told = wcsim("train", "--out", "run", "--resume")
+    told = wcsim("resume", "run")
     assert (told.code, "damaged" in told.err) == (Exit.REFUSED, True), told
     (folder / "run" / "config.json").write_text(config)
-    told = wcsim(*words, "--resume", "--steps", total + 20)
+    told = wcsim("resume", "run", "--steps", total + 20)
     assert told.code == 0, told
     assert json.loads((folder / "run" / "manifest.json").read_text())["steps"] >= total + 20

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.config import CONFIG_FILE, RunConfig, TownFile, load_run_config, parse, read_toml, with_file, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, TownFile, parse, read_toml, resolve
 from wcsim.config.plant import PlantFile, read_plant
 from wcsim.config.run_file import ManifestFile, PolicyFile
 from wcsim.config.scene import SceneFile
@@ -12,18 +12,18 @@ from wcsim.errors import ConfigError
 
 @pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
 def test_a_shared_world_lives_for_ten_episodes(preset):
-    config = load_run_config(preset)
+    config = resolve(preset)
     assert config.epoch_ticks >= 10 * config.learn.episode_steps
-    assert with_overrides(config, ("world.epoch_ticks=50",)).epoch_ticks == 50, "what a user asks for is taken as it is"
+    assert resolve(config, ("world.epoch_ticks=50",)).epoch_ticks == 50, "what a user asks for is taken as it is"
 
 
 @pytest.mark.parametrize("preset", ["quick", "laptop", "best", "dqn", "paper"])
 def test_presets_are_complete(preset):
-    assert isinstance(load_run_config(preset), RunConfig)
+    assert isinstance(resolve(preset), RunConfig)
 
 
 def test_an_override_reaches_its_key_and_nothing_else():
-    plain, changed = load_run_config("quick"), load_run_config("quick", ("learn.gamma=0.9", "env.profile=competent"))
+    plain, changed = resolve("quick"), resolve("quick", ("learn.gamma=0.9", "env.profile=competent"))
     assert changed.learn.gamma == 0.9
     assert changed.env.profile == "competent"
     assert changed.learn.model_copy(update={"gamma": plain.learn.gamma}) == plain.learn
@@ -31,7 +31,7 @@ def test_an_override_reaches_its_key_and_nothing_else():
 
 
 def test_a_camera_is_reached_by_its_number():
-    assert load_run_config("quick", ("cameras.0.width_px=160",)).cameras[0].width_px == 160
+    assert resolve("quick", ("cameras.0.width_px=160",)).cameras[0].width_px == 160
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_a_camera_is_reached_by_its_number():
 )
 def test_a_wrong_override_says_what_is_wrong(override, says):
     with pytest.raises(ConfigError, match=says):
-        load_run_config("quick", (override,))
+        resolve("quick", (override,))
 
 
 @pytest.mark.parametrize(
@@ -87,67 +87,67 @@ def test_a_wrong_override_says_what_is_wrong(override, says):
 )
 def test_a_number_out_of_bounds_is_refused_with_its_unit_and_its_bounds(override, says):
     with pytest.raises(ConfigError, match=says):
-        load_run_config("quick", (override,))
+        resolve("quick", (override,))
 
 
 def test_what_is_wrong_with_an_item_is_told_without_what_follows_for_its_list():
     with pytest.raises(ConfigError) as told:
-        load_run_config("quick", ("cameras.0.widht_px=80",))
+        resolve("quick", ("cameras.0.widht_px=80",))
     assert str(told.value).endswith("remove it or correct its name; did you mean 'width_px'?")
     with pytest.raises(ConfigError, match=r"cameras: Tuple should have at least 1 item"):
-        load_run_config("quick", ("cameras=[]",))
+        resolve("quick", ("cameras=[]",))
 
 
 def test_a_camera_must_see_something():
     with pytest.raises(ConfigError, match=r"from 2.0 m to range_m 1.5 m"):
-        load_run_config("quick", ("cameras.0.noise.depth.z_min_m=2.0", "cameras.0.range_m=1.5"))
+        resolve("quick", ("cameras.0.noise.depth.z_min_m=2.0", "cameras.0.range_m=1.5"))
 
 
 def test_noise_goes_by_a_word_or_part_by_part():
-    plain, typical = load_run_config("quick"), load_run_config("quick", ("cameras.0.noise=typical",))
+    plain, typical = resolve("quick"), resolve("quick", ("cameras.0.noise=typical",))
     assert plain.cameras[0].noise is None
     noise = typical.cameras[0].noise
     assert noise is not None and noise.depth is not None and noise.classes is not None and noise.rgb is not None
-    changed = with_overrides(typical, ("cameras.0.noise.depth.sigma_px=0.5",)).cameras[0].noise
+    changed = resolve(typical, ("cameras.0.noise.depth.sigma_px=0.5",)).cameras[0].noise
     assert changed == noise.model_copy(update={"depth": noise.depth.model_copy(update={"sigma_px": 0.5})})
-    assert with_overrides(typical, ("cameras.0.noise=none",)) == plain
-    depth_only = load_run_config("quick", ("cameras.0.noise.depth.baseline_m=0.1",)).cameras[0].noise
+    assert resolve(typical, ("cameras.0.noise=none",)) == plain
+    depth_only = resolve("quick", ("cameras.0.noise.depth.baseline_m=0.1",)).cameras[0].noise
     assert depth_only is not None and depth_only.classes is None and depth_only.depth is not None
     assert depth_only.depth.baseline_m == 0.1 and depth_only.depth.sigma_px == noise.depth.sigma_px
 
 
 def test_a_number_of_typical_noise_leaves_the_other_noises_on(tmp_path):
     word, own = "cameras.0.noise=typical", "cameras.0.noise.depth.sigma_px=0.2"
-    wanted = with_overrides(load_run_config("quick", (word,)), (own,)).cameras[0].noise
+    wanted = resolve(resolve("quick", (word,)), (own,)).cameras[0].noise
     assert wanted is not None and wanted.classes is not None and wanted.rgb is not None
-    assert load_run_config("quick", (word, own)).cameras[0].noise == wanted
-    laptop = load_run_config("laptop")
-    assert load_run_config("laptop", (own,)) == with_overrides(laptop, (own,))
+    assert resolve("quick", (word, own)).cameras[0].noise == wanted
+    laptop = resolve("laptop")
+    assert resolve("laptop", (own,)) == resolve(laptop, (own,))
     file = tmp_path / "own.toml"
     file.write_text("[cameras.0.noise.depth]\nsigma_px = 0.2\n")
-    assert load_run_config("laptop", (), file).cameras[0].noise == wanted
-    assert load_run_config("laptop", (own, word)) == laptop
-    alone = load_run_config("quick", ("cameras.0.noise=none", own)).cameras[0].noise
+    assert resolve("laptop", file).cameras[0].noise == wanted
+    assert resolve("laptop", (own, word)) == laptop
+    alone = resolve("quick", ("cameras.0.noise=none", own)).cameras[0].noise
     assert alone is not None and alone.depth is not None and alone.classes is None
     exact = tuple(f"cameras.0.noise.{part}=none" for part in ("classes", "rgb"))
-    assert load_run_config("laptop", (own, *exact)).cameras[0].noise == alone
+    assert resolve("laptop", (own, *exact)).cameras[0].noise == alone
 
 
 def test_a_named_speed_of_the_chair_is_taken_over_a_resolved_configuration_too(tmp_path):
-    plain, file = load_run_config("quick"), tmp_path / "a.toml"
+    plain, file = resolve("quick"), tmp_path / "a.toml"
     file.write_text('[chair]\nprofile = "road"\n')
-    slow = with_overrides(plain, ("chair.profile=indoor",))
-    assert slow.chair == load_run_config("quick", ("chair.profile=indoor",)).chair and slow.chair.v_max_mps == 0.6
-    assert with_file(slow, file).chair.v_max_mps == 2.78
-    assert with_overrides(slow, ("chair.profile=custom",)).chair.v_max_mps == 0.6
+    slow = resolve(plain, ("chair.profile=indoor",))
+    assert slow.chair == resolve("quick", ("chair.profile=indoor",)).chair and slow.chair.v_max_mps == 0.6
+    assert resolve(slow, file).chair.v_max_mps == 2.78
+    assert resolve(slow, ("chair.profile=custom",)).chair.v_max_mps == 0.6
     for more in (("chair.profile=road", "chair.v_max_mps=1.0"), ("chair.v_max_mps=1.0", "chair.profile=road")):
         with pytest.raises(ConfigError, match="v_max_mps is 1"):
-            with_overrides(plain, more)
+            resolve(plain, more)
 
 
 def test_an_unknown_preset_names_the_known_ones():
     with pytest.raises(ConfigError, match=r"paper.*quick"):
-        load_run_config("fast")
+        resolve("fast")
 
 
 @pytest.mark.parametrize("text", ["name =", "name = 'a'\nsplit = 'train'\nxx = 1", "name = 'a b'\nsplit = 'train'"])
@@ -170,7 +170,7 @@ def test_a_missing_file_and_a_scene_that_is_too_long(tmp_path):
 
 
 def test_an_item_of_a_list_of_numbers_is_reached_by_its_number():
-    changed = with_overrides(load_run_config("quick"), ("imu.p_BI_m.2=0.6", "reward.roll_window_deg.0=4"))
+    changed = resolve(resolve("quick"), ("imu.p_BI_m.2=0.6", "reward.roll_window_deg.0=4"))
     assert changed.imu.p_BI_m == (0.18, 0.0, 0.6)
     assert changed.reward.roll_window_deg == (4.0, 20.0)
 
@@ -197,7 +197,7 @@ def test_as_many_cameras_as_a_world_has_room_for():
 )  # fmt: skip
 def test_pictures_that_would_fill_the_memory_are_refused(overrides):
     with pytest.raises(ConfigError, match=r"pixels.*make width_px and height_px smaller"):
-        load_run_config("quick", overrides)
+        resolve("quick", overrides)
 
 
 def test_few_of_many_faults_are_told():
@@ -208,7 +208,7 @@ def test_few_of_many_faults_are_told():
 
 def test_a_batch_that_would_fill_the_memory_is_refused():
     with pytest.raises(ConfigError, match=r"a batch of 4096 observations.*learn\.batch_size"):
-        load_run_config("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", "learn.batch_size=4096"))
+        resolve("quick", ("cameras.0.width_px=640", "cameras.0.height_px=480", "learn.batch_size=4096"))
 
 
 def unbounded(schema, definitions, where=""):

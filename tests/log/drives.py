@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim import __version__
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.log.records import Drive, DriveTick, Header, Note, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
@@ -34,7 +34,7 @@ def drive_header(**changes: object) -> Header:
         seed=7,
         seats=1,
         tick_s=TICK_S,
-        config=load_run_config("quick").model_dump_json(),
+        config=resolve("quick").model_dump_json(),
         drive=changed(about, **{key: value for key, value in changes.items() if key in about.__struct_fields__}),
     )
     return changed(header, **{key: value for key, value in changes.items() if key in header.__struct_fields__})

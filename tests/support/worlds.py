@@ -8,7 +8,7 @@ from pathlib import Path
 from wcsim.bridge.recording.states import state_hash
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec, Snapshot
 
@@ -17,12 +17,12 @@ QUICK = ("world.warmup_s=0", "cameras.0.width_px=32", "cameras.0.height_px=24")
 
 def quick_config(*overrides: str) -> RunConfig:
     """Preset quick with the smallest useful cameras and no warm-up."""
-    return load_run_config("quick", (*QUICK, *overrides))
+    return resolve("quick", (*QUICK, *overrides))
 
 
 def dqn_config(*overrides: str) -> RunConfig:
     """The same of preset dqn: for what learns, and chooses its head itself."""
-    return load_run_config("dqn", (*QUICK, *overrides))
+    return resolve("dqn", (*QUICK, *overrides))
 
 
 def open_world(town: Path, *overrides: str, seats: int = 1, seed: int = 1, spec: SeatSpec | None = None) -> World:

@@ -115,9 +115,10 @@ def trained(
 ) -> Step:
     """A training run in Helsinki, or one that learns from a data folder."""
     run = out / name
-    words = ("train", "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *_set(settings))
+    command = "train-q" if preset in ("dqn", "paper") else "train"
+    words = (command, "--town", "helsinki", "--preset", preset, "--seed", str(seed), "--out", str(run), *_set(settings))
     words = (*words, "--data", str(data)) if data is not None else words
-    again = ("train", "--resume", "--out", str(run))
+    again = ("resume", str(run))
     return Step(words=words, again=again, folder=run, makes=run / MANIFEST)
 
 

@@ -6,13 +6,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from rich import box
 from rich.table import Column, Table
 
 from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, Change, Row, Setup, changes
 from wcsim.cli.shared.common import (
+    Bounds,
     OutFile,
     OutFolder,
     Repeated,
@@ -25,7 +26,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 
@@ -54,7 +55,7 @@ class ChairCheckOptions:
     """Only rows whose names start with one of these words, separated by commas."""
     compare_hz: str = ""
     """Physics rates to compare instead, such as 120,240,480."""
-    workers: int = _WORKERS
+    workers: Annotated[int, Bounds(1, 64)] = _WORKERS
     """Processes that share the work."""
     pictures: OutFolder = None
     """Draw each chair into this folder instead."""
@@ -71,20 +72,19 @@ def run(words: list[str]) -> int:
 
 
 def _check(options: ChairCheckOptions) -> int:
-    in_bounds("--workers", options.workers, 1, 64)
     plants = some_words("--plants", options.plants)
     if options.pictures is not None:
         return _draw(plants, options.pictures)
-    config = _settings(options.set)
+    _require_chairs(options.set)
+    config = resolve(RunConfig(), options.set)
     setups = {plant: _setup(config, plant, options) for plant in plants}
     return _compare(setups, options) if options.compare_hz else _judge(setups, options)
 
 
-def _settings(overrides: tuple[str, ...]) -> RunConfig:
+def _require_chairs(overrides: tuple[str, ...]) -> None:
     for text in overrides:
         if not text.strip().startswith(_SECTIONS) or text.partition("=")[0].strip() == "chair.plant":
             raise ConfigError(f"--set {escaped(text)}: expected a key of [chair] or [imu]; --plants names the plants")
-    return with_overrides(RunConfig(), overrides)
 
 
 def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:

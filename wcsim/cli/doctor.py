@@ -135,7 +135,7 @@ def _cache() -> Finding:
 
 
 def _ticks(town: str, seed: int) -> Finding:
-    from wcsim.config import load_run_config
+    from wcsim.config import resolve
     from wcsim.towns.scenario.town import find_town
     from wcsim.types import SeatSpec
 
@@ -144,7 +144,7 @@ def _ticks(town: str, seed: int) -> Finding:
         from wcsim.bridge.world_rollout import rollout  # SumoError where libsumo cannot be loaded
 
         started = time.perf_counter()
-        with World(find_town(town), load_run_config("quick"), (SeatSpec(),), seed) as world:
+        with World(find_town(town), resolve("quick"), (SeatSpec(),), seed) as world:
             steps = rollout(world)
             for _ in range(_FIRST_TICKS):
                 next(steps)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, OutFolder, in_bounds, parse, says
+from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, parse, says
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
 from wcsim.core.files import check_new_file
@@ -41,9 +41,9 @@ class Options:
     """Seed of the traffic and of the chair's start."""
     suite: str = ""
     """Start with an episode of a suite instead: dev, validation, v1, or a list file, which sets the town."""
-    block: int = 0
+    block: Annotated[int, Bounds(0)] = 0
     """Block of the suite."""
-    seat: int = 0
+    seat: Annotated[int, Bounds(0)] = 0
     """Chair of the block."""
     record: OutFile = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
@@ -53,7 +53,7 @@ class Options:
     """In a study: the participant's number, which sets the order; the same number again resumes."""
     out: OutFolder = None
     """In a study: folder of the table and recordings, studies/NAME by default."""
-    port: int = 8080
+    port: Annotated[int, Bounds(0, 65535)] = 8080
     """Port of the page; 0 takes a free one."""
     host: str = "127.0.0.1"
     """Address to serve at; any but the loopback needs the token in the printed address."""
@@ -67,7 +67,6 @@ def run(words: list[str]) -> int:
             "trained with your settings: wcsim train --set ... --out RUN"
         )
     options = parse(Options, words, "drive")
-    in_bounds("--port", options.port, 0, 65535)
     if options.study:
         _require_alone(options, words)
     else:
@@ -102,8 +101,6 @@ def _require_place(options: Options, words: list[str]) -> None:
     if options.suite:
         if says(words, "--seed"):
             raise ConfigError(f"--seed with --suite {options.suite}: episodes have their own seeds; leave --seed out")
-        in_bounds("--block", options.block, 0, 1 << 30)
-        in_bounds("--seat", options.seat, 0, 1 << 30)
     elif options.block or options.seat:
         raise ConfigError("--block and --seat name an episode of a suite; expected --suite with them")
     else:

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import groupby
 from types import FrameType
 
 from wcsim.cli.shared.exit_codes import Exit, exit_of
@@ -23,40 +24,36 @@ class Subcommand:
     """One line of the help, and the module (with a `run(arguments)`) that does the work."""
 
     name: str
-    module: str
+    module: str  # below wcsim.cli
+    task: str  # what it is for: the group that it stands in
     says: str
 
 
 SUBCOMMANDS = (
-    Subcommand(
-        "demo", "wcsim.cli.training.demo", "train in Helsinki, test in Monaco, print the table, all in one command"
-    ),
-    Subcommand("train", "wcsim.cli.training.train", "train a network in a town"),
-    Subcommand("collect", "wcsim.cli.training.collect", "record driving that a network can learn from"),
-    Subcommand("serve", "wcsim.cli.serve", "run a shared world that clients can join and leave"),
-    Subcommand("join", "wcsim.cli.training.join", "train a network in a world started by wcsim serve"),
-    Subcommand(
-        "test", "wcsim.cli.evaluation.test", "test trained networks and baselines in towns that they have not seen"
-    ),
-    Subcommand(
-        "report", "wcsim.cli.evaluation.report", "make a page of a finished test or training, with its failures"
-    ),
-    Subcommand("export", "wcsim.cli.training.export", "write a trained policy as an ONNX model, to use without wcsim"),
-    Subcommand("town", "wcsim.cli.town.command", "import, generate, list or check a town, or run its traffic"),
-    Subcommand("scene", "wcsim.cli.scene", "run short street scenes with a fixed seed, or approve their traces"),
-    Subcommand("users", "wcsim.cli.recordings.command", "record a simulated user, fit the user model to recordings"),
-    Subcommand("replay", "wcsim.cli.recordings.replay", "play, convert, recompute or compare a recorded run"),
-    Subcommand("watch", "wcsim.cli.recordings.watch", "watch a training with several clients live on a web page"),
-    Subcommand("look", "wcsim.cli.pictures.look", "make a picture and a video of a town, without training"),
-    Subcommand(
-        "snapshot", "wcsim.cli.pictures.snapshot", "make a picture from a chair's camera: colours, classes, depth"
-    ),
-    Subcommand("video", "wcsim.cli.pictures.video", "make a video from a chair's camera, with a map"),
-    Subcommand("drive", "wcsim.cli.drive", "drive a wheelchair yourself in your browser"),
-    Subcommand("networks", "wcsim.cli.networks", "show what each network costs: parameters, memory, time"),
-    Subcommand("chair", "wcsim.cli.chair", "test wheelchairs on a yard, in the manner of ISO 7176"),
-    Subcommand("cache", "wcsim.cli.cache", "show where built streets are cached, their size, or clear them"),
-    Subcommand("doctor", "wcsim.cli.doctor", "check that everything wcsim needs works on this machine"),
+    Subcommand("demo", "training.demo", "learn", "train in Helsinki, test in Monaco, print the table"),
+    Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
+    Subcommand("train-q", "training.train_q", "learn", "train a network by Q-learning"),
+    Subcommand("train-clients", "training.train_clients", "learn", "train several networks at once in one world"),
+    Subcommand("resume", "training.resume", "learn", "continue a training"),
+    Subcommand("collect", "training.collect", "learn", "record driving that a network can learn from"),
+    Subcommand("export", "training.export", "learn", "write a policy as an ONNX model, without wcsim"),
+    Subcommand("test", "evaluation.test", "test", "test policies and baselines in towns new to them"),
+    Subcommand("report", "evaluation.report", "test", "make a page of a test or training, with failures"),
+    Subcommand("networks", "networks", "test", "show what networks cost: parameters, memory, time"),
+    Subcommand("chair", "chair", "test", "test wheelchairs on a yard, as ISO 7176 does"),
+    Subcommand("look", "pictures.look", "look", "make a picture and a video of a town"),
+    Subcommand("snapshot", "pictures.snapshot", "look", "make a picture from a camera: colours, classes, depth"),
+    Subcommand("video", "pictures.video", "look", "make a video from a chair's camera, with a map"),
+    Subcommand("watch", "recordings.watch", "look", "watch a training of several clients on a web page"),
+    Subcommand("replay", "recordings.replay", "look", "play, convert, recompute or compare a recorded run"),
+    Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
+    Subcommand("scene", "scene", "towns", "run short street scenes with a fixed seed"),
+    Subcommand("drive", "drive", "people", "drive a wheelchair yourself in your browser"),
+    Subcommand("users", "recordings.command", "people", "record a simulated user, fit a user to recordings"),
+    Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
+    Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
+    Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),
+    Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
 
 
@@ -112,7 +109,7 @@ def _run_command(words: list[str]) -> int:
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
     if chosen is None:
         return _no_subcommand(words)
-    return int(importlib.import_module(chosen.module).run(words[1:]) or Exit.DONE)
+    return int(importlib.import_module(f"wcsim.cli.{chosen.module}").run(words[1:]) or Exit.DONE)
 
 
 def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) -> int:
@@ -170,17 +167,10 @@ def _no_subcommand(words: list[str]) -> int:
 
 
 def usage() -> str:
-    """The help page."""
-    lines = [f"  {item.name:<10}{item.says}" for item in SUBCOMMANDS]
-    return "\n".join(
-        [
-            "usage: wcsim COMMAND [options]      (details: wcsim COMMAND --help)",
-            "",
-            "Trains networks that help a person drive a power wheelchair through real cities.",
-            "",
-            *lines,
-            "",
-            "Exit codes: 0 done, 1 failed on the way, 2 refused: change the command,",
-            "3 stopped: --resume goes on, 130 or 143 stopped by a signal, nothing to save.",
-        ]
-    )
+    """The help page, with the commands by task."""
+    lines = ["usage: wcsim COMMAND [options]                (details: wcsim COMMAND --help)"]
+    for _, group in groupby(SUBCOMMANDS, lambda item: item.task):
+        for number, item in enumerate(group):
+            lines.append(f"{'' if number else item.task:<10}{item.name:<15}{item.says}")
+    ends = "Ends with 0 done, 1 failed, 2 refused: change the command, 3 stopped: resume it,"
+    return "\n".join([*lines, ends, "130 or 143 stopped by a signal with nothing to save."])

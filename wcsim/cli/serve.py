@@ -11,11 +11,11 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse, some_words
+from wcsim.cli.shared.common import Bounds, OutFolder, Repeated, check_folder, in_bounds, parse, some_words
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.log.parts import part_files
@@ -45,7 +45,7 @@ class Options:
 
     town: str = "helsinki"
     """Where: a town's name, its folder, or a .sumocfg file."""
-    seats: int = 4
+    seats: Annotated[int, Bounds(1, MOST_SEATS)] = 4
     """Number of wheelchairs, one for each client."""
     expected: int = 1
     """Number of clients that the first tick waits for."""
@@ -67,9 +67,9 @@ class Options:
     """Save journal, logs and the outputs of the town's scenario here; continues a world in the folder."""
     recovery: Recovery = "new_epoch"
     """How a world continues after a restart: as a new generation (epoch), or recomputed from its journal."""
-    lease: Annotated[float, tyro.conf.arg(metavar="S")] = 120.0
+    lease: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(1.0, 86_400.0)] = 120.0
     """Seconds without a sign of progress after which a client is dropped."""
-    max_think: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    max_think: Annotated[float | None, tyro.conf.arg(metavar="S"), Bounds(0.1, 86_400.0)] = None
     """Seconds that a client may take for an action before it is dropped; unlimited by default."""
     seed: int = 0
     """Random seed of the world."""
@@ -80,12 +80,9 @@ class Options:
 def run(words: list[str]) -> int:
     """Serve until somebody asks for the end."""
     options = parse(Options, words, "serve")
-    in_bounds("--seats", options.seats, 1, MOST_SEATS)
     in_bounds("--expected", options.expected, 1, options.seats)
-    in_bounds("--lease", options.lease, 1.0, 86_400.0)
-    in_bounds("--max-think", 1.0 if options.max_think is None else options.max_think, 0.1, 86_400.0)
     _check_doors(options)
-    config = load_run_config(options.preset, options.set, options.config)
+    config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
         check_folder("--run", options.run)
         _require_ours(options.run)

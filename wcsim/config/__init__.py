@@ -21,12 +21,10 @@ from wcsim.config.learning.collect import CollectConfig as CollectConfig
 from wcsim.config.learning.danger import DangerConfig as DangerConfig
 from wcsim.config.learning.learn import LearnConfig as LearnConfig
 from wcsim.config.load import CONFIG_FILE as CONFIG_FILE
-from wcsim.config.load import load_run_config as load_run_config
 from wcsim.config.load import parse as parse
 from wcsim.config.load import parse_json as parse_json
 from wcsim.config.load import read_toml as read_toml
-from wcsim.config.load import with_file as with_file
-from wcsim.config.load import with_overrides as with_overrides
+from wcsim.config.load import resolve as resolve
 from wcsim.config.randomization import VaryConfig as VaryConfig
 from wcsim.config.run import MAX_SEEN_PX as MAX_SEEN_PX
 from wcsim.config.run import RunConfig as RunConfig

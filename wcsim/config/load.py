@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -56,40 +56,56 @@ def parse_json(model: type[M], text: str, where: str) -> M:
     return parse(model, reading.parse_json(text, where, _JSON), where)
 
 
-def load_run_config(preset: str, overrides: tuple[str, ...] = (), file: Path | None = None) -> RunConfig:
-    """Load a preset, then a TOML file, then `section.key=value` overrides (values in TOML syntax, or words)."""
+Layer = Path | str | Mapping[str, Any] | Sequence[str] | None
+"""A TOML file, a `section.key=value` (or several of them), or tables of keys; None adds nothing."""
+
+
+def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
+    """A configuration: a preset, or one that is resolved already, with layers over it, the last one on top.
+
+    Args:
+        base: Name of a preset, or a configuration.
+        layers: What is laid over it. Values of a `section.key=value` are in TOML syntax, or words.
+
+    Raises:
+        ConfigError: There is no such preset or file, or a key or value cannot be used; it says what was expected.
+    """
+    own = [table for layer in layers for table in _tables(layer)]
+    where, data = _preset(base) if isinstance(base, str) else ("configuration", _laid_under(base, own))
+    for _, table in own:
+        data = _merged(data, _asked(table))
+    return parse(RunConfig, data, own[-1][0] if own else where)
+
+
+def _tables(layer: Layer) -> list[tuple[str, dict[str, Any]]]:
+    """The tables of a layer, each with the place that an error names."""
+    if layer is None:
+        return []
+    if isinstance(layer, Path):
+        return [(escaped(layer), reading.read_toml(layer, CONFIG_FILE))]
+    if isinstance(layer, Mapping):
+        return [("configuration", dict(layer))]
+    texts = (layer,) if isinstance(layer, str) else layer
+    return [(f"--set {escaped(text)}", _override(text)) for text in texts]
+
+
+def _preset(name: str) -> tuple[str, dict[str, Any]]:
     folder = Path(__file__).parent / "presets"
-    path = folder / f"{preset}.toml"
+    path = folder / f"{name}.toml"
     if not path.is_file():
         known = sorted(item.stem for item in folder.glob("*.toml"))
-        told = f"unknown preset {escaped(preset)!r}; expected one of: {', '.join(known)}"
-        raise ConfigError(told + meant(preset, known))
-    data = reading.read_toml(path, CONFIG_FILE)
-    where = f"preset {preset}"
-    if file is not None:
-        data, where = _merged(data, _asked(reading.read_toml(file, CONFIG_FILE))), escaped(file)
-    return _overridden(data, overrides, where)
+        told = f"unknown preset {escaped(name)!r}; expected one of: {', '.join(known)}"
+        raise ConfigError(told + meant(name, known))
+    return f"preset {name}", reading.read_toml(path, CONFIG_FILE)
 
 
-def with_overrides(config: RunConfig, overrides: tuple[str, ...]) -> RunConfig:
-    """A resolved configuration with `section.key=value` overrides. Raises ConfigError as `load_run_config` does."""
-    data = _laid_under(config, [_override(text) for text in overrides])
-    return _overridden(data, overrides, "configuration")
-
-
-def with_file(config: RunConfig, file: Path) -> RunConfig:
-    """A resolved configuration with a TOML file over it. Raises ConfigError as `load_run_config` does."""
-    own = _asked(reading.read_toml(file, CONFIG_FILE))
-    return parse(RunConfig, _merged(_laid_under(config, [own]), own), escaped(file))
-
-
-def _laid_under(config: RunConfig, asked: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _laid_under(config: RunConfig, own: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, Any]:
     """A resolved configuration as plain data that is laid under what is asked for.
 
     It names every key: its speed gives way to that of a named profile of the chair, unless a speed is asked for, too.
     """
     data = config.model_dump(mode="json")
-    chairs = [chair for own in asked if isinstance(chair := own.get("chair"), dict)]
+    chairs = [chair for _, table in own if isinstance(chair := table.get("chair"), dict)]
     named = [str(chair["profile"]) for chair in chairs if "profile" in chair]
     if named and named[-1] in PROFILE_SPEED_MPS and not any("v_max_mps" in chair for chair in chairs):
         del data["chair"]["v_max_mps"]
@@ -132,12 +148,6 @@ def texts_of(override: str) -> tuple[str, ...]:
         elif isinstance(value, dict | list):
             waiting.extend(value.values() if isinstance(value, dict) else value)
     return tuple(found)
-
-
-def _overridden(data: dict[str, Any], overrides: tuple[str, ...], where: str) -> RunConfig:
-    for text in overrides:
-        data, where = _merged(data, _asked(_override(text))), f"--set {escaped(text)}"
-    return parse(RunConfig, data, where)
 
 
 def _asked(own: dict[str, Any]) -> dict[str, Any]:

@@ -114,10 +114,6 @@ class RunConfig(Model):
         """SHA-256 over the resolved configuration."""
         return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
-    def with_usual_warmup(self) -> RunConfig:
-        """The same, as if nobody had asked for its warm-up: so runs have it that were made before that was noted."""
-        return self.model_copy(update={"world": self.world.model_copy(update={"town_warmup": True})})
-
     def world_digest(self) -> str:
         """SHA-256 over what all clients of one world share: all but what each learns with and sees of its pictures."""
         shared = {"world", "chair", "cameras", "imu", "sensors", "reward", "vary"}

@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import CameraConfig, RunConfig, WorldConfig, with_overrides
+from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town
@@ -48,7 +48,7 @@ class _FilmedDrive:
     ) -> None:
         camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
-        config = with_overrides(config, settings)
+        config = resolve(config, settings)
         self.world = World(town, config, (SeatSpec(profile=profile),), seed)
         self._camera = config.cameras[0]
         self.tick_s = self.world.config.world.tick_s

@@ -21,7 +21,7 @@ from wcsim.agents.collecting.segment_places import (
     places_of,
 )
 from wcsim.bridge.world import World
-from wcsim.config import CollectConfig, RunConfig, with_overrides
+from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
@@ -57,7 +57,7 @@ def test_the_same_key_gives_the_same_segment_and_another_another(corner: Path, s
 
 
 def test_scenes_are_driven_in_their_share(corner: Path, tmp_path: Path):
-    config = with_overrides(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
+    config = resolve(RunConfig(), ("collect.scene_share=0.25", "collect.segments=4"))
     keys = [SegmentKey(run=0, round=r, index=i) for r in range(2) for i in range(4)]
     assert [_is_of_scenes(config, key) for key in keys].count(True) == 2
     place = next(places_of(order_in(corner, "collect.scene_share=1"), tmp_path))
@@ -80,7 +80,7 @@ def test_streets_are_driven_in_each_town_in_turn_also_with_scenes_between_and_ov
 
 
 def test_variants_are_drawn_by_key():
-    config = with_overrides(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
+    config = resolve(RunConfig(), ('collect.variants=["a=1 b=2", "c=3"]',))
     drawn = {_drawn_settings(config, SegmentKey(run=0, round=0, index=index)) for index in range(20)}
     assert drawn == {("a=1", "b=2"), ("c=3",)}
     assert _drawn_settings(RunConfig(), KEY) == ()

@@ -15,7 +15,7 @@ from wcsim.agents.collecting.data_folder import read_manifest, require_same_sett
 from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.saved import load_danger, save_danger
 from wcsim.agents.runs.policy_file import WEIGHTS
-from wcsim.config import with_overrides
+from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core import files
 from wcsim.errors import PolicyError
@@ -45,7 +45,7 @@ def exchanged(saved: Path, data: bytes) -> None:
 )
 def test_a_run_with_other_actions_classes_or_pictures_is_refused(saved: Path, setting: str, told: str):
     with pytest.raises(PolicyError, match=told):
-        load_danger(saved, "own", with_overrides(CONFIG, (setting,)))
+        load_danger(saved, "own", resolve(CONFIG, (setting,)))
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_data_of_another_world_is_refused(tmp_path: Path, setting: str):
     require_same_settings(tmp_path, file, CONFIG)
     name = setting.partition("=")[0]
     with pytest.raises(PolicyError, match="chair" if "chair" in name else name.replace(".", r"\.")):
-        require_same_settings(tmp_path, file, with_overrides(CONFIG, (setting,)))
+        require_same_settings(tmp_path, file, resolve(CONFIG, (setting,)))
 
 
 def test_data_that_says_nothing_of_its_world_is_refused(tmp_path: Path):

@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policy_api import HearsDelay, tell_delay
-from wcsim.config import with_overrides
+from wcsim.config import resolve
 from wcsim.types import Drawn
 
 
@@ -76,6 +76,6 @@ def test_a_suite_tells_each_episodes_delay_before_it_begins(corner):
         made.append(Told())
         return made[-1]
 
-    varied = with_overrides(order.config, ("vary.action_delay_ticks=[3,3]",))
+    varied = resolve(order.config, ("vary.action_delay_ticks=[3,3]",))
     drive_block(type(order)(index=0, block=order.block, town=order.town, config=varied, judged=False), make)
     assert [policy.heard for policy in made] == [[3, "reset"], [3, "reset"]]

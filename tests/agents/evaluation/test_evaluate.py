@@ -13,7 +13,7 @@ from tests.drive.lookers import Remembers
 from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.matrix import TestPlan, TestResult, open_policy, run_test
 from wcsim.agents.policies.baselines import baseline
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.types import Events, Joystick, Truth
 
@@ -83,7 +83,7 @@ class NotesLevels(Remembers):
 @pytest.mark.parametrize(("ticks", "raised"), [(0, 0), (3, 3), (9, 4)])
 def test_a_request_for_help_raises_the_level_for_a_while_and_for_this_episode(ticks, raised):
     policy = NotesLevels()
-    config = with_overrides(CONFIG, ("world.help_users=true", f"world.help_s={0.1 * ticks}"))
+    config = resolve(CONFIG, ("world.help_users=true", f"world.help_s={0.1 * ticks}"))
     evaluate(policy, Script(crash_at=6), episodes=2, max_steps=100, seed=7, config=config)
     assert policy.noted == 2 * [1.0, 1.0, *[2.0] * raised, *[1.0] * (4 - raised)]
     assert policy.level == 1.0

@@ -11,7 +11,7 @@ from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.evaluation.suite.named_policy import sensing
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.policies.baselines import baseline
-from wcsim.config import with_overrides
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
 BOTH = ("odometry", "gyro")
@@ -43,7 +43,7 @@ def test_senses_are_added_and_a_sensor_that_is_there_stays():
     assert plain.sensors.odometry is None and not plain.env.observe_gyro
     assert seen.sensors.odometry is not None and seen.env.observe_gyro
     assert with_senses(plain, ()) == plain
-    worse = with_overrides(plain, ("sensors.odometry.radius_error=0.1",))
+    worse = resolve(plain, ("sensors.odometry.radius_error=0.1",))
     assert with_senses(worse, BOTH).sensors == worse.sensors
     with pytest.raises(ConfigError, match="sonar"):
         with_senses(plain, ("sonar",))
@@ -51,7 +51,7 @@ def test_senses_are_added_and_a_sensor_that_is_there_stays():
 
 def test_images_that_are_asked_for_are_given_to_who_is_no_network():
     plain = config()
-    several = with_overrides(plain, ("env.window=3",))
+    several = resolve(plain, ("env.window=3",))
     assert [sensing(one, Numb(one)).env.window for one in (plain, several)] == [1, 3]
 
 
@@ -69,7 +69,7 @@ def test_the_world_is_the_same_with_further_senses_in_it(corner):
 
 def test_dwa_drives_the_same_way_again(corner):
     order = order_of(corner, block_of(corner, max_steps=80))
-    harder = with_overrides(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
+    harder = resolve(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
     order = replace(order, config=with_senses(harder, BOTH))
     first, again = (drive_block(order, lambda: baseline("dwa", order.config)) for _ in range(2))
     assert first == again and all(record.status != "policy_failed" and record.m > 1.0 for record in first)

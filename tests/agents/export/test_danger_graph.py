@@ -11,13 +11,13 @@ from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import choose, next_recent, within
 from wcsim.agents.export.danger_graph import DangerGraph, Drive
-from wcsim.config import CameraConfig, ChairConfig, RunConfig, with_overrides
+from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core.joystick import driven, limits_of, shaped_rows
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
-CONFIG = with_overrides(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), ("world.action_delay_ticks=2",))
+CONFIG = resolve(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), ("world.action_delay_ticks=2",))
 POINTS = torch.as_tensor(action_set("square81").points)
 
 
@@ -67,7 +67,7 @@ def test_the_drives_law_is_that_of_the_chair():
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_the_graph_moves_as_the_policy_thinks_that_the_chair_does(delay):
-    config = with_overrides(CONFIG, (f"world.action_delay_ticks={delay}",))
+    config = resolve(CONFIG, (f"world.action_delay_ticks={delay}",))
     eye, points = FeatureExtractor(config), action_set(config.env.actions)
     graph = DangerGraph(network(), config, DangerRule()).eval()
     state = [torch.zeros(shape) for shape in graph.shapes().values()]

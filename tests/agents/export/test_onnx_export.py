@@ -19,7 +19,7 @@ from wcsim.agents.export.guard import MEANING, GuardedPolicy, GuardRule, guard_o
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -60,10 +60,10 @@ def test_a_test_of_the_folder_shows_it_the_camera_and_the_chair_of_its_training(
         *("env.classes=wcsim", "env.actions=disc69", "world.action_delay_ticks=1"),
         *("env.observe_yaw=true", "sensors.odometry={radius_error=0.02}"),
     )
-    config = load_run_config("laptop", own)
+    config = resolve("laptop", own)
     (tmp_path / "policy.toml").write_text(onnx_export._about(config), encoding="utf-8")
     about = read_about(tmp_path)
-    tested = load_run_config(about.preset, about.settings)
+    tested = resolve(about.preset, about.settings)
     assert tested.chair == config.chair and tested.env.classes == "wcsim" and tested.env.actions == "disc69"
     keys = ("width_px", "height_px", *SIGHT_KEYS)
     assert all(getattr(tested.cameras[0], key) == getattr(config.cameras[0], key) for key in keys)

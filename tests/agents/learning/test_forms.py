@@ -18,7 +18,7 @@ from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.agents.replay.buffer import _layout_of
 from wcsim.agents.runs.run_folder import config_of
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import InterruptedRunError, PolicyError
 from wcsim.supervisor.observation import observation_space
 from wcsim.supervisor.palette import palette
@@ -61,7 +61,7 @@ class Formed(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def config(form: str, *words: str) -> RunConfig:
-    return with_overrides(RunConfig(cameras=(CAMERA,)), (*SMALL, f"env.observation={form}", *words))
+    return resolve(RunConfig(cameras=(CAMERA,)), (*SMALL, f"env.observation={form}", *words))
 
 
 @pytest.mark.parametrize(("form", "words"), FORMS)

@@ -17,7 +17,7 @@ from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.agents.replay.state import replay_arrays, restore_replay
-from wcsim.config import LearnConfig, RunConfig, load_run_config
+from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import ClassId
@@ -290,8 +290,8 @@ def test_an_aid_with_a_planted_fault_teaches_nothing(fault, monkeypatch, alterna
 def test_advice_waits_for_the_second_phase_and_presets_say_who_uses_it():
     plan = learner(phase1_steps=30, total_steps=100, aid_weight=3.0).plan
     assert [plan.aid_weight(step) for step in (0, 29, 30, 99)] == [0, 0, 3, 3]
-    assert load_run_config("paper").learn.aid == "none"
-    assert load_run_config("dqn").learn.aid == "oracle"
+    assert resolve("paper").learn.aid == "none"
+    assert resolve("dqn").learn.aid == "oracle"
     assert learner(aid="none").replay_buffer.advice is None
 
 

@@ -19,7 +19,7 @@ from wcsim.agents.networks import registry
 from wcsim.agents.networks.convolutional import PatchNet
 from wcsim.agents.policy_api import Warns
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
-from wcsim.config import LearnConfig, RunConfig, with_overrides
+from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import PolicyError
 
@@ -191,7 +191,7 @@ def test_a_policy_says_which_further_sensors_it_reads_and_only_then(original, sa
     with pytest.raises(PolicyError, match=r"needs the sensors \{'wheels': 2\}.* this test has \{\}"):
         open_policy(str(folder), config)
     rewrite(folder, sensors={"odometry": 2})
-    assert open_policy(str(folder), with_overrides(config, ("sensors.odometry=typical",))).name == str(folder)
+    assert open_policy(str(folder), resolve(config, ("sensors.odometry=typical",))).name == str(folder)
     rewrite(folder, sensors={"wheels": 7})
     with pytest.raises(PolicyError, match="expected 3 more than theirs"):
         load_policy(folder)

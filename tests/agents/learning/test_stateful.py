@@ -13,7 +13,7 @@ from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.learning.seqdqn import _burned_in, _group_targets, _group_values, _sequence_loss
-from wcsim.config import LearnConfig, RunConfig, load_run_config
+from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError, PolicyError
 
 CAMERA = toy_camera(16, 20)
@@ -94,7 +94,7 @@ def test_what_does_not_go_together_is_refused(learn, told):
 )
 def test_settings_have_bounds(key, value):
     with pytest.raises(ConfigError, match=key):
-        load_run_config("dqn", (f"learn.{key}={value}",))
+        resolve("dqn", (f"learn.{key}={value}",))
 
 
 @pytest.mark.parametrize("memory", ["steps", "groups", "windows"])

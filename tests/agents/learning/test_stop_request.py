@@ -19,7 +19,7 @@ from wcsim.server.launch.states import WAIT_NO_MORE
 def test_a_run_that_is_stopped_while_its_world_is_away_keeps_all_its_steps(tmp_path):
     waits = []
     env, before = Nervous(150, lambda: stopped_while_away(waits)), signal.getsignal(WAIT_NO_MORE)
-    with pytest.raises(InterruptedRunError, match="--resume"):
+    with pytest.raises(InterruptedRunError, match="wcsim resume"):
         train(a_run(config(), tmp_path / "run", 5), lambda: env, wait_no_more=lambda: waits.append(True))
     manifest = open_run(tmp_path / "run").manifest
     assert (manifest.status, manifest.steps) == ("interrupted", 149)
@@ -35,7 +35,7 @@ def test_ctrl_c_while_the_world_is_silent_shortens_the_wait_and_keeps_all_steps(
 
     env, less = Nervous(150, away), []
     env.unwrapped.wait_less = lambda: less.append(True)
-    with pytest.raises(InterruptedRunError, match="--resume"):
+    with pytest.raises(InterruptedRunError, match="wcsim resume"):
         train(a_run(config(), tmp_path / "run", 5), lambda: env)
     assert newest_number(tmp_path / "run" / "checkpoints") == 149
 

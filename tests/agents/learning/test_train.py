@@ -196,7 +196,7 @@ def test_an_interrupted_run_is_usable_and_can_be_continued(stop, tmp_path):
         os.kill(os.getpid(), signal.SIGINT)
 
     env, before = Nervous(150, interrupt), signal.getsignal(signal.SIGINT)
-    with pytest.raises(InterruptedRunError, match="--resume"):
+    with pytest.raises(InterruptedRunError, match="wcsim resume"):
         train(a_run(config(), tmp_path / "run", 5), lambda: env)
     path = tmp_path / "run"
     first = open_run(path).manifest
@@ -283,7 +283,7 @@ def test_values_beyond_all_returns_are_said_once(value, told, tmp_path, monkeypa
 def test_a_disk_that_is_full_at_the_switch_costs_no_policy(run, tmp_path, monkeypatch):
     full_once(monkeypatch, "wcsim.agents.learning.train.save_policy", "phase1")
     asked = a_run(config(), tmp_path / "run", 5, town="toy", town_sha256="00")
-    with pytest.raises(DiskFullError, match=r"make room and --resume"):
+    with pytest.raises(DiskFullError, match=r"make room, then continue: wcsim resume"):
         train(asked, street)
     again = train(replace(asked, resume=True), street)
     assert weights(again, "phase1") == weights(run[0], "phase1")
@@ -297,7 +297,9 @@ def test_a_disk_that_is_full_when_a_run_is_stopped_is_said(tmp_path, monkeypatch
         monkeypatch.setattr("wcsim.agents.learning.train.save_checkpoint", full)
         os.kill(os.getpid(), signal.SIGINT)
 
-    with pytest.raises(DiskFullError, match=r"stopped after 152 of 240 .*No space left.*--resume continues from"):
+    with pytest.raises(
+        DiskFullError, match=r"stopped after 152 of 240 .*No space left.*wcsim resume .* continues from"
+    ):
         train(a_run(config(), tmp_path / "run", 5), lambda: Nervous(150, stop))
     assert open_run(tmp_path / "run").manifest.status == "interrupted"
 

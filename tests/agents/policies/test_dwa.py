@@ -18,7 +18,7 @@ from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
 from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
 from wcsim.agents.policies.elevation_map import StepMap
 from wcsim.agents.policy_api import is_baseline
-from wcsim.config import CameraConfig, ChairConfig, RunConfig, load_run_config
+from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.core.joystick import limits_of
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.drive_controller import stopping_distance_m
@@ -312,7 +312,7 @@ def test_a_decision_is_quick():
 
 @pytest.mark.proof
 def test_in_traffic_it_crashes_less_than_the_user_alone_and_hardly_disobeys():
-    config = load_run_config("quick", ("env.profile=inattentive", "env.truth=true", "env.max_steps=600"))
+    config = resolve("quick", ("env.profile=inattentive", "env.truth=true", "env.max_steps=600"))
     env = WheelchairEnv("monaco", config=config)
     try:
         rows = [evaluate(baseline(name, config), env, 20, 600, seed=11) for name in ("follow", "dwa", "oracle")]

@@ -30,7 +30,7 @@ from wcsim.agents.replay.frame_store import WindowStore
 from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import config_of, open_run, policy_path
-from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, load_run_config
+from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.observation import observation_space
@@ -114,28 +114,28 @@ def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
 
 
 def test_a_network_says_how_many_images_it_wants_and_the_user_may_say_otherwise():
-    assert with_window(load_run_config("dqn")).env.window == 1
-    fig6 = load_run_config("dqn", ("learn.network=fig6",))
+    assert with_window(resolve("dqn")).env.window == 1
+    fig6 = resolve("dqn", ("learn.network=fig6",))
     assert (fig6.env.window, fig6.env.frames) == (None, 1)
     resolved = with_window(fig6)
     assert resolved == fig6.model_copy(update={"env": fig6.env.model_copy(update={"window": 4})})
     assert with_window(resolved) is resolved
-    assert with_window(load_run_config("dqn", ("learn.network=fig6", "env.window=2"))).env.window == 2
+    assert with_window(resolve("dqn", ("learn.network=fig6", "env.window=2"))).env.window == 2
 
 
 @pytest.mark.parametrize("window", [0, 17, 1.5])
 def test_windows_have_bounds(window):
     with pytest.raises(ConfigError, match="window"):
-        load_run_config("dqn", (f"env.window={window}",))
+        resolve("dqn", (f"env.window={window}",))
 
 
 def test_the_papers_floats_have_no_window():
     floats = "env.observation=table3"
-    assert load_run_config("dqn", (floats, "env.window=1")).env.frames == 1
+    assert resolve("dqn", (floats, "env.window=1")).env.frames == 1
     with pytest.raises(ConfigError, match=r"window 2.*set env\.window=1, or env\.observation=compact"):
-        load_run_config("dqn", (floats, "env.window=2"))
+        resolve("dqn", (floats, "env.window=2"))
     with pytest.raises(ConfigError, match=r"window 4.*set env\.window=1"):
-        with_window(load_run_config("dqn", (floats, "learn.network=fig6")))
+        with_window(resolve("dqn", (floats, "learn.network=fig6")))
 
 
 # --- replay ---

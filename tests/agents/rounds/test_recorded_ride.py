@@ -16,7 +16,7 @@ from wcsim.agents.danger.saved import load_net, save_danger
 from wcsim.agents.policy_api import tell_delay
 from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
 from wcsim.bridge.drives.remake import config_of_drive
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core.files import numbered_names
 from wcsim.drive.recording.session_recorder import SessionRecorder
@@ -35,7 +35,7 @@ TICKS = 40
 def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A danger network that finds much dangerous, for the camera that drives have."""
     place = tmp_path_factory.mktemp("policy") / "policy"
-    save_danger(place, network(), DangerRule(threshold=0.45), load_run_config("laptop"))
+    save_danger(place, network(), DangerRule(threshold=0.45), resolve("laptop"))
     return place
 
 

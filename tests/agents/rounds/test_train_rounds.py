@@ -131,7 +131,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_weights(straight: Path, corn
         if now.round == 1 and now.updates:
             raise KeyboardInterrupt
 
-    with pytest.raises(InterruptedRunError, match=r"the policy of the complete rounds.*--resume"):
+    with pytest.raises(InterruptedRunError, match=r"the policy of the complete rounds.*wcsim resume"):
         train_danger(run_in(corner, out), find_town(str(corner)), progress=stop)
     assert open_run(out).manifest.status == "interrupted"
     kept = {name: files.sha256(out / "policies" / name / "weights.safetensors") for name in ("round-001", "final")}

@@ -15,7 +15,7 @@ from benchmarks.__main__ import PROGRAM
 from benchmarks.__main__ import main as measure
 from tests.support.tracked import tracked
 from wcsim.cli.main import main
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
 ROOT = Path(__file__).parents[3]
@@ -101,12 +101,12 @@ SETTINGS = sorted({value for _, words in SHOWN for option, value in pairwise(wor
 
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_a_setting_of_a_page_is_one(setting: str) -> None:
-    load_run_config("dqn" if setting.startswith("learn.") else "quick", (setting,))
+    resolve("dqn" if setting.startswith("learn.") else "quick", (setting,))
 
 
 def test_a_setting_that_there_is_not_is_noticed() -> None:
     with pytest.raises(ConfigError):
-        load_run_config("quick", ("world.strete=careless",))
+        resolve("quick", ("world.strete=careless",))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.server.servers import Server, stand_in_order
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.server.protocol.events import Rules
 
 PAGE = (Path(__file__).parents[3] / "docs" / "faces.md").read_text(encoding="utf-8")
@@ -40,7 +40,7 @@ def test_an_example_runs(name, code, corner):
 
 
 def test_the_example_of_a_shared_world_runs(tmp_path):
-    config = load_run_config("quick")
+    config = resolve("quick")
     rules = Rules(capacity=1, config=config.world_digest())
     order = stand_in_order(tmp_path, rules=rules, config_json=config.model_dump_json())
     with Server(order, tmp_path) as server:

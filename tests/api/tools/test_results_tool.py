@@ -7,7 +7,7 @@ from tools.results.__main__ import code_of, command_of, is_done, main
 from tools.results.parts import AT_0_MS, Part, judged, parts, trained
 from tools.results.tables import delay_text, page
 from wcsim.agents.runs.run_folder import create_run, make_manifest
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.server.specs import RunInfo
 
 
@@ -18,7 +18,7 @@ def test_every_part_has_a_name_of_its_own_and_settings_that_exist(tmp_path):
         for step in part.steps:
             settings = [step.words[at + 1] for at, word in enumerate(step.words) if word == "--set"]
             if "--preset" in step.words:
-                load_run_config(step.words[step.words.index("--preset") + 1], tuple(settings))
+                resolve(step.words[step.words.index("--preset") + 1], tuple(settings))
 
 
 def test_what_is_made_is_not_made_again_and_what_was_stopped_goes_on(tmp_path):
@@ -30,7 +30,7 @@ def test_what_is_made_is_not_made_again_and_what_was_stopped_goes_on(tmp_path):
     (run.policy("final") / "policy.json").touch()
     for status in ("running", "interrupted"):
         run.with_status(status, 100)
-        assert command_of(step)[1:] == ["train", "--resume", "--out", str(tmp_path / "run")] and not is_done(part)
+        assert command_of(step)[1:] == ["resume", str(tmp_path / "run")] and not is_done(part)
     run.with_status("done", 100)
     assert is_done(part)
 

@@ -31,7 +31,7 @@ from tests.attack.scenarios.twists import (
 from tests.support.framing import chained
 from wcsim.agents.envs.env_spec import make_face
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, make_manifest, manifest_of, open_run, read_json
-from wcsim.config import Model, RunConfig, TownFile, load_run_config, parse_json, read_toml, with_overrides
+from wcsim.config import Model, RunConfig, TownFile, parse_json, read_toml, resolve
 from wcsim.config.plant import plant_text, read_plant
 from wcsim.config.scene import SceneFile
 from wcsim.log.framing import framed, whole_records
@@ -210,7 +210,7 @@ def _sound_manifest(config: RunConfig) -> dict[str, Any]:
 
 def families(work: Path) -> list[Family]:
     """All kinds of files."""
-    config = load_run_config("quick", RICH)
+    config = resolve("quick", RICH)
     whole = config.model_dump(mode="json")
     plant, manifest = read_plant("rwd").model_dump(mode="json"), _sound_manifest(config)
     town = {"name": "a", "split": "test", "origin_m": [4, 5], "warmup_s": 3.0, "sumocfg": "a.sumocfg", "source": "me",
@@ -227,7 +227,7 @@ def families(work: Path) -> list[Family]:
     lone = {key: value for key, value in manifest.items() if key != "clients"}
     return [
         Family(name="config", file="c.toml", sound=toml_text(toml).encode(), twist=model_twist(toml, toml_text),
-               take=lambda path: take_config(load_run_config("quick", (), path))),
+               take=lambda path: take_config(resolve("quick", path))),
         Family(name="plant", file="p.toml", sound=toml_text(without_none(plant)).encode(),
                twist=model_twist(without_none(plant), toml_text), take=_take_plant),
         Family(name="scene", file="scene.toml", sound=toml_text(scene).encode(), twist=model_twist(scene, toml_text),
@@ -249,7 +249,7 @@ def families(work: Path) -> list[Family]:
 def set_cases(count: int, seed: int, work: Path) -> Iterator[Case]:
     """So many values after `--set`."""
     del work
-    config = load_run_config("quick")
+    config = resolve("quick")
     keys = [".".join(map(str, at)) for at in places(config.model_dump(mode="json"))]
     for number in range(count):
         yield _set_case(config, keys, np.random.default_rng([seed, number]), number)
@@ -261,8 +261,8 @@ def _set_case(config: RunConfig, keys: list[str], rng: Rng, number: int) -> Case
     text = f"{pick(rng, odd) if integer(rng, 10) == 0 else key}={value if integer(rng, 3) == 0 else toml_value(value)}"
 
     def feed() -> bool:
-        made = with_overrides(config, (text,))
+        made = resolve(config, (text,))
         find_user(made.env.profile)
-        return take_config(made) and load_run_config("quick", (text,)).digest() != ""
+        return take_config(made) and resolve("quick", (text,)).digest() != ""
 
     return Case(area="set", name=f"{number}: {text[:80]!r}", feed=feed)

@@ -22,7 +22,7 @@ from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, open_run, read_json
 from wcsim.cli.main import main
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.config import TownFile, load_run_config, read_toml
+from wcsim.config import TownFile, read_toml, resolve
 from wcsim.config.plant import read_plant
 from wcsim.config.scene import SceneFile
 from wcsim.errors import ConfigError, JournalError, PolicyError
@@ -69,7 +69,7 @@ def write(path: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     "take",
     [
-        lambda path: load_run_config("quick", (), path),
+        lambda path: resolve("quick", path),
         lambda path: read_toml(path, TownFile),
         lambda path: read_toml(path, SceneFile),
         lambda path: read_plant(str(path)),
@@ -87,7 +87,7 @@ def test_a_toml_bomb_is_refused_in_one_line(tmp_path: Path, take: Take, bomb: st
 def test_a_bomb_among_the_words_of_a_command(value: str) -> None:
     for key in ("learn.gamma", "vary.plant", "cameras", "a." * 5000 + "a", "world.tick_s"):
         with pytest.raises(ConfigError, match="--set"):
-            load_run_config("quick", (f"{key}={value}",))
+            resolve("quick", (f"{key}={value}",))
 
 
 def places(tmp_path: Path) -> list[Path]:
@@ -103,7 +103,7 @@ def places(tmp_path: Path) -> list[Path]:
 def test_pipes_devices_and_odd_names_are_no_files(tmp_path: Path) -> None:
     for path in places(tmp_path):
         for take in (
-            lambda path: load_run_config("quick", (), path),
+            lambda path: resolve("quick", path),
             lambda path: read_toml(path, TownFile),
             lambda path: read_plant(str(path)),
             lambda path: find_user(f"recorded:{path}"),

@@ -73,13 +73,13 @@ def test_resume_refuses_a_folder_that_names_code(
     manifest = read_json(a_small_run, MANIFEST)
     for changes in ({"hook": "evil:H"}, {"rewards": ["evil:H"]}):
         write_json(a_small_run / MANIFEST, {**manifest, **changes})
-        assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
+        assert main(["resume", str(a_small_run), "--steps", "40"]) == 2
         assert "made elsewhere" in capsys.readouterr().err
 
 
 def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
     with locked(a_small_run):
-        assert main(["train", "--out", str(a_small_run), "--resume", "--steps", "40"]) == 2
+        assert main(["resume", str(a_small_run), "--steps", "40"]) == 2
     assert open_run(a_small_run).config.learn.total_steps == 30
 
 
@@ -87,10 +87,10 @@ def test_a_run_in_use_keeps_its_steps(a_small_run: Path) -> None:
 def a_small_run(tmp_path: Path, corner: Path) -> Path:
     """A run folder as `wcsim train` leaves it, but for its policies."""
     from wcsim.cli.shared.run_config import learning
-    from wcsim.config import load_run_config
+    from wcsim.config import resolve
     from wcsim.towns.scenario.town import find_town, streets_hash
 
-    config = learning(load_run_config("dqn", ("learn.total_steps=30", "learn.network=patch")))
+    config = learning(resolve("dqn", ("learn.total_steps=30", "learn.network=patch")))
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner))
     info = RunInfo(seed=1, town=town.name, town_sha256=streets_hash(town), command=words)

@@ -18,9 +18,9 @@ PARTS = ("world", "barrier", "infer", "learn", "overlap", "other")
 
 
 def trained(clock, words, **_):
-    """Stands in for `wcsim train --clients`: writes what the command would, and moves the clock on as it would."""
+    """Stands in for `wcsim train-clients`: writes what the command would, and moves the clock on as it would."""
     folder, result = (Path(words[words.index(option) + 1]) for option in ("--out", "--json"))
-    networks = words[words.index("--clients") + 1].split(",")
+    networks = words[words.index("train-clients") + 1].split(",")
     count = len(networks)
     shares = {"simulation_s": WORLD_S[count], "barrier_s": 5.0 * count, "inference_s": 7.0, "learning_s": 20.0}
     shares |= {"overlap_s": 9.0, "other_s": 3.0, "elapsed_s": WORLD_S[count] + 5.0 * count + 7.0 + 20.0 - 9.0 + 3.0}

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.tick.naive import NaiveLoop
 from wcsim.bridge.world import World
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ActorState, Command, SeatSpec
 
@@ -21,7 +21,7 @@ WHEEL_RADPS = 9.0  # of a stick that is pushed to its end
 
 def spent(town: str, ticks: int, warmup_s: float) -> tuple[list[float], list[float], int]:
     """CPU seconds of every tick of the product and of the naive loop, and the number of actors in the town."""
-    config = load_run_config("quick", (*SIZE, f"world.warmup_s={warmup_s}"))
+    config = resolve("quick", (*SIZE, f"world.warmup_s={warmup_s}"))
     ours, theirs = [], []
     with World(find_town(town), config, (SeatSpec(profile="competent"),), 3) as world:
         plant = world.snapshot.clients[0].plant

@@ -18,7 +18,7 @@ from benchmarks.users.table import Statistic, statistics
 from benchmarks.users.user_sheet import user_sheet, write_sheet
 from tests.support.worlds import follow, open_world, quick_config
 from wcsim.bridge.world import World
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
@@ -113,7 +113,7 @@ def test_an_unknown_user_is_refused_before_the_first_tick(corner: Path, name: st
 
 @pytest.mark.proof
 def test_every_statistic_of_every_profile_over_twenty_routes():
-    config = load_run_config("quick", (*TINY_CAMERA, CROWD))
+    config = resolve("quick", (*TINY_CAMERA, CROWD))
     logs = {name: [] for name in profile_names()}
     for number, town in enumerate(TOWNS):
         share = len(range(number, 20, len(TOWNS)))
@@ -131,7 +131,7 @@ def test_competent_users_arrive_in_an_empty_town_and_inattentive_ones_need_help_
     options = UsersOptions()
     rows = {}
     for name, demand in (("competent", 0.0), ("inattentive", 1.0)):
-        config = load_run_config("quick", (*TINY_CAMERA, f"world.demand_scale={demand}"))
+        config = resolve("quick", (*TINY_CAMERA, f"world.demand_scale={demand}"))
         routes = []
         for number, town in enumerate(options.towns.split(",")):
             share = len(range(number, options.routes, len(TOWNS)))

@@ -12,7 +12,7 @@ from tests.support.worlds import follow, hashes, open_world
 from tests.users.test_crossing import ROUTE, lit
 from wcsim.bridge.ego.crossing_watch import CrossingButton
 from wcsim.bridge.reaction.commands import GreenRequest
-from wcsim.config import WorldConfig, load_run_config
+from wcsim.config import WorldConfig, resolve
 from wcsim.types import Command, Joystick, SeatSpec, SignalState, StartSpec
 
 HALF_M = 0.5 * USUAL_OUTLINE.length_m
@@ -62,7 +62,7 @@ def test_who_left_has_to_stand_there_anew():
 
 
 def test_the_papers_world_has_no_button():
-    assert load_run_config("quick", ()).world.button and not load_run_config("paper", ()).world.button
+    assert resolve("quick", ()).world.button and not resolve("paper", ()).world.button
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from tests.support.worlds import hashes, open_world, quick_config
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.bridge.ego.randomization import Randomization, _draw
 from wcsim.bridge.world import World
-from wcsim.config import VaryConfig, load_run_config
+from wcsim.config import VaryConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.server.protocol.messages import Frame, decode_reply, encode
 from wcsim.types import Command, Joystick
@@ -221,4 +221,4 @@ def test_ranges_in_which_no_chair_can_stand_are_refused(monkeypatch):
 )
 def test_ranges_that_cannot_be_driven_or_change_nothing_are_refused_at_once(words, says):
     with pytest.raises(ConfigError, match=says):
-        Randomization(load_run_config("quick", words), 0)
+        Randomization(resolve("quick", words), 0)

@@ -15,7 +15,7 @@ from wcsim.bridge.reaction.attention import Attention, AttentionModel, street_ha
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
-from wcsim.config import STREETS, WorldConfig, load_run_config
+from wcsim.config import STREETS, WorldConfig, resolve
 from wcsim.config.randomization import VaryConfig
 from wcsim.errors import ConfigError
 from wcsim.types import ActorKind, Drawn
@@ -31,7 +31,7 @@ def share(habits: AttentionModel, kind: ActorKind) -> float:
 
 
 def config(*settings: str) -> WorldConfig:
-    return load_run_config("quick", settings).world
+    return resolve("quick", settings).world
 
 
 @pytest.mark.parametrize("kind", DRIVERS)
@@ -165,7 +165,7 @@ def test_people_step_aside_for_the_chairs_that_their_episode_has_them_see():
 )
 def test_what_is_out_of_bounds_is_refused_with_its_name(setting, told):
     with pytest.raises(ConfigError, match=told):
-        load_run_config("quick", (setting,))
+        resolve("quick", (setting,))
 
 
 def test_a_world_draws_habits_for_each_episode_and_seat(corner):

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from tests.log.drives import tick, write_drive
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, _quaternion_of, drive_bag, trace_bag
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.frames import matrix, quaternion
 from wcsim.errors import ConfigError, JournalError
 from wcsim.log.drive import read_drive
@@ -125,7 +125,7 @@ def test_the_file_in_a_bags_metadata_is_the_one_that_is_there(bag):
 
 def test_depth_is_infinite_where_nothing_is_in_range_and_no_number_where_nothing_was_measured(tmp_path):
     """REP 118; wcsim's own pictures have the range and 0 there."""
-    config = load_run_config("quick")
+    config = resolve("quick")
     camera = config.cameras[0]
     depth = np.full((camera.height_px, camera.width_px), 7.5, np.float32)
     depth[0, 0], depth[0, 1] = camera.range_m, 0.0
@@ -143,7 +143,7 @@ def test_depth_is_infinite_where_nothing_is_in_range_and_no_number_where_nothing
 
 
 def test_a_camera_looks_along_z_of_its_frame(tmp_path):
-    config = load_run_config("quick")
+    config = resolve("quick")
     with RosBag(tmp_path / "a.mcap") as made:
         RosChair(made, None, 0.0).mounted(0.0, config.imu, config.cameras)
     told = [message for *_, message in messages(tmp_path / "a.mcap")]

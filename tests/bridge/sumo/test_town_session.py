@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.bridge.sumo.session import warmup_s
-from wcsim.config import RunConfig, load_run_config, parse_json, with_file, with_overrides
+from wcsim.config import RunConfig, parse_json, resolve
 from wcsim.towns.scenario.town import Town, find_town
 
 ASKED = "world.warmup_s=10"
@@ -22,18 +22,18 @@ def warm(corner: Path) -> Town:
 def test_a_warm_up_that_somebody_sets_counts_and_else_the_towns(corner: Path, warm: Town, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("[world]\nwarmup_s = 10\n", encoding="utf-8")
-    plain = load_run_config("quick")
+    plain = resolve("quick")
     assert warmup_s(warm, plain) == 30.0 and warmup_s(find_town(str(corner)), plain) == 240.0
-    asked = (load_run_config("quick", (ASKED,)), load_run_config("quick", (), file), with_overrides(plain, (ASKED,)))
-    for config in (*asked, with_file(plain, file), load_run_config("quick", ("world={warmup_s = 10}",))):
+    asked = (resolve("quick", (ASKED,)), resolve("quick", file), resolve(plain, (ASKED,)))
+    for config in (*asked, resolve(plain, file), resolve("quick", ("world={warmup_s = 10}",))):
         again = parse_json(RunConfig, config.model_dump_json(), "a run")  # as it goes to other processes
         assert warmup_s(warm, config) == warmup_s(warm, again) == 10.0
-        assert warmup_s(warm, with_overrides(again, ("env.profile=competent",))) == 10.0
-    assert warmup_s(warm, load_run_config("quick", (ASKED, "world.town_warmup=true"))) == 30.0
+        assert warmup_s(warm, resolve(again, ("env.profile=competent",))) == 10.0
+    assert warmup_s(warm, resolve("quick", (ASKED, "world.town_warmup=true"))) == 30.0
 
 
 def test_configurations_of_runs_that_are_there_mean_what_they_meant(warm: Town) -> None:
-    plain, asked = load_run_config("quick"), load_run_config("quick", (ASKED,))
+    plain, asked = resolve("quick"), resolve("quick", (ASKED,))
     assert "town_warmup" not in plain.model_dump_json() and "town_warmup" in asked.model_dump_json()
     told = asked.model_dump_json().replace('"town_warmup":false,', "")  # as it was written before
     before = parse_json(RunConfig, told, "an old run")

@@ -11,7 +11,7 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
 from tests.cli.conftest import QUICK
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_policy.py"
 
@@ -113,7 +113,7 @@ def test_the_example_is_tested_in_a_town_and_creeps_before_what_is_near(wcsim, f
     assert wcsim("test", "own_policy:Careful", *words, "--json", "rows.json").code == 0
     assert {row["policy"] for row in json.loads((folder / "rows.json").read_text())["rows"]} == {"careful", "follow"}
 
-    policy = sys.modules["own_policy"].Careful(load_run_config("quick"))
+    policy = sys.modules["own_policy"].Careful(resolve("quick"))
     seen = {"depth": np.zeros((1, 24, 32), np.uint8), "joystick": np.array([0.0, 1.0], np.float32)}
     given, warned = [], []
     for code in (0, 255, 60):  # nothing measured, far, near

@@ -24,19 +24,19 @@ HEAVY = ("torch", "libsumo", "pybullet")
 SMALL = ("--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4", *QUICK)
 
 EARLY = {
-    "train --network huge": "unknown network 'huge'",
-    "train --network patc": "did you mean 'patch'?",
-    "train --network nowhere:Net": "network module 'nowhere' was not found",
-    "train --reward nowhere:Term": "reward term module 'nowhere' was not found",
-    "train --hook nowhere:Hook": "step hook module 'nowhere' was not found",
+    "train-q --network huge": "unknown network 'huge'",
+    "train-q --network patc": "did you mean 'patch'?",
+    "train-q --network nowhere:Net": "network module 'nowhere' was not found",
+    "train-q --reward nowhere:Term": "reward term module 'nowhere' was not found",
+    "train-q --hook nowhere:Hook": "step hook module 'nowhere' was not found",
     "train --town atlantis": "unknown town 'atlantis'",
     "train --town monaco": "monaco is a test town",
     "train --set learn.speed=3": "unknown key 'learn.speed'",
     "train --set env.profile=saint": "unknown user profile 'saint'",
-    "train --steps 0": "--steps 0: expected 1 or more",
-    "train --steps 10x": "--steps",
+    "train-q --steps 0": "--steps 0: expected 1 or more",
+    "train-q --steps 10x": "--steps",
     "train --out file/run": "is not a folder that can be written",
-    "train --out nothing --resume": "nothing is not a run",
+    "resume nothing": "nothing is not a run",
     "test folow": "did you mean 'follow'?",
     "test runs/none": "runs/none is not a run",
     "test follow:early": "module 'follow' was not found",
@@ -91,9 +91,9 @@ def test_what_is_mistyped_is_refused_before_torch_and_the_simulators_are_loaded(
 
 def test_a_number_that_is_none_is_named_in_words(wcsim, folder):
     for words, told in (
-        ("train --steps 10x", "--steps: got '10x', expected a whole number"),
+        ("train-q --steps 10x", "--steps: got '10x', expected a whole number"),
         ("train --seed 1.5", "--seed: got '1.5', expected a whole number"),
-        ("train --lease soon", "--lease: got 'soon', expected a number"),
+        ("train-clients fig6 --lease soon", "--lease: got 'soon', expected a number"),
         ("serve --max-think x", "--max-think: got 'x', expected a number"),
     ):
         result = wcsim(*words.split())
@@ -159,7 +159,7 @@ def test_a_missing_run_is_named_before_the_options_that_it_lacks(wcsim, folder):
 def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_that(wcsim, folder, corner):
     shutil.copy(ROOT / "examples" / "own_network.py", "own_network.py")
     words = ("--network", "own_network:OwnNet", "--out", "runs/my own", "--town", corner)
-    trained = wcsim("train", *words, *SMALL)
+    trained = wcsim("train-q", *words, *SMALL)
     assert trained.code == 0
     hint = trained.out.rstrip().rpartition("test it: ")[2]
     assert hint == "wcsim test 'runs/my own' --network own_network:OwnNet --town monaco"
@@ -184,16 +184,16 @@ def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_th
 
 
 def test_a_run_of_wcsims_own_network_needs_no_name(wcsim, folder, corner):
-    trained = wcsim("train", "--out", "run", "--town", corner, *SMALL, "--set", "learn.episode_steps=3")
+    trained = wcsim("train-q", "--out", "run", "--town", corner, *SMALL, "--set", "learn.episode_steps=3")
     assert trained.out.rstrip().endswith("test it: wcsim test run --town monaco")
     assert "note:" not in trained.err
     (last,) = re.findall("phase 2: 8/8 steps, [1-9] episodes", trained.err)
-    again = wcsim("train", "--out", "run", "--resume")
+    again = wcsim("resume", "run")
     assert again.code == 0 and last in again.err
     assert "note: run is finished: all of its 8 steps are done; extend it with --steps N" in again.err
 
 
 def test_a_refusal_leaves_no_folder_on_the_way(wcsim, folder, corner):
     words = ("--set", "learn.mirror=true", "--set", "cameras.0.yaw_deg=9")
-    refused(wcsim("train", "--town", corner, *words, *QUICK), "set learn.mirror=false")
+    refused(wcsim("train-q", "--town", corner, *words, *QUICK), "set learn.mirror=false")
     assert files_in(folder) == set()

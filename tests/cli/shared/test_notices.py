@@ -47,7 +47,7 @@ def test_progress_of_a_short_run_is_said_once_for_each_tenth(wcsim, corner):
 
 def test_on_a_terminal_the_bar_and_what_is_said_beside_it_have_lines_of_their_own(folder, corner):
     ours, theirs = pty.openpty()
-    words = ("train", "--town", str(corner), "--out", "run", *SMALL)
+    words = ("train-q", "--town", str(corner), "--out", "run", *SMALL)
     environment = {**os.environ, "COLUMNS": "200", "TERM": "xterm"}
     child = subprocess.Popen(
         [sys.executable, "-m", "wcsim", *words], stdin=theirs, stdout=theirs, stderr=theirs, env=environment

@@ -11,13 +11,11 @@ import pytest
 from wcsim.cli.shared.run_config import (
     learning,
     overrides_of,
-    preset_of,
-    require_heard,
-    resolve_config,
+    require_head,
     resolve_run,
 )
-from wcsim.cli.training.train import Options
-from wcsim.config import load_run_config
+from wcsim.cli.training.train_q import Options, q_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
@@ -30,20 +28,20 @@ def test_what_is_laid_over_what(tmp_path):
     file.write_text('[learn]\ngamma = 0.1\nbatch_size = 9\nnetwork = "convlstm"\ntotal_steps = 77\n')
     own.write_text("[learn]\nbatch_size = 11\n")
     asked = Options(config=file, set=("learn.gamma=0.5",), steps=60)
-    learn = resolve_config(asked, "fig6").learn
+    learn = q_config(asked, "fig6").learn
     assert (learn.gamma, learn.batch_size, learn.network, learn.total_steps) == (0.5, 9, "fig6", 60)
-    assert resolve_config(asked, "").learn.network == "convlstm"
-    assert resolve_config(asked, "fig6", own).learn == learn.model_copy(update={"batch_size": 11})
+    assert q_config(asked).learn.network == "convlstm"
+    assert q_config(asked, "fig6", None, own).learn == learn.model_copy(update={"batch_size": 11})
 
 
 def test_a_run_is_learned_with_episodes_of_its_own_length():
-    config = resolve_config(Options(set=("learn.episode_steps=123", "learn.aid=oracle")), "")
+    config = q_config(Options(set=("learn.episode_steps=123", "learn.aid=oracle")))
     assert (config.env.max_steps, config.env.truth) == (123, True)
     assert config == learning(config)
 
 
 def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner, tmp_path):
-    town, config = find_town(str(corner)), resolve_config(Options(), "fig6")
+    town, config = find_town(str(corner)), q_config(Options(), "fig6")
     assert config.env.window is None
     run = resolve_run(config, INFO, town, tmp_path / "run")
     assert run.config == config.model_copy(update={"env": config.env.model_copy(update={"window": 4})})
@@ -54,7 +52,7 @@ def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left
 
 
 def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path):
-    town, config = find_town(str(corner)), load_run_config("quick")
+    town, config = find_town(str(corner)), resolve("quick")
     (tmp_path / "file").write_text("mine")
     for info, out, error in (
         (INFO, tmp_path / "file", ConfigError),
@@ -63,46 +61,18 @@ def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path)
         with pytest.raises(error):
             resolve_run(config, info, town, out)
     code = (
-        "import sys; from wcsim.cli.training.train import Options; from wcsim.cli.shared.run_config import *\n"
-        "resolve_config(Options(), 'fig6'); print('torch' in sys.modules)"
+        "import sys; from wcsim.cli.training.train_q import *\n"
+        "q_config(Options(), 'fig6'); print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
 
-@pytest.mark.parametrize(
-    ("said", "preset"),
-    [
-        ({}, "quick"),
-        ({"set": ("world.warmup_s=0", "danger.updates=9", "collect.rounds=1")}, "quick"),
-        ({"steps": 60}, "dqn"),
-        ({"set": ("learn.gamma=0.5",)}, "dqn"),
-        ({"set": ("learn={gamma=0.5}",)}, "dqn"),
-        ({"steps": 60, "preset": "quick"}, "quick"),
-    ],
-)
-def test_a_training_without_a_preset_takes_what_its_other_options_mean(said, preset):
-    assert preset_of(Options(**said)) == preset
-    learnt = said.get("preset", "dqn")
-    assert (preset_of(Options(**said), "fig6"), preset_of(Options(**said), "", True)) == (learnt, learnt)
-
-
-def test_a_file_with_settings_of_learning_means_q_learning(tmp_path):
-    file = tmp_path / "own.toml"
-    file.write_text("[learn]\ngamma = 0.5\n")
-    assert preset_of(Options(config=file)) == "dqn"
-    file.write_text("[danger]\nupdates = 5\n")
-    assert preset_of(Options(config=file)) == "quick"
-    with pytest.raises(ConfigError, match="nowhere"):
-        preset_of(Options(config=tmp_path / "nowhere.toml"))
-
-
-def test_rounds_refuse_what_they_would_not_hear_of():
-    rounds, said = load_run_config("quick"), {"--steps": True, "--hook": "", "--reward": ("a:B",)}
-    with pytest.raises(ConfigError, match=r"^--steps, --reward: .*--preset dqn"):
-        require_heard(rounds, said)
-    require_heard(rounds, {"--steps": False})
-    require_heard(load_run_config("dqn"), said)
+def test_each_command_refuses_the_other_kind_of_learning():
+    for preset, in_rounds, told in (("quick", False, "preset dqn or paper"), ("dqn", True, "preset quick, laptop")):
+        require_head(resolve(preset), in_rounds=not in_rounds)
+        with pytest.raises(ConfigError, match=told):
+            require_head(resolve(preset), in_rounds=in_rounds)
 
 
 def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):
@@ -110,7 +80,7 @@ def test_a_first_phase_that_the_user_gave_is_taken_as_it_is(tmp_path):
     file.write_text("[learn]\nphase1_steps = 900\n")
 
     def phases(own=None, **said):
-        learn = resolve_config(Options(preset="paper", steps=900, **said), "", own).learn
+        learn = q_config(Options(preset="paper", steps=900, **said), "", None, own).learn
         return learn.phase1_steps, learn.learning_starts
 
     by_preset = phases()

@@ -182,7 +182,7 @@ def test_training_keeps_what_it_overrides_and_the_outputs_of_the_scenario(corner
     sumocfg.write_text(f"<c>{parts}{summary}</c>", encoding="utf-8")
     out = tmp_path / "run"
     small = ["--set", "learn.total_steps=60", "--set", "learn.phase1_steps=30", *QUICK]
-    assert main(["train", "--town", str(sumocfg), "--out", str(out), *small]) == 0
+    assert main(["train-q", "--town", str(sumocfg), "--out", str(out), *small]) == 0
     told = capsys.readouterr().out
     assert "what this run overrides" not in told and "summary-output" in told and "--verbose" in told
     rows = {row["option"]: row for row in json.loads((out / "manifest.json").read_text())["overrides"]}

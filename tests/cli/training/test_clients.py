@@ -22,10 +22,12 @@ from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import _with_steps, how_it_learns, learning
-from wcsim.cli.training.clients import ALL_DONE, _told_stop, client_names, resolved, train_clients
-from wcsim.cli.training.train import Options
-from wcsim.config import RunConfig, load_run_config
+from wcsim.cli.shared.run_config import how_it_learns, learning
+from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
+from wcsim.cli.training.train_clients import Options, client_names, resolved
+from wcsim.cli.training.train_q import Options as QOptions
+from wcsim.cli.training.train_q import q_config
+from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.log.reader import iter_inputs
 from wcsim.log.records import EpochBegun
@@ -67,19 +69,18 @@ def places(child):
 # --- options ---
 
 BAD = {
-    "train --clients ,": ("--clients ','", "separated by commas"),
-    "train --clients fig6,a/b": ("'a/b'", "module:Class"),
-    "train --clients fig6,nonesuch": ("unknown network 'nonesuch'", "patch"),
-    "train --clients fig6 --network patch": ("--network and --clients",),
-    "train --clients fig6 --lease 0": ("--lease 0.0",),
-    "train --clients fig6 --steps 0": ("--steps 0", "1 or more"),
-    "train --steps 0": ("--steps 0", "1 or more"),
-    "train --clients fig6 --config-for patch=x.toml": ("--config-for", "fig6"),
-    "train --clients fig6 --config-for fig6=none.toml": ("none.toml", "cannot be read"),
-    "train --clients fig6 --set env.profile=ataxic": ("ataxic", "held out"),
-    "train --clients fig6 --town atlantis": ("'atlantis'",),
-    "train --clients fig6 --town monaco": ("test town", "--allow-test-town"),
-    "train --clients fig6 --resume --out none": ("none is not a run",),
+    "train-clients ,": ("clients ','", "separated by commas"),
+    "train-clients fig6,a/b": ("'a/b'", "module:Class"),
+    "train-clients fig6,nonesuch": ("unknown network 'nonesuch'", "patch"),
+    "train-clients fig6 --lease 0": ("--lease 0.0",),
+    "train-clients fig6 --steps 0": ("--steps 0", "1 or more"),
+    "train-q --steps 0": ("--steps 0", "1 or more"),
+    "train-clients fig6 --config-for patch=x.toml": ("--config-for", "fig6"),
+    "train-clients fig6 --config-for fig6=none.toml": ("none.toml", "cannot be read"),
+    "train-clients fig6 --set env.profile=ataxic": ("ataxic", "held out"),
+    "train-clients fig6 --town atlantis": ("'atlantis'",),
+    "train-clients fig6 --town monaco": ("test town", "--allow-test-town"),
+    "resume none": ("none is not a run",),
     "serve --seats 0": ("--seats 0", "1 to 64"),
     "serve --seats 2 --expected 3": ("--expected 3", "1 to 2"),
     "serve --listen tcp://192.0.2.1:5555": ("192.0.2.1", "--keys"),
@@ -119,17 +120,17 @@ def test_names_of_networks_are_known_without_torch():
 
 
 def test_steps_shorten_a_first_phase_that_would_be_most_of_it():
-    learn = RunConfig().learn
-    assert _with_steps(RunConfig(), None) == RunConfig()
-    assert _with_steps(RunConfig(), 2 * learn.phase1_steps).learn.phase1_steps == learn.phase1_steps
+    learn = q_config(QOptions()).learn
+    assert q_config(QOptions(steps=2 * learn.phase1_steps)).learn.phase1_steps == learn.phase1_steps
     for steps in (1, 60, 2 * learn.phase1_steps - 1):
-        short = _with_steps(RunConfig(), steps).learn
+        config = q_config(QOptions(steps=steps))
+        short = config.learn
         assert short.total_steps == steps
         assert short.phase1_steps == round(steps * learn.phase1_steps / learn.total_steps)
         assert short.learning_starts <= max(steps / 2, 1)
-        assert f"{steps} steps: {short.phase1_steps} in" in how_it_learns(_with_steps(RunConfig(), steps))
-    assert "an oracle's labels (learn.aid=oracle)" in how_it_learns(load_run_config("dqn"))
-    assert how_it_learns(load_run_config("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
+        assert f"{steps} steps: {short.phase1_steps} in" in how_it_learns(config)
+    assert "an oracle's labels (learn.aid=oracle)" in how_it_learns(resolve("dqn"))
+    assert how_it_learns(resolve("paper")).startswith("Q-learning from rewards, 1000000 steps: 250000 in")
 
 
 def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
@@ -187,7 +188,7 @@ def ended(monkeypatch, halfway, states=(), ends=None, last=True, **asked):
     monkeypatch.setattr(NoProcesses, "ends", None if ends is None else staticmethod(ends))
     monkeypatch.setattr("wcsim.cli.training.clients.Launcher", NoProcesses)
     run, town = halfway
-    return train_clients(Options(preset="dqn"), replace(run, last=last), town, **asked)
+    return train_clients(GroupOptions(), replace(run, last=last), town, **asked)
 
 
 def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatch, halfway, capsys):
@@ -198,7 +199,7 @@ def test_a_stop_that_comes_while_a_part_of_a_run_is_told_ends_the_run(monkeypatc
 
     monkeypatch.setattr("wcsim.cli.training.clients.print_report", tell)
     try:
-        with pytest.raises(InterruptedRunError, match="--resume"):
+        with pytest.raises(InterruptedRunError, match="wcsim resume"):
             ended(monkeypatch, halfway, last=False)
         assert ended(monkeypatch, halfway) == Exit.DONE, "nothing is to follow"
     finally:
@@ -260,7 +261,7 @@ def test_steps_of_clients_that_were_done_before_stay_in_the_sum(monkeypatch, hal
 
 
 def test_two_networks_learn_in_one_world(tmp_path, corner):
-    words = ("train", "--town", corner, "--clients", "patch,fig6", "--steps", 20, "--out", "run", "--json", "x.json")
+    words = ("train-clients", "patch,fig6", "--town", corner, "--steps", 20, "--out", "run", "--json", "x.json")
     child = start(tmp_path, *words, *SMALL)
     out, err = child.communicate(timeout=200)
     assert child.returncode == 0, err
@@ -289,7 +290,7 @@ def test_two_networks_learn_in_one_world(tmp_path, corner):
 
 @pytest.mark.proof
 def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
-    child = start(tmp_path, "train", "--town", corner, "--clients", "patch,nowhere:Net", "--out", "run", *SMALL)
+    child = start(tmp_path, "train-clients", "patch,nowhere:Net", "--town", corner, "--out", "run", *SMALL)
     out, err = child.communicate(timeout=120)
     assert (child.returncode, out) == (2, "")
     assert err.strip().splitlines()[-1].startswith("wcsim: network module 'nowhere' was not found")
@@ -299,7 +300,7 @@ def test_a_network_that_cannot_be_loaded_leaves_nothing(tmp_path, corner):
 def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
     camera = '[[cameras]]\nname = "c%d"\nwidth_px = 16\nheight_px = 12\n'
     (tmp_path / "many.toml").write_text("".join(camera % number for number in range(65)))
-    child = start(tmp_path, "train", "--town", corner, "--clients", "patch", "--config", "many.toml", "--out", "run")
+    child = start(tmp_path, "train-clients", "patch", "--town", corner, "--config", "many.toml", "--out", "run")
     _, err = child.communicate(timeout=90)
     assert (child.returncode, "64" in err, "Traceback" in err) == (Exit.REFUSED, True, False), err
     assert not (tmp_path / "run").exists()
@@ -309,7 +310,7 @@ def test_more_cameras_than_a_ring_has_places_for_are_refused(tmp_path, corner):
 def test_equal_seeds_give_equal_worlds(tmp_path, corner):
     hashes = []
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
-        words = ("train", "--town", corner, "--clients", "conv3d,fig6", "--steps", 60, "--seed", seed, "--out", name)
+        words = ("train-clients", "conv3d,fig6", "--town", corner, "--steps", 60, "--seed", seed, "--out", name)
         child = start(tmp_path, *words, "--json", f"{name}.json", *SMALL)
         _, err = child.communicate(timeout=280)
         assert child.returncode == 0, err
@@ -320,7 +321,7 @@ def test_equal_seeds_give_equal_worlds(tmp_path, corner):
 @pytest.mark.proof
 @pytest.mark.parametrize("recovery", ["new_epoch", "replay"])
 def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
-    words = ("train", "--town", corner, "--clients", "conv3d,fig6", "--steps", 120, "--out", "run", "--json", "x.json")
+    words = ("train-clients", "conv3d,fig6", "--town", corner, "--steps", 120, "--out", "run", "--json", "x.json")
     child = start(tmp_path, *words, *SMALL, "--set", "learn.checkpoint_every=20", "--recovery", recovery)
     run = tmp_path / "run"
 
@@ -343,7 +344,7 @@ def test_killed_processes_cost_no_step(tmp_path, corner, recovery):
 
 @pytest.mark.proof
 def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
-    words = ("train", "--town", corner, "--clients", "patch,fig6", "--steps", 200, "--out", "run", *SMALL)
+    words = ("train-clients", "patch,fig6", "--town", corner, "--steps", 200, "--out", "run", *SMALL)
     child = start(tmp_path, *words)
     waited(lambda: places(child))
     waited(lambda: (tmp_path / "run" / "fig6" / "metrics.csv").is_file())
@@ -351,24 +352,21 @@ def test_what_was_stopped_goes_on_with_resume(tmp_path, corner):
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=200)
     assert child.returncode == Exit.STOPPED, err
-    assert "--resume" in err
+    assert "wcsim resume run" in err
     assert places(child) == []
     assert open_clients_folder(tmp_path / "run").manifest.status == "interrupted"
     for name in ("patch", "fig6"):
         assert open_run(tmp_path / "run" / name).manifest.status == "interrupted"
-    child = start(tmp_path, *words, "--resume", "--seed", 1)
-    _, err = child.communicate(timeout=200)
-    assert (child.returncode, "another seed" in err) == (2, True), err
     with (tmp_path / "run" / "journal").open("ab") as file:
         file.write(b"torn")
-    child = start(tmp_path, "train", "--out", "run", "--resume", "--json", "x.json")
+    child = start(tmp_path, "resume", "run", "--json", "x.json")
     _, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [(200, 0, 0), (200, 0, 0)]
     assert "the last 4 bytes were an incomplete record" in err
     assert (tmp_path / "run" / "journal.torn").read_bytes() == b"torn"
-    child = start(tmp_path, *words, "--resume", "--json", "again.json")
+    child = start(tmp_path, "resume", "run", "--json", "again.json")
     child.communicate(timeout=120)
     again = json.loads((tmp_path / "again.json").read_text())
     assert (child.returncode, again) == (0, {**result, "ticks_per_s": 0.0})

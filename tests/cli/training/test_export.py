@@ -22,7 +22,7 @@ from wcsim.agents.rounds import recorded_ride
 from wcsim.agents.rounds.recorded_ride import RecordedRide
 from wcsim.cli.recordings.user_record import SMALL_CAMERA
 from wcsim.cli.training import export
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule
 
 SEEN = ("cameras.0.width_px=48", "cameras.0.height_px=36", "sensors.odometry=typical", "env.observe_gyro=true")
@@ -36,7 +36,7 @@ def policy(folder: Path) -> Path:
 
 def a_drive(folder: Path, *settings: str) -> Path:
     (folder / "a.drive").unlink(missing_ok=True)
-    return write_drive(folder / "a.drive", [tick(1)], config=load_run_config("quick", settings).model_dump_json())
+    return write_drive(folder / "a.drive", [tick(1)], config=resolve("quick", settings).model_dump_json())
 
 
 def lacking(told: str) -> list[str]:

@@ -5,8 +5,8 @@ import pytest
 from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.run_config import learning
-from wcsim.cli.training.resume import Typed, require_same_config, resumed
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.cli.training.resume import Options, resumed
+from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
@@ -15,14 +15,14 @@ from wcsim.towns.scenario.town import find_town, streets_hash
 
 @pytest.fixture
 def run(tmp_path, corner):
-    command = ("wcsim", "train", "--town", str(corner), "--preset", "dqn")
+    command = ("wcsim", "train-q", "--town", str(corner))
     info = RunInfo(seed=1, town="corner", town_sha256=streets_hash(find_town(str(corner))), command=command)
     config = RunConfig.model_validate({"learn": {"total_steps": 100}})
     return create_run(tmp_path / "run", config, make_manifest(config, info)).path
 
 
 def steps_of(path, steps=None):
-    run, _ = resumed(path, Typed(steps=steps))
+    run, _ = resumed(Options(run=path, steps=steps))
     return run.config.learn.total_steps
 
 
@@ -55,39 +55,28 @@ def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, mo
 def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_path, capsys):
     town = find_town(str(corner))
     info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
-    refused = {
-        "quick": (("--steps 40000", "--steps: a danger network"), ("--data mine", '--set collect.data=["mine"]')),
-        "dqn": (("--data mine", "--data: only"), ("--worlds 2", "--worlds: only"), ("--lease 9", "--lease: only")),
-    }
-    for preset, words in refused.items():
-        config = learning(load_run_config(preset))
+    refused = {"quick": ("--steps 40000", "learns in 2 rounds"), "dqn": ("--cluster local", "learns from every step")}
+    for preset, (typed, told) in refused.items():
+        config = learning(resolve(preset))
         create_run(tmp_path / preset, config, make_manifest(config, info))
-        for typed, told in words:
-            assert main(["train", "--resume", "--out", str(tmp_path / preset), *typed.split()]) == 2
-            assert told in capsys.readouterr().err
+        assert main(["resume", str(tmp_path / preset), *typed.split()]) == 2
+        assert told in capsys.readouterr().err
         assert open_run(tmp_path / preset).config == config
 
 
-def test_what_was_typed_once_may_be_typed_again_also_of_a_run_from_before_it_was_noted(run):
-    words = ("world.warmup_s=0",)
-    config = with_overrides(open_run(run).config, words)
-    assert not config.world.town_warmup
-    before = config.with_usual_warmup()
-    require_same_config(run, before, Typed(set=words))
-    with pytest.raises(PolicyError, match="another configuration"):
-        require_same_config(run, before, Typed(set=("world.warmup_s=1",)))
+def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
+    joined = make_manifest(RunConfig(), RunInfo(seed=1, command=("wcsim", "join", "ipc:///x")))
+    path = create_run(run.parent / "joined", RunConfig(), joined).path
+    with pytest.raises(PolicyError, match="wcsim join ipc:///x --resume"):
+        resumed(Options(run=path))
 
 
-def test_folders_of_data_are_typed_again_by_any_path_to_them(run, tmp_path, monkeypatch):
-    words = ('collect.data=["mine"]',)
+def test_folders_of_data_are_kept_by_their_whole_path(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    config = learning(with_overrides(open_run(run).config, words))
+    config = learning(resolve(open_run(run).config, 'collect.data=["mine"]'))
     assert config.collect.data == (str(tmp_path / "mine"),)
-    require_same_config(run, config, Typed(set=words))
     monkeypatch.chdir(tmp_path.parent)
-    require_same_config(run, config, Typed(set=(f'collect.data=["{tmp_path.name}/mine"]',)))
-    with pytest.raises(PolicyError, match="another configuration"):
-        require_same_config(run, config, Typed(set=words))
+    assert learning(config) == config
 
 
 def test_a_configuration_that_somebody_changed_is_refused(run):

@@ -20,10 +20,9 @@ from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training import phases_apart
-from wcsim.cli.training.clients import resolved
 from wcsim.cli.training.phases_apart import _best_of, _first_phase, _judged_of, _policy_of, _second_phase
-from wcsim.cli.training.train import Options
-from wcsim.config import load_run_config
+from wcsim.cli.training.train_clients import Options, resolved
+from wcsim.config import resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.view.report.client_sections import client_sections
@@ -43,9 +42,9 @@ def a_group(*words):
 
 
 def test_the_paper_chooses_by_kpi_1_and_trains_figure_6_in_a_supervised_way():
-    learn = load_run_config("paper").learn
+    learn = resolve("paper").learn
     assert (learn.select_by, learn.network, learn.phase1, learn.margin) == ("kpi1", "fig6", "supervised", 1.0)
-    assert load_run_config("dqn").learn.select_by == ""
+    assert resolve("dqn").learn.select_by == ""
 
 
 def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():
@@ -83,19 +82,18 @@ def test_a_choice_that_names_no_client_is_refused(tmp_path):
 
 
 BAD = {
-    "--clients patch,fig6 --select-by nonesuch": "there is no such list",
-    "--clients patch,fig6 --select-by dev --set learn.phase1_steps=0": "less than 1 steps: set learn.phase1_steps",
-    "--clients patch,fig6 --select-by kpi1 --set learn.phase1_steps=99": "less than 100 steps: set learn.phase1_steps",
-    "--clients patch,fig6 --select-by kpi1 --worlds 2": "tests nothing; leave --worlds out",
-    "--clients patch,fig6 --select-by fig6 --worlds 2": "tests nothing; leave --worlds out",
-    "--network patch --select-by dev": "--clients A,B",
+    "--select-by nonesuch": "there is no such list",
+    "--select-by dev --set learn.phase1_steps=0": "less than 1 steps: set learn.phase1_steps",
+    "--select-by kpi1 --set learn.phase1_steps=99": "less than 100 steps: set learn.phase1_steps",
+    "--select-by kpi1 --worlds 2": "tests nothing; leave --worlds out",
+    "--select-by fig6 --worlds 2": "tests nothing; leave --worlds out",
 }
 
 
 @pytest.mark.parametrize("words", BAD)
 def test_what_cannot_be_chosen_by_is_refused_before_anything_is_learned(corner, tmp_path, monkeypatch, capsys, words):
     monkeypatch.chdir(tmp_path)
-    assert main(["train", "--town", str(corner), *words.split()]) == 2
+    assert main(["train-clients", "patch,fig6", "--town", str(corner), *words.split()]) == 2
     assert BAD[words] in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -131,7 +129,7 @@ def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_
 
 @pytest.mark.proof
 def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner, suite, monkeypatch):
-    words = ("train", "--town", corner, "--clients", "patch,fig6", "--select-by", suite, "--out", "run", *STEPS, *SMALL)
+    words = ("train-clients", "patch,fig6", "--town", corner, "--select-by", suite, "--out", "run", *STEPS, *SMALL)
     child = start(tmp_path, *words, "--json", "x.json")
     out, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
@@ -151,7 +149,7 @@ def test_one_command_trains_compares_and_goes_on_with_the_best(tmp_path, corner,
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "Which client learns the second phase" in page and (run / "report" / "selection.csv").is_file()
     monkeypatch.chdir(tmp_path)
-    assert main([str(word) for word in (*words, "--resume")]) == 0  # all is done: nothing is driven or learned
+    assert main(["resume", "run"]) == 0  # all is done: nothing is driven or learned
     check(run, best, left)
 
 
@@ -160,8 +158,8 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     file = suite_in(corner, *[block_of(corner, max_steps=60)] * 3).file
     blocks = [block.model_copy(update={"seed": seed}) for seed, block in enumerate(file.blocks)]
     write_list(file.model_copy(update={"blocks": tuple(blocks)}), tmp_path / "three.json")
-    words = ("--town", corner, "--clients", "patch,fig6", "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
-    child = start(tmp_path, "train", *words)
+    words = ("patch,fig6", "--town", corner, "--select-by", "three.json", "--out", "run", *STEPS, *SMALL)
+    child = start(tmp_path, "train-clients", *words)
     kept = tmp_path / "run" / "selection" / "kept"
     waited(lambda: list(kept.glob("*.json")), within_s=280.0)
     child.send_signal(signal.SIGINT)
@@ -169,7 +167,7 @@ def test_what_is_stopped_while_clients_are_compared_goes_on_there(tmp_path, corn
     assert (child.returncode, "while clients were compared" in err) == (Exit.STOPPED, True), err
     before = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}
     assert len(before) < 9 and not (kept.parent / "choice.json").exists()
-    child = start(tmp_path, "train", "--out", "run", "--resume")
+    child = start(tmp_path, "resume", "run")
     _, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
     after = {path.name: path.stat().st_mtime_ns for path in kept.glob("*.json")}

@@ -32,8 +32,10 @@ class Leaky(nn.Module):
 def test_a_client_that_grows_is_replaced_and_nobody_loses_a_step(tmp_path, corner):
     (tmp_path / "own.py").write_text(LEAKY)
     settings = ("learn.process_growth_mb=15", "learn.replay_frames=100", "world.epoch_ticks=230")
-    words = ("--clients", "patch,own:Leaky", "--steps", 1500, "--out", "run", "--json", "x.json")
-    child = start(tmp_path, "train", "--town", corner, *words, *SMALL, *(w for s in settings for w in ("--set", s)))
+    words = ("patch,own:Leaky", "--steps", 1500, "--out", "run", "--json", "x.json")
+    child = start(
+        tmp_path, "train-clients", "--town", corner, *words, *SMALL, *(w for s in settings for w in ("--set", s))
+    )
     _, err = child.communicate(timeout=400)
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())

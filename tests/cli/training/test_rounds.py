@@ -16,7 +16,7 @@ from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.run_config import how_it_learns
 from wcsim.cli.training import rounds
 from wcsim.cli.training.rounds import _share_done
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import InterruptedRunError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town
@@ -27,7 +27,7 @@ Show = Callable[[RoundProgress], object]
 @pytest.fixture
 def run(tmp_path: Path) -> ResolvedRun:
     info = RunInfo(seed=1, town="corner")
-    return ResolvedRun(config=load_run_config("quick"), out=tmp_path / "runs" / "a", info=info)
+    return ResolvedRun(config=resolve("quick"), out=tmp_path / "runs" / "a", info=info)
 
 
 def stopped(policy: str) -> Callable[..., Path]:
@@ -85,7 +85,7 @@ def test_what_a_run_that_goes_on_finds_there_is_told_as_one():
 
 
 def test_the_work_of_rounds_adds_up():
-    config = load_run_config("quick", ("collect.rounds=3",))
+    config = resolve("quick", ("collect.rounds=3",))
     of = config.collect.segments
     shares = [_share_done(RoundProgress(round=0, rounds=3, segments=back, of=of), config) for back in range(of + 1)]
     for number in range(3):
@@ -95,13 +95,13 @@ def test_the_work_of_rounds_adds_up():
         shares.append(_share_done(replace(now, updates=config.danger.updates * (number + 1)), config))
     assert shares[0] == 0.0 and shares[-1] == pytest.approx(1.0)
     assert shares == sorted(shares)
-    without = load_run_config("quick", ("collect.segments=0",))
+    without = resolve("quick", ("collect.segments=0",))
     assert _share_done(RoundProgress(round=1, rounds=2, segments=0, of=0), without) == pytest.approx(0.5)
 
 
 def test_a_demo_says_what_its_settings_make_it_do():
-    config = load_run_config("quick")
+    config = resolve("quick")
     told = how_it_learns(config)
     assert f"{config.collect.rounds} rounds" in told and f"{config.danger.updates} updates" in told
     assert "learns the oracle's labels, not rewards" in told
-    assert how_it_learns(load_run_config("quick", ("collect.rounds=1",))).startswith("1 round of ")
+    assert how_it_learns(resolve("quick", ("collect.rounds=1",))).startswith("1 round of ")

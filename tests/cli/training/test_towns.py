@@ -36,7 +36,7 @@ def towns_told(run: Path) -> list[str]:
 
 
 def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, other):
-    words = ("train", "--preset", "dqn", "--town", f"{corner},{other}", "--out", "run", *QUICK, *FEW, *EPISODES)
+    words = ("train-q", "--town", f"{corner},{other}", "--out", "run", *QUICK, *FEW, *EPISODES)
     done = wcsim(*words)
     assert done.code == 0, done.err
     name = open_town(corner).name
@@ -45,15 +45,15 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     assert set(told) == {corner.name, other.name} and told[0] == told[2] and len(told) >= 3
     manifest = open_run(run).manifest
     assert (manifest.town, list(manifest.more_towns.values())) == (name, [streets_hash(open_town(other))])
-    again = wcsim("train", "--out", "same", *words[1:5], *words[7:])
+    again = wcsim("train-q", "--out", "same", *words[1:3], *words[5:])
     assert again.code == 0 and towns_told(folder / "same") == told
-    longer = wcsim("train", "--out", "run", "--resume", "--steps", "40")
+    longer = wcsim("resume", "run", "--steps", "40")
     assert longer.code == 0, longer.err
     assert open_run(run).manifest.steps == 40 and len(towns_told(run)) > len(told)
     for typed in (str(corner), f"{other},{corner}"):
-        refused = wcsim("train", "--out", "run", "--resume", "--town", typed)
+        refused = wcsim("resume", "run", "--town", typed)
         assert refused.code == 2 and "--town" in refused.err
-    assert wcsim("train", "--out", "run", "--resume", "--town", f"{corner},{other}").code == 0
+    assert wcsim("resume", "run", "--town", f"{corner},{other}").code == 0
     tested = wcsim("test", "run", "--town", other, "--only", "--episodes", "1", "--max-steps", "2")
     assert tested.code == 2 and "was trained in" in tested.err
     assert wcsim("report", "run").code == 0
@@ -62,7 +62,7 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
 
 
 def test_clients_share_a_town_a_generation(tmp_path, corner, other):
-    words = ("train", "--town", f"{corner},{other}", "--clients", "patch,fig6", "--steps", 24, "--out", "run")
+    words = ("train-clients", "patch,fig6", "--town", f"{corner},{other}", "--steps", 24, "--out", "run")
     child = start(tmp_path, *words, *SMALL, "--set", "world.epoch_ticks=8", "--set", "learn.phase1_steps=8")
     _, err = child.communicate(timeout=280)
     assert child.returncode == 0, err
@@ -86,6 +86,6 @@ BAD = {
 
 @pytest.mark.parametrize("town", BAD)
 def test_towns_that_cannot_be_used_are_refused_before_a_folder_is_made(wcsim, folder, corner, town):
-    for words in (("--preset", "dqn"), ("--clients", "patch,fig6"), ("--preset", "quick")):
-        done = wcsim("train", "--town", town.replace("corner", str(corner)), "--out", "run", *words)
+    for words in (("train-q",), ("train-clients", "patch,fig6"), ("train",)):
+        done = wcsim(*words, "--town", town.replace("corner", str(corner)), "--out", "run")
         assert done.code == 2 and BAD[town] in done.err and not (folder / "run").exists()

@@ -81,13 +81,13 @@ def test_a_journal_is_played_jumped_in_and_looked_through(corner: Path, tmp_path
 
 
 LEARN = (
-    *("--clients", "patch,fig6", "--steps", "300", "--seed", "1", "--set", "learn.batch_size=8"),
+    *("patch,fig6", "--steps", "300", "--seed", "1", "--set", "learn.batch_size=8"),
     *("--set", "learn.episode_steps=60", "--set", "world.epoch_ticks=150", "--set", "learn.learning_starts=50"),
 )
 
 
 def trained(corner: Path, out: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "wcsim", "train", "--town", str(corner), "--out", str(out), *LEARN]
+    command = [sys.executable, "-m", "wcsim", "train-clients", "--town", str(corner), "--out", str(out), *LEARN]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True)
 
 

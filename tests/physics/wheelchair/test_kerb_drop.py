@@ -9,7 +9,7 @@ import pytest
 from tests.physics.rig import FORWARD, mesh, rig, step_street
 from tests.support.samples import strip_street
 from tests.support.worlds import open_world
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.physics.wheelchair.wheel_track import SAMPLE_S, fell
 from wcsim.supervisor.rewards import _crash_term
 from wcsim.towns.scenario.town import find_town
@@ -192,5 +192,5 @@ def test_in_the_world_a_fall_ends_the_episode_where_it_is_set(corner, counts):
 
 
 def test_the_setting_is_on_but_in_preset_paper():
-    assert load_run_config("quick").reward.drop
-    assert not load_run_config("paper").reward.drop
+    assert resolve("quick").reward.drop
+    assert not resolve("paper").reward.drop

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from tests.support.samples import USUAL_OUTLINE
-from wcsim.config import ChairConfig, ImuConfig, load_run_config, with_overrides
+from wcsim.config import ChairConfig, ImuConfig, resolve
 from wcsim.config.plant import known_plants, read_plant
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.wheelchair.plant import PlantSpec, _check_plant, plant_spec, varied
@@ -137,12 +137,12 @@ def test_a_controller_beyond_the_limits_of_its_plant_is_refused(key, value):
 
 
 def test_a_speed_profile_and_another_speed_contradict_each_other():
-    config = load_run_config("quick", ("chair.profile=road",))
+    config = resolve("quick", ("chair.profile=road",))
     assert config.chair.v_max_mps == 2.78
-    assert with_overrides(config, ("chair.profile=indoor",)).chair.v_max_mps == 0.6
+    assert resolve(config, ("chair.profile=indoor",)).chair.v_max_mps == 0.6
     with pytest.raises(ConfigError, match=r"drives at 0\.6 m/s, v_max_mps is 2\.78"):
-        with_overrides(config, ("chair.profile=indoor", "chair.v_max_mps=2.78"))
-    assert with_overrides(config, ("chair.profile=custom", "chair.v_max_mps=1.2")).chair.v_max_mps == 1.2
+        resolve(config, ("chair.profile=indoor", "chair.v_max_mps=2.78"))
+    assert resolve(config, ("chair.profile=custom", "chair.v_max_mps=1.2")).chair.v_max_mps == 1.2
 
 
 # --- geometry ---

@@ -15,7 +15,7 @@ from tests.server.host.test_process import BOTH, audited, drive_through, two_sea
 from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
-from wcsim.config import with_overrides
+from wcsim.config import resolve
 from wcsim.log.parts import part_files, put_aside
 from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, read_header
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
@@ -34,7 +34,7 @@ CAP, TICKS = 20, 47
 
 def capped(folder, **changes):
     """A stand-in whose epochs end after CAP ticks."""
-    config = with_overrides(quick_config(), (f"world.epoch_ticks={CAP}",)).model_dump_json()
+    config = resolve(quick_config(), (f"world.epoch_ticks={CAP}",)).model_dump_json()
     order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, config_json=config, **changes)
     return replace(order, epoch_ticks=CAP)
 

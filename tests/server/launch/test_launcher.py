@@ -214,7 +214,7 @@ def test_a_client_without_room_is_given_up_and_the_others_go_on(tmp_path):
 def test_a_world_without_room_has_failed_and_was_not_refused(tmp_path):
     outcome = launcher(tmp_path, {"a": "steps=100000"}, world="exit4=40").run()
     assert (outcome.code, standings(outcome)) == (1, {"a": "stopped"})
-    assert "--resume" in outcome.message
+    assert "wcsim resume" in outcome.message
     assert counted(tmp_path, "restart") == []
 
 

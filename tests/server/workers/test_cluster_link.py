@@ -11,8 +11,8 @@ from dataclasses import replace
 import pytest
 
 from wcsim.cli.main import main
-from wcsim.cli.shared.machine_options import machines_of
-from wcsim.config import load_run_config
+from wcsim.cli.shared.common import machines_of
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.server.workers import cluster_link, ray_workers
 from wcsim.server.workers.cluster_link import LinkSpec, _facts_here, _facts_of, _notes_on, _why_refused
@@ -47,8 +47,6 @@ def test_the_nodes_say_how_many_work_at_once():
 @pytest.mark.parametrize(
     "words",
     [
-        ["train", "--clients", "patch,fig6", "--cluster", "local"],
-        ["train", "--preset", "dqn", "--cluster", "local"],
         ["train", "--cluster", "nowhere"],
         ["collect", "--cluster", "nowhere"],
         ["test", "--suite", "dev", "--cluster", "nowhere"],
@@ -65,14 +63,14 @@ def test_commands_refuse_it_with_code_2_and_leave_nothing(words, tmp_path, monke
 def test_what_lies_on_this_machine_alone_is_refused():
     from wcsim.agents.runs.parcels import require_travels
 
-    config = load_run_config("quick")
+    config = resolve("quick")
     require_travels(config, ("env.profile=slow",), ("patch",))
     for own in (
         lambda: require_travels(config, own_code=("own_network:OwnNet",)),
         lambda: require_travels(config, ("chair.plant=my.toml",)),
         lambda: require_travels(config, ('chair.plant="my.toml"',)),
         lambda: require_travels(config, users=("me.toml",)),
-        lambda: require_travels(load_run_config("quick", ("collect.profiles=['recorded:mine.csv']",))),
+        lambda: require_travels(resolve("quick", ("collect.profiles=['recorded:mine.csv']",))),
     ):
         with pytest.raises(ConfigError, match=r"cannot be sent; expected .* without --cluster"):
             own()

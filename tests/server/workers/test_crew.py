@@ -145,7 +145,7 @@ def test_a_piece_that_is_late_goes_to_another_worker_and_counts_once():
 def test_a_piece_that_kills_its_workers_is_given_up_in_a_line():
     with (
         Crew(Scripted(w=["dead"] * 5), lambda key, data: None) as crew,
-        pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*--resume"),
+        pytest.raises(WorkersError, match=r"a was started 5 times and never finished; .*wcsim resume"),
     ):
         crew.ask([work("a")])
         done_by(crew, {"a"})
@@ -182,7 +182,7 @@ def test_a_late_piece_that_has_come_is_neither_asked_for_again_nor_a_reason_to_g
 def test_a_piece_that_always_hangs_is_given_up_in_a_line():
     with (
         Crew(Hanging(w=[]), lambda key, data: None, least_late_s=0.05) as crew,
-        pytest.raises(WorkersError, match=r"a was started 5 times and never finished, .*--resume"),
+        pytest.raises(WorkersError, match=r"a was started 5 times and never finished, .*wcsim resume"),
     ):
         crew.ask([work("a")])
         done_by(crew, {"a"})

@@ -14,7 +14,7 @@ import shapely
 from shapely.errors import GEOSException
 
 from wcsim.bridge.town_run import RecordOrder, record_town
-from wcsim.config import load_run_config, with_overrides
+from wcsim.config import resolve
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.ground.relief import steepest_grade
@@ -127,7 +127,7 @@ def test_streets_have_what_a_city_has(town: Town) -> None:
 
 @pytest.mark.proof
 def test_chairs_drive_in_it(town: Town, tmp_path: Path) -> None:
-    config = with_overrides(load_run_config("quick"), SMALL_CAMERAS)
+    config = resolve(resolve("quick"), SMALL_CAMERAS)
     order = RecordOrder(seconds=20.0, seed=1, chairs=2, folder=tmp_path / "run")
     order.folder.mkdir()
     facts = record_town(town, config, order, lambda scenario: None)

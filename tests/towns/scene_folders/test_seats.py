@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.config import RunConfig, parse, with_overrides
+from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.scene import SceneFile
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scene_folders.build import scene_config, seat_specs
@@ -63,5 +63,5 @@ def test_a_scene_has_settings_of_its_own() -> None:
 
 def test_who_looks_in_a_scene_is_not_drawn() -> None:
     drawn = ("vary.attention={all=[0.6,1.0]}", "vary.reaction={all=[1.0,2.0]}", "vary.action_delay_ticks=[0,2]")
-    vary = scene_config(scene_with(goal_m=(20.0, -3.0)), with_overrides(RunConfig(), drawn)).vary
+    vary = scene_config(scene_with(goal_m=(20.0, -3.0)), resolve(RunConfig(), drawn)).vary
     assert (vary.attention, vary.reaction, vary.action_delay_ticks) == ({}, {}, (0, 2))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.users.fitting.plane_drives import plane_drive, thinned
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError
 from wcsim.log.records import changed
@@ -111,7 +111,7 @@ def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_re
     slow = replace(drive, name="slow.drive", header=changed(drive.header, tick_s=0.2))
     with pytest.raises(ConfigError, match=r"slow\.drive: was driven with world\.tick_s 0\.2, plane with 0\.1; exp"):
         fit_user([drive, slow], BASE)
-    dull = load_run_config("quick", ("chair.deadband=0.4",)).model_dump_json()
+    dull = resolve("quick", ("chair.deadband=0.4",)).model_dump_json()
     with pytest.raises(ConfigError, match=r"plane: was driven with chair\.deadband 0\.08, .* with 0\.4; expected"):
         fit_user([replace(drive, header=changed(drive.header, config=dull)), drive], BASE)
 

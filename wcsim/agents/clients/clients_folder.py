@@ -20,7 +20,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, METRICS, Manifest, Status, manifest_of, read_json
+from wcsim.agents.runs.run_folder import (
+    CONFIG,
+    MANIFEST,
+    METRICS,
+    Manifest,
+    Status,
+    how_to_resume,
+    manifest_of,
+    read_json,
+)
 from wcsim.config import RunConfig, parse
 from wcsim.core import files
 from wcsim.core.reading import FileKind, read_text
@@ -116,7 +125,8 @@ def create_clients_folder(
         clients: The configuration of each, in seat order.
     """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
+        raise PolicyError(f"{path} exists and is not empty; {told}")
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     for name, text in _texts(clients).items():
@@ -153,7 +163,7 @@ def open_clients_folder(path: Path) -> ClientsFolder:
     _check_sealed(path, data)
     clients = data.pop("clients", None)
     if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
-        raise PolicyError(f"{path} is a run of one client; expected one made with --clients: leave that option out")
+        raise PolicyError(f"{path} is a run of one network; expected one of wcsim train-clients")
     try:
         config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
     except ConfigError as error:

@@ -1,6 +1,6 @@
 """What sharing a world costs each client of a run: who waited for whom, and where each one's time went.
 
-Kept in the run folder as waits.json, over all lives of all processes and over `--resume`. What a process did in the
+Kept in the run folder as waits.json, over all lives of all processes and over `wcsim resume`. What a process did in the
 half second before it was killed is not in it, nor the last minute of a launcher that was.
 """
 

@@ -10,7 +10,7 @@ from typing import Final
 from wcsim.agents.collecting.segment import SegmentKey
 from wcsim.agents.envs.senses import with_senses
 from wcsim.agents.policy_api import MOTION_SENSES
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
@@ -81,7 +81,7 @@ def require_recordable(config: RunConfig) -> None:
         raise ConfigError(f"env.camera={config.env.camera}: training data is of the first camera; expected no other")
     for variant in config.collect.variants:
         try:
-            with_overrides(config, tuple(variant.split()))
+            resolve(config, tuple(variant.split()))
         except ConfigError as error:
             raise ConfigError(
                 f"collect.variants: {escaped(variant)!r} cannot be used ({error}); expected section.key=value, several "
@@ -101,7 +101,7 @@ def _drawn_settings(config: RunConfig, key: SegmentKey) -> tuple[str, ...]:
 def _is_of_scenes(config: RunConfig, key: SegmentKey) -> bool:
     """Whether a segment is driven in generated scenes; the share of all that are is kept from the first one on.
 
-    >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.3",))
+    >>> config = resolve(RunConfig(), ("collect.scene_share=0.3",))
     >>> [_is_of_scenes(config, SegmentKey(run=0, round=0, index=k)) for k in range(10)].count(True)
     3
     """
@@ -114,7 +114,7 @@ def _town_in_turn(config: RunConfig, key: SegmentKey, towns: int) -> int:
 
     The first one is drawn for each run, so that many short ones leave no town out.
 
-    >>> config = with_overrides(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
+    >>> config = resolve(RunConfig(), ("collect.scene_share=0.5", "collect.segments=3"))
     >>> keys = [SegmentKey(run=0, round=n, index=k) for n in range(2) for k in range(3)]
     >>> sorted(_town_in_turn(config, key, 3) for key in keys if not _is_of_scenes(config, key))
     [0, 1, 2]
@@ -143,7 +143,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
     Raises:
         TownError: A town is missing.
     """
-    config = with_overrides(order.config, (*order.settings, "world.draw_threads=1"))
+    config = resolve(order.config, (*order.settings, "world.draw_threads=1"))
     config = with_senses(config, MOTION_SENSES)
     if _is_of_scenes(order.config, order.key):
         yield from _scenes(order, config, work)

@@ -18,7 +18,7 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info
 from wcsim.agents.envs.frame_window import windowed_space
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
 from wcsim.server.links.base import WorldLink
@@ -130,13 +130,13 @@ def _resolved(options: EnvOptions) -> RunConfig:
     """The configuration that was given, or that of the preset, with the overrides laid over it."""
     config, overrides = options.get("config"), _given_overrides(options)
     if config is None:
-        return load_run_config(options.get("preset", "quick"), overrides)
+        return resolve(options.get("preset", "quick"), overrides)
     if "preset" in options:
         raise ConfigError(
             f"config and preset={options['preset']!r}: expected one of them; a preset's configuration is "
-            "wcsim.config.load_run_config(preset)"
+            "wcsim.config.resolve(preset)"
         )
-    return with_overrides(config, overrides) if overrides else config
+    return resolve(config, overrides) if overrides else config
 
 
 def _given_overrides(options: EnvOptions) -> tuple[str, ...]:

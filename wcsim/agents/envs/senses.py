@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from wcsim.agents.policy_api import GYRO, NeedsSenses, Policy
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 
 
 def senses_of(policy: Policy) -> tuple[str, ...]:
@@ -23,4 +23,4 @@ def with_senses(config: RunConfig, senses: Sequence[str]) -> RunConfig:
     words = [f"sensors.{name}=typical" for name in senses if name != GYRO and name not in there]
     if GYRO in senses and not config.env.observe_gyro:
         words.append("env.observe_gyro=true")
-    return with_overrides(config, tuple(words))
+    return resolve(config, tuple(words))

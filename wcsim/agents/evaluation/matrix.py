@@ -25,7 +25,7 @@ from wcsim.agents.policies.veto import Veto
 from wcsim.agents.policy_api import UPPER_BOUND, UPPER_BOUNDS, VISIBLE_BOUND, Policy, is_baseline
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
 from wcsim.agents.runs.run_folder import policy_path, split_level
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import DROP
 from wcsim.supervisor.observation import imu_size
@@ -252,7 +252,7 @@ def window_for(policies: Sequence[Policy]) -> int:
 
 def with_window(config: RunConfig, policies: Sequence[Policy]) -> RunConfig:
     """The configuration with as many images in an observation as the policies need, or more where they are set."""
-    return with_overrides(config, (f"env.window={max(window_for(policies), config.env.frames)}",))
+    return resolve(config, (f"env.window={max(window_for(policies), config.env.frames)}",))
 
 
 def _labels(names: Sequence[str], longest: int) -> list[str]:

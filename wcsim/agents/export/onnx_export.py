@@ -28,7 +28,7 @@ from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE, open_session
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation, Policy
 from wcsim.agents.runs.policy_file import is_danger
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
@@ -226,7 +226,7 @@ def _off(told: F32, wanted: F32, graph: Graph) -> F32:
 
 def _about(config: RunConfig) -> str:
     """The settings with which `wcsim test` shows the model what it was trained on, over those of a preset."""
-    usual = load_run_config(_PRESET)
+    usual = resolve(_PRESET)
     own, plain = config.model_dump(mode="json"), usual.model_dump(mode="json")
     told = [(f"chair.{key}", value) for key, value in own["chair"].items() if value != plain["chair"][key]]
     told += [("imu.tilt", config.imu.tilt)] if config.imu.tilt != usual.imu.tilt else []

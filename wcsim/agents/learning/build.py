@@ -12,7 +12,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
-from wcsim.config import LearnConfig, RunConfig, with_overrides
+from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
 
@@ -46,11 +46,11 @@ def with_window(config: RunConfig) -> RunConfig:
     """
     network = config.learn.network
     if config.learn.memory == "groups" and registry.is_windowed(network) and not registry.carries_state(network):
-        config = with_overrides(config, ("learn.memory=windows",))
+        config = resolve(config, ("learn.memory=windows",))
     if config.env.window is not None:
         return config
     window = 1 if _is_stateful(config) else registry.preferred_window(network)
-    return with_overrides(config, (f"env.window={window}",))
+    return resolve(config, (f"env.window={window}",))
 
 
 def _is_stateful(config: RunConfig) -> bool:

@@ -283,7 +283,7 @@ class SeqDQN(DQN):
         if not np.isfinite(rewards).all():
             raise PolicyError(
                 f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; expected a finite "
-                "number: correct your own reward term (--reward), then --resume"
+                "number: correct your own reward term (--reward), then wcsim resume RUN"
             )
         groups = replay_buffer.groups if isinstance(replay_buffer, FrameReplay) else None
         if groups is not None and self._carried is not None:

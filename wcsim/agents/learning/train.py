@@ -33,7 +33,7 @@ from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import checked_device, torch_settings
 from wcsim.agents.runs.checkpoint import go_on
-from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder, folder_of
+from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder, folder_of, how_to_resume
 from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
@@ -108,10 +108,10 @@ def _stopped_error(path: Path, step: int, total: int, unsaved: str) -> Interrupt
     if unsaved:
         return DiskFullError(
             f"{message}; the policy so far is saved, but the last checkpoint could not be written ({unsaved}): "
-            f"--resume continues from the one before it in {path}, or starts again if there is none; free some "
+            f"{how_to_resume(path)} continues from the one before it, or starts again if there is none; free some "
             "disk space"
         )
-    return InterruptedRunError(f"{message}; {path} holds the policy so far and can be continued with --resume")
+    return InterruptedRunError(f"{message}; {path} holds the policy so far; continue it: {how_to_resume(path)}")
 
 
 class _PhaseSwitch(BaseCallback):
@@ -219,7 +219,9 @@ class _Session:
         try:
             save_policy(path, self.model, self.run.config.eye, self.run.manifest_sha256())
         except (DiskFullError, OSError, SafetensorError) as error:
-            raise DiskFullError(f"{path}: the policy could not be saved ({error}); make room and --resume") from None
+            raise DiskFullError(
+                f"{path}: the policy could not be saved ({error}); make room, then continue: wcsim resume RUN"
+            ) from None
 
     def _finish(self, status: Literal["done", "interrupted"]) -> None:
         """Final policy and manifest; there is no checkpoint of a step that was torn in two."""

@@ -35,7 +35,7 @@ from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, with_whole_data
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, with_whole_data
 from wcsim.agents.runs.weights import digest_of
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import LearnedFile, RoundFile
@@ -328,7 +328,7 @@ def train_danger(
             folder.with_status("interrupted", 0)
             kept = "the policy of the complete rounds" if keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
-                f"stopped; {folder.path} holds {kept}, and can be continued with --resume"
+                f"stopped; {folder.path} holds {kept}; continue it: {how_to_resume(folder.path)}"
             ) from None
         folder.with_status("done", total * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)

@@ -1,7 +1,7 @@
 """Whose own classes a run names: code in somebody else's run folder must not run here because the folder says so.
 
-A run that is made here gets a mark with a key that only this user's machine has. Where the mark fits, `--resume` loads
-the classes that the run was made with; elsewhere they have to be named again on the command line.
+A run that is made here gets a mark with a key that only this user's machine has. Where the mark fits, `wcsim resume`
+loads the classes that the run was made with; elsewhere they have to be named again on the command line.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def require_own(path: Path, classes: Sequence[str], mark: str, named: Collection
         return
     names = ", ".join(escaped(name, 80) for name in unnamed)
     raise PolicyError(
-        f"{path} was made elsewhere with custom classes ({names}); resuming runs their code: name each again if "
-        "you trust it (--network, --reward, --hook, or --clients)"
+        f"{path} was made elsewhere with custom classes ({names}); resuming runs their code: name each if you "
+        f"trust it, as --trust {escaped(unnamed[0], 80)}"
     )
 
 

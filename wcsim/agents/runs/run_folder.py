@@ -17,6 +17,7 @@ import contextlib
 import json
 import platform
 import re
+import shlex
 import subprocess
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -34,7 +35,7 @@ from wcsim.agents.runs.policy_file import (
     read_policy_file,
     shipped_folder,
 )
-from wcsim.config import RunConfig, load_run_config, parse, with_overrides
+from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
@@ -136,6 +137,15 @@ def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = 
     )
 
 
+def how_to_resume(path: Path) -> str:
+    """The command that goes on with a run, as it can be typed.
+
+    >>> how_to_resume(Path("runs/a b"))
+    "wcsim resume 'runs/a b'"
+    """
+    return shlex.join(["wcsim", "resume", str(path)])
+
+
 def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
     """Make a new run folder.
 
@@ -144,7 +154,8 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         ConfigError: The user's own plant file cannot be read.
     """
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise PolicyError(f"{path} exists and is not empty; choose another --out, or continue that run with --resume")
+        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
+        raise PolicyError(f"{path} exists and is not empty; {told}")
     plant = plant_text(config.chair.plant)
     (path / _CHECKPOINTS).mkdir(parents=True)
     (path / _POLICIES).mkdir()
@@ -229,7 +240,7 @@ def policy_path(name: str) -> Path:
         have = ", ".join(s for s in STAGES if is_file(run.policy(s) / POLICY_JSON)) or "none"
         raise PolicyError(
             f"run {escaped(head)} has no policy {stage!r} (it has: {have}; status: {run.manifest.status}); "
-            "continue it with --resume"
+            f"continue it: {how_to_resume(Path(head))}"
         )
     return found
 
@@ -273,17 +284,17 @@ def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunCon
     path = policy_path(name)
     run = _enclosing_run(path)
     if run is not None:
-        return with_overrides(run.config, overrides)
-    config = load_run_config(preset)
+        return resolve(run.config, overrides)
+    config = resolve(preset)
     if is_danger(path):
         told = read_danger_file(path)
         env = config.env.model_copy(update={"actions": told.net.actions, "classes": told.classes, "window": 1})
         own = {"cameras": (told.camera,), "env": env, "chair": told.chair}
-        return with_overrides(config.model_copy(update=own), overrides)
+        return resolve(config.model_copy(update=own), overrides)
     file = read_policy_file(path)
     seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
     env = config.env.model_copy(update={"actions": file.net.actions, **seen})
-    return with_overrides(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
+    return resolve(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
 
 
 def _enclosing_run(policy: Path) -> RunFolder | None:

@@ -22,13 +22,14 @@ from wcsim.cli.shared.common import (
     check_folder,
     in_bounds,
     json_text,
+    machines_of,
     parse,
     result_file,
+    said_of,
     write_json,
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.machine_options import machines_of, said_of
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, InterruptedRunError

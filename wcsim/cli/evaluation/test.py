@@ -24,7 +24,7 @@ from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, TownError
@@ -297,4 +297,4 @@ def _config(options: Options) -> RunConfig:
             return config_of(policy, options.preset, options.set)
         if is_onnx(policy):
             return settings_of(policy, options.preset, options.set)
-    return load_run_config(options.preset, options.set)
+    return resolve(options.preset, options.set)

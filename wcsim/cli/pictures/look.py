@@ -10,7 +10,7 @@ import tyro
 
 from wcsim.cli.pictures.snapshot import OF_VIDEO, keep_shot
 from wcsim.cli.pictures.video import MAX_SECONDS, MIN_SECONDS
-from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, result_file, tell_made
+from wcsim.cli.shared.common import Bounds, Repeated, check_output, missing_folder, parse, result_file, tell_made
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.towns.scenario.town import find_town
@@ -28,7 +28,7 @@ class Options:
     """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")
     """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
-    seconds: float = 10.0
+    seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film. The pictures show its busiest moment in which the chair faces its route."""
     set: Repeated = ()
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
@@ -41,7 +41,6 @@ def run(words: list[str]) -> int:
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)
-    in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
     missing = missing_folder(video)
 
     from wcsim.drive.drawing.pictures import StillPictures  # these load the simulators, which --help must not

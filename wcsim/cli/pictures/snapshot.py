@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Repeated, check_output, in_bounds, parse, result_file
+from wcsim.cli.shared.common import Bounds, Repeated, check_output, parse, result_file
 from wcsim.cli.shared.run_config import require_unset
 from wcsim.towns.scenario.town import find_town
 
@@ -31,7 +31,7 @@ class Options:
     """The picture (PNG)."""
     width: int = 640
     """Width of each of the three images, in pixels."""
-    seconds: float = 20.0
+    seconds: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 20.0
     """Time to drive; the picture shows the moment with most road users in view."""
     set: Repeated = ()
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
@@ -42,7 +42,6 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "snapshot")
     require_unset(options.set, OF_VIDEO)
     check_output("--out", options.out, ".png")
-    in_bounds("--seconds", options.seconds, 0.0, MAX_SECONDS)
     town = find_town(options.town)
 
     from wcsim.view.filming import open_stage  # loads the simulators, which --help must not

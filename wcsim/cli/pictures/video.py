@@ -10,7 +10,7 @@ from typing import Annotated, Protocol
 
 import tyro
 
-from wcsim.cli.shared.common import Repeated, check_output, in_bounds, missing_folder, parse, tell_made
+from wcsim.cli.shared.common import Bounds, Repeated, check_output, missing_folder, parse, tell_made
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
@@ -33,9 +33,9 @@ class Options:
     """Seed of the traffic and of the chair's start."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
     """The video (WebM)."""
-    seconds: float = 10.0
+    seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film."""
-    start: float = 0.0
+    start: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 0.0
     """Seconds to drive before the film begins; the clock in the picture counts them."""
     width: int = 480
     """Width of the camera image in pixels."""
@@ -54,8 +54,6 @@ def run(words: list[str]) -> int:
     options = _with_user(parse(Options, words, "video"))
     require_unset(options.set, {"env.profile": "expected --profile NAME"})
     check_output("--out", options.out, ".webm")
-    in_bounds("--seconds", options.seconds, MIN_SECONDS, MAX_SECONDS)
-    in_bounds("--start", options.start, 0.0, MAX_SECONDS)
     if options.policy:
         require_driver(options.policy, options.network)
     elif options.network:

@@ -12,7 +12,7 @@ import tyro
 
 from wcsim.cli.shared.common import OutFile, Repeated, check_output, in_bounds, write_json
 from wcsim.cli.shared.run_config import require_unset, require_user
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
@@ -52,7 +52,7 @@ def run(options: UserRecordOptions) -> int:
     if os.path.lexists(options.out):
         raise ConfigError(f"--out {escaped(options.out)} exists; expected the name of a new file")
     base = _profile(options.profile)
-    config = load_run_config("quick", (*SMALL_CAMERA, *options.set))
+    config = resolve("quick", (*SMALL_CAMERA, *options.set))
     town = find_town(options.town)
 
     from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user  # loads the simulators

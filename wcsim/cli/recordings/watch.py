@@ -20,7 +20,7 @@ _MANIFEST: Final = "manifest.json"
 class Options:
     """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
 
-    For runs with a journal: `wcsim train --clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
+    For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
     """
 
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
@@ -52,7 +52,7 @@ def run(words: list[str]) -> int:
 def _check(options: Options) -> None:
     """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
-        raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train --clients run")
+        raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
     from wcsim.log.parts import part_files
     from wcsim.log.reader import read_header
     from wcsim.log.writer import JOURNAL
@@ -62,8 +62,8 @@ def _check(options: Options) -> None:
         journal_worlds(read_header(options.run / JOURNAL), options.hook)
     elif is_file(options.run / _MANIFEST) and not _has_clients(options.run):
         raise ConfigError(
-            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim train "
-            "--clients NETWORK (one client is enough), or of wcsim serve --run"
+            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim "
+            "train-clients NETWORK (one client is enough), or of wcsim serve --run"
         )
 
 

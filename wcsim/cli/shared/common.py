@@ -1,7 +1,8 @@
-"""What the subcommands share: parsing, bounds, files that results go to."""
+"""What the subcommands share: parsing, bounds, machines that work, files that results go to."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
@@ -17,6 +19,8 @@ import tyro
 from wcsim.core.files import whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
+from wcsim.server.workers.crew import WorkerNow
+from wcsim.server.workers.machines import Machines
 
 T = TypeVar("T")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
@@ -30,6 +34,22 @@ OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 MAX_SEED = (1 << 31) - 1
 MOST_JOBS = 256  # processes that a command may start
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """The least and the most that an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
+
+    low: float
+    high: float = math.inf
+
+
+Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
+"""Worker processes; None for what `worlds_of` says."""
+
+Steps = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1)]
+"""Steps of a training by Q-learning in all; None for those of its settings."""
+
 _TOLD = 5
 _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
 
@@ -37,15 +57,25 @@ _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a giga
 def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
-    Raises ConfigError for a seed that no simulator takes, and for a --json that cannot be written: it is better to
+    Raises ConfigError for a number out of its bounds, and for a --json that cannot be written: it is better to
     hear of it before the work than after it. So it does for an option that is a word without a name, such as TOWN.
     """
     _require_bare(options, words, command)
     prog = f"{program} {command}"
-    parsed = tyro.cli(options, args=words, prog=prog, description=options.__doc__, registry=_numbers())
+    parsed = tyro.cli(options, args=words, prog=prog, description=inspect.getdoc(options), registry=_numbers())
     in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
+    _require_bounds(options, parsed)
     check_output("--json", getattr(parsed, "json", None))
     return parsed
+
+
+def _require_bounds(options: type, parsed: object) -> None:
+    """Refuse a number that is out of the bounds of its type."""
+    for name, hint in get_type_hints(options, include_extras=True).items():
+        value = getattr(parsed, name)
+        for note in getattr(hint, "__metadata__", ()):
+            if isinstance(note, Bounds) and value is not None:
+                in_bounds(f"--{name.replace('_', '-')}", value, note.low, note.high)
 
 
 def _require_bare(options: type, words: Sequence[str], command: str) -> None:
@@ -166,6 +196,43 @@ def worlds_of(asked: int | None) -> int:
         return min(cores(), _MOST_UNASKED)
     in_bounds("--worlds", asked, 1, MOST_JOBS)
     return asked
+
+
+def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
+    """The machines that somebody names.
+
+    Args:
+        cluster: As typed.
+        asked: How many workers; None where nobody said: see `worlds_of`, and nodes of a cluster say it themselves.
+        option: What that is called.
+
+    Raises:
+        ConfigError: There are none.
+    """
+    if asked is not None:
+        in_bounds(option, asked, 1, MOST_JOBS)
+    if not cluster:
+        return Machines(count=worlds_of(asked))
+    from wcsim.server.workers.cluster_link import LOCAL
+    from wcsim.server.workers.ray_workers import require_address
+
+    count = worlds_of(asked) if cluster == LOCAL else asked or 1
+    if cluster != LOCAL and count > 1:
+        raise ConfigError(
+            f"{option} {count} and --cluster {cluster}: `ray start --num-cpus` sets the workers of a node "
+            f"there; leave one of the two out"
+        )
+    require_address(cluster)
+    return Machines(count=count, cluster=cluster)
+
+
+def said_of(workers: tuple[WorkerNow, ...]) -> str:
+    """Who is at what, in a line.
+
+    >>> said_of((WorkerNow(name="10.0.0.2/1", key="3-000-0001", for_s=12.3), WorkerNow(name="10.0.0.2/2", key="")))
+    '10.0.0.2/1 3-000-0001 for 12 s, 10.0.0.2/2 free'
+    """
+    return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
 
 
 def check_output(option: str, path: Path | None, suffix: str = "") -> None:

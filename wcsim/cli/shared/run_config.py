@@ -6,13 +6,12 @@ import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
 
 from wcsim.agents.networks.names import check_network, is_own
-from wcsim.agents.runs.run_folder import ResolvedRun, with_whole_data
+from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
-from wcsim.config import CONFIG_FILE, RunConfig, load_run_config, with_file, with_overrides
+from wcsim.config import CONFIG_FILE, RunConfig, resolve
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
 from wcsim.core.reading import counted, escaped
@@ -24,92 +23,25 @@ from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import HELD_OUT, PROFILE_SUFFIX, is_of_file, profile, read_profile
 
-
-class Asked(Protocol):
-    """The options that the commands that train make a configuration of."""
-
-    preset: str
-    config: Path | None
-    set: tuple[str, ...]
-    steps: int | None
+QUICK = "quick"
+"""The preset of `wcsim train` and `wcsim demo`."""
 
 
-QUICK, DQN = "quick", "dqn"
-"""The presets that a training begins with where none is named: dangers in rounds, or Q-learning."""
-
-_PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
-
-BY_STEPS = "expected --preset dqn, which learns by Q-learning"
-IN_ROUNDS = "expected --preset quick, laptop or best without options of Q-learning, or leave that out"
-"""What to do where an option is not used by how a network learns."""
-
-
-def preset_of(asked: Asked, network: str = "", by_steps: bool = False) -> str:
-    """The preset that was asked for, or the one that the other options mean.
+def require_head(config: RunConfig, *, in_rounds: bool) -> None:
+    """Refuse settings of the other kind of learning.
 
     Args:
-        asked: The options; `preset` is "" where none was named.
-        network: That was named, "" for none.
-        by_steps: Something else was asked for that only a network hears of that learns from every step.
+        config: Of whoever learns.
+        in_rounds: Whether it is to be a danger network that learns in rounds, or Q-learning.
 
     Raises:
-        ConfigError: The file of settings cannot be read.
+        ConfigError: It is the other.
     """
-    if asked.preset:
-        return asked.preset
-    learns = "learn" in _file_of(asked.config) or any(_key_of(text).split(".")[0] == "learn" for text in asked.set)
-    return DQN if learns or network or by_steps or asked.steps is not None else QUICK
-
-
-def _file_of(config: Path | None) -> dict[str, Any]:
-    return {} if config is None else reading.read_toml(config, CONFIG_FILE)
-
-
-def _key_of(setting: str) -> str:
-    return setting.partition("=")[0].strip()
-
-
-def _asked_for(asked: Mapping[str, object]) -> str:
-    """The names of the options that were asked for, "" for none."""
-    return ", ".join(name for name, value in asked.items() if value)
-
-
-def require_heard(config: RunConfig, asked: Mapping[str, object], instead: str = BY_STEPS) -> None:
-    """Refuse options that a network would not hear of that learns in rounds.
-
-    Args:
-        config: Of the run.
-        asked: What was asked for, by option; what is false was not.
-        instead: What to do.
-
-    Raises:
-        ConfigError: There are some.
-    """
-    if not learns_in_rounds(config):
+    if learns_in_rounds(config) == in_rounds:
         return
-    if found := _asked_for(asked):
-        raise ConfigError(
-            f"{found}: a danger network that learns in rounds (collect.rounds={config.collect.rounds}) does "
-            f"not use that; {instead}"
-        )
-
-
-def require_rounds(config: RunConfig, asked: Mapping[str, object], instead: str = IN_ROUNDS) -> None:
-    """Refuse options that only a network hears of that learns in rounds.
-
-    Args:
-        config: Of the run.
-        asked: What was asked for, by option; what is false was not.
-        instead: What to do.
-
-    Raises:
-        ConfigError: There are some.
-    """
-    if (found := _asked_for(asked)) and not learns_in_rounds(config):
-        raise ConfigError(
-            f"{found}: only a danger network that learns in rounds uses that, and this one learns from "
-            f"every step; {instead}"
-        )
+    expected = "preset quick, laptop or best, or wcsim train-q" if in_rounds else "preset dqn or paper, or wcsim train"
+    does = "learns dangers in rounds" if in_rounds else "learns by Q-learning"
+    raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
 
 
 def require_unset(settings: Sequence[str], instead: Mapping[str, str]) -> None:
@@ -139,34 +71,15 @@ def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path |
         ConfigError: `env.profile` was set, or a user is none.
     """
     require_user(config.env.profile)
-    own = _file_of(file).get("env", {})
+    own = {} if file is None else reading.read_toml(file, CONFIG_FILE).get("env", {})
     if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
         name = config.env.profile
         raise ConfigError(
             f"env.profile={escaped(name)}: a network that learns in rounds draws its users from collect.profiles; "
-            f"""expected --set 'collect.profiles=["{escaped(name)}"]', or --preset dqn, which learns with that user"""
+            f"""expected --set 'collect.profiles=["{escaped(name)}"]', or wcsim train-q, which learns with that user"""
         )
     for name in config.collect.profiles:
         require_user(name)
-
-
-def resolve_config(asked: Asked, network: str, file: Path | None = None) -> RunConfig:
-    """The configuration that was asked for, as it is learned with; the window is left to `resolve_run`.
-
-    Args:
-        asked: The options.
-        network: Laid over what they say; "" for theirs.
-        file: TOML file laid over that, for one of several clients.
-
-    Raises:
-        ConfigError: An option cannot be used, or the user is kept for tests.
-    """
-    named = (f'learn.network="{network}"',) if network else ()
-    config = load_run_config(preset_of(asked, network), (*asked.set, *named), asked.config)
-    config = config if file is None else with_file(config, file)
-    config = _with_steps(config, asked.steps, _given_parts(asked, (asked.config, file)))
-    require_trained_users(config)
-    return learning(config)
 
 
 def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume: bool = False) -> ResolvedRun:
@@ -199,39 +112,6 @@ def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
     return replace(info, town=town.name, town_sha256=streets_hash(town), overrides=overrides)
 
 
-def _given_parts(asked: Asked, config_files: Sequence[Path | None]) -> frozenset[str]:
-    """Those of `_PARTS` that the user has set, in an option or a file."""
-    tables = [_file_of(file).get("learn", {}) for file in config_files]
-    typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
-    return frozenset(key for key in _PARTS if key in typed or any(key in table for table in tables))
-
-
-def _with_steps(config: RunConfig, steps: int | None, given: Collection[str] = ()) -> RunConfig:
-    """The configuration for so many steps in all; None for its own.
-
-    A preset's first phase of more than half of them shrinks in proportion, and so does its wait for the first update.
-    The keys of [learn] in `given` are the user's own, and stay.
-
-    >>> learn = _with_steps(RunConfig(), 60).learn
-    >>> learn.total_steps, learn.phase1_steps, learn.learning_starts
-    (60, 15, 2)
-
-    Raises:
-        ConfigError: There are none.
-    """
-    if steps is None:
-        return config
-    if steps < 1:
-        raise ConfigError(f"--steps {steps}: expected 1 or more")
-    learn = config.learn
-    parts = {key: _shrunk(getattr(learn, key), learn.total_steps, steps) for key in _PARTS if key not in given}
-    return with_overrides(config, tuple(f"learn.{key}={part}" for key, part in {"total_steps": steps, **parts}.items()))
-
-
-def _shrunk(part: int, total: int, steps: int) -> int:
-    return part if part <= steps / 2 else round(steps * min(0.5, part / total))
-
-
 def how_it_learns(config: RunConfig) -> str:
     """From what and for how long a network learns, in a sentence or two."""
     learn, collect = config.learn, config.collect
@@ -255,7 +135,8 @@ def learning(config: RunConfig) -> RunConfig:
     """
     learn = config.learn
     env = {"max_steps": learn.episode_steps, "truth": learn.aid == "oracle", "truth_visible": False}
-    return with_whole_data(config.model_copy(update={"env": config.env.model_copy(update=env)}))
+    data = [str(Path(folder).absolute()) for folder in config.collect.data]  # a run may go on from another place
+    return resolve(config, {"env": env, "collect": {"data": data}})
 
 
 def learns_in_rounds(config: RunConfig) -> bool:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, in_bounds, words_of, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, check_folder, words_of, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
@@ -63,15 +63,15 @@ class ImportOptions:
     """Traffic drives on the right."""
     per_hour: str = ""
     """Departures per hour by SUMO vehicle class, e.g. passenger=900,bicycle=300; other classes keep their density."""
-    traffic: float = 1.0
+    traffic: Annotated[float, Bounds(0.0, 10.0)] = 1.0
     """Factor for all traffic; 0 for none."""
-    parked: float = 0.7
+    parked: Annotated[float, Bounds(0.0, 1.0)] = 0.7
     """Share of the mapped parking spaces with a parked car."""
     dem: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """GeoTIFF of the land's heights in metres."""
-    hill: float = 0.0
+    hill: Annotated[float, Bounds(0.0, 200.0)] = 0.0
     """Height in metres of an invented hill, instead of --dem."""
-    max_grade: float = 0.12
+    max_grade: Annotated[float, Bounds(0.01, 0.25)] = 0.12
     """Largest grade of a street (rise over run); steeper land is smoothed and lowered."""
     keep_service: Flag = False
     """Include driveways and yards, each with its own crossing."""
@@ -199,10 +199,6 @@ def _check_numbers(options: ImportOptions) -> None:
         raise ConfigError("--lefthand and --righthand exclude each other; leave one out")
     if options.dem is not None and options.hill:
         raise ConfigError("--dem and --hill exclude each other; leave one out")
-    in_bounds("--traffic", options.traffic, 0.0, 10.0)
-    in_bounds("--parked", options.parked, 0.0, 1.0)
-    in_bounds("--hill", options.hill, 0.0, 200.0)
-    in_bounds("--max-grade", options.max_grade, 0.01, 0.25)
 
 
 def _per_hour(text: str) -> dict[str, float]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, check_folder, in_bounds, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, check_folder, write_json
 from wcsim.cli.shared.consoles import stderr_console
 from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.trial import try_town
@@ -33,7 +33,7 @@ class PaveOptions:
     """A town's name, its folder, or a .sumocfg file; it is not changed."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """New folder for the copy."""
-    max_speed: float = FASTEST_MPS
+    max_speed: Annotated[float, Bounds(1.0, 100.0)] = FASTEST_MPS
     """Streets faster than this, in m/s, get no pavement."""
     allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Also copy files that a .sumocfg names outside of its folder."""
@@ -44,7 +44,6 @@ class PaveOptions:
 def run(options: PaveOptions) -> int:
     """Pave, let SUMO try the copy, check it, and say what was done; 0 when the copy has no faults, else 1."""
     started_s = time.monotonic()
-    in_bounds("--max-speed", options.max_speed, 1.0, 100.0)
     check_folder("--out", options.out)
     bare = find_town(options.town, outside=options.allow_outside)
 

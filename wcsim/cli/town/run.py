@@ -13,18 +13,18 @@ import tyro
 from rich.table import Table
 
 from wcsim.cli.shared.common import (
+    Bounds,
     OutFile,
     OutFolder,
     Repeated,
     check_folder,
     first_few,
-    in_bounds,
     words_of,
     write_json,
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.supervisor.rewards import blamed
@@ -46,13 +46,13 @@ class RunOptions:
 
     town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
     """A town's name, its folder, or a .sumocfg file."""
-    seconds: float = 600.0
+    seconds: Annotated[float, Bounds(0.1, 1e7)] = 600.0
     """Simulated time."""
     seed: int = 0
     """Seed of traffic, users and starts."""
     out: OutFolder = None
     """Run folder; default runs/TOWN-run-SEED."""
-    chairs: int = 1
+    chairs: Annotated[int, Bounds(0, MAX_CHAIRS)] = 1
     """Number of wheelchairs, each obeying its user; with 0 the traffic is that of plain sumo."""
     outputs: str = ""
     """Additional SUMO outputs, separated by commas: fcd, tripinfo, summary, ..."""
@@ -72,9 +72,8 @@ class RunOptions:
 
 def run(options: RunOptions, words: Sequence[str]) -> int:
     """Run, print a summary, and leave the run folder; `words` are the command line, for the manifest."""
-    in_bounds("--seconds", options.seconds, 0.1, 1e7)
-    in_bounds("--chairs", options.chairs, 0, MAX_CHAIRS)
-    config = _config(options)
+    plain = () if options.chairs else ("world.warmup_s=0", "world.town_warmup=true")  # nobody waits, as in plain sumo
+    config = resolve(options.preset, plain, options.set)
     town = find_town(options.town, outside=options.allow_outside)
     out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
     check_folder("--out", out)
@@ -92,15 +91,6 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     if options.json is not None:
         write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
     return 0
-
-
-def _config(options: RunOptions) -> RunConfig:
-    """The settings; without a wheelchair nobody waits for the traffic to warm up, as in plain sumo."""
-    config = load_run_config(options.preset, options.set)
-    asked = any(word.partition("=")[0].strip() == "world.warmup_s" for word in options.set)
-    if options.chairs or asked:
-        return config
-    return config.model_copy(update={"world": config.world.model_copy(update={"warmup_s": 0.0})})
 
 
 def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]) -> TrafficFacts:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import traffic_alone
@@ -49,7 +49,7 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
 def _collisions_note(town: Town) -> tuple[str, ...]:
     """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself, or that this takes too long."""
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
-        staged = stage_scenario(town, settings_of(load_run_config("quick"), 1), Path(work))
+        staged = stage_scenario(town, settings_of(resolve("quick"), 1), Path(work))
         seed = read_configuration(town.sumocfg).value("seed")
         found = Path(work) / "collisions.xml"
         words = ["-c", str(staged.sumocfg), "--end", f"{staged.begin_s + COLLIDING_S:.12g}"]
@@ -79,4 +79,4 @@ def try_town(town: Town) -> None:
     from wcsim.bridge.sumo.run_place import RunPlace
 
     with ExitStack() as held:
-        open_scenario(town, settings_of(load_run_config("quick"), 1), RunPlace(), held)
+        open_scenario(town, settings_of(resolve("quick"), 1), RunPlace(), held)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
     """Remove a run folder made in the block when it fails before an episode, a segment or a checkpoint was saved.
 
-    It stays after a full disk, and when a cluster is lost: --resume goes on.
+    It stays after a full disk, and when a cluster is lost: wcsim resume goes on.
     """
     fresh = not run.exists()
     made = [folder for folder in run.parents if not folder.exists()]

@@ -1,13 +1,16 @@
-"""`wcsim train --clients A,B,...`: several networks learn at once in one world, each in a process of its own."""
+"""Several networks learn at once in one world, each in a process of its own: one sitting, new or gone on with."""
 
 from __future__ import annotations
 
-import re
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from wcsim.agents.clients.clients_folder import (
     ClientsFolder,
@@ -15,28 +18,19 @@ from wcsim.agents.clients.clients_folder import (
     open_clients_folder,
     rewrite_client_configs,
 )
-from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, client_plan, world_order
+from wcsim.agents.clients.group_run import GroupRun, WorldTerms, client_plan, world_order
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
-from wcsim.agents.networks.names import NETWORK_NAMES, client_name
-from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, make_manifest, open_run
-from wcsim.cli.shared.common import check_folder, in_bounds, some_words, write_json
+from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
+from wcsim.cli.shared.common import Bounds, Worlds, check_folder, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit, NothingKept
 from wcsim.cli.shared.overrides import print_overrides
-from wcsim.cli.shared.run_config import (
-    how_it_learns,
-    how_to_test,
-    in_town,
-    learns_in_rounds,
-    require_user,
-    resolve_config,
-)
+from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.report import TickRate, print_crossings, print_report, report_of
-from wcsim.cli.training.resume import Typed, require_own_classes, require_same, require_same_config, steps_of, town_of
-from wcsim.cli.training.train import Options
+from wcsim.cli.training.train import ToldOptions
 from wcsim.config import RunConfig
 from wcsim.core.files import locked
-from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, PolicyError, WcsimError
+from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, WcsimError
 from wcsim.log.parts import part_files
 from wcsim.log.torn import told_torn
 from wcsim.log.writer import JOURNAL, LogWriter
@@ -45,18 +39,29 @@ from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, 
 from wcsim.server.launch.stop_signals import StopSignals
 from wcsim.server.ledger import LedgerWriter
 from wcsim.server.protocol.limits import require_files
+from wcsim.server.specs import Recovery
 from wcsim.server.transport.world_folder import workplace
 from wcsim.towns.scenario.town import Town
 from wcsim.view.live_table import LiveTable
 
-MOST_CLIENTS = 64
+LEASE_S = 120.0
 ALL_DONE = LaunchOutcome(code=0, message="", stopped=False, clients=(), elapsed_s=0.0)
-_NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
-_TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report")  # names in a run folder
+
+
+@dataclass(kw_only=True)
+class GroupOptions(ToldOptions):
+    """How the processes of several clients are run."""
+
+    worlds: Worlds = None
+    """Worker processes that compare clients by a suite or list. None: one per core, at most 4."""
+    lease: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(1.0, 86_400.0)] = LEASE_S
+    """Seconds without progress after which a client is restarted."""
+    recovery: Recovery = "new_epoch"
+    """If the world of several clients dies: start a new one, or rebuild the same one step by step."""
 
 
 def train_clients(
-    options: Options,
+    options: GroupOptions,
     run: GroupRun,
     town: Town,
     watch: Callable[[LaunchState], bool] = lambda state: False,
@@ -65,7 +70,7 @@ def train_clients(
     """Train them all; returns the exit code: FAILED when a client was given up, or the world.
 
     Args:
-        options: What was typed.
+        options: How it is run.
         run: The clients, and where their run goes.
         town: The town.
         watch: Told how things are a few times a second; the run is stopped, as by SIGTERM, when it says True.
@@ -76,7 +81,6 @@ def train_clients(
         NothingKept: ... before anything was done.
         WcsimError: Something that was asked for cannot be used.
     """
-    in_bounds("--lease", options.lease, 1.0, 86_400.0)
     check_folder("--out", run.out)
     require_files(len(run.clients))
     with StopSignals() as signals, ExitStack() as held:
@@ -107,102 +111,8 @@ def train_clients(
             outcome = launcher.run() if left else ALL_DONE
         code = _told(run, folder, options.json, outcome, (rate, paid.times))
     if signals.count and not run.last:  # one that came when nothing ran any more, and what is to follow has not begun
-        raise InterruptedRunError(f"stopped; {run.out} holds the training so far; continue with --resume")
+        raise InterruptedRunError(f"stopped; {run.out} holds the training so far: {how_to_resume(run.out)}")
     return code
-
-
-def resolved(options: Options) -> tuple[Client, ...]:
-    """The clients with their names, seats and configurations.
-
-    Raises:
-        ConfigError: A name or an option cannot be used, or they do not fit into one world.
-    """
-    networks = some_words("--clients", options.clients or "")
-    if len(networks) > MOST_CLIENTS:
-        raise ConfigError(f"--clients: {len(networks)} clients; expected at most {MOST_CLIENTS}")
-    names = client_names(networks)
-    files = _files(options.config_for, names)
-    clients: list[Client] = []
-    for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
-        config = resolve_config(options, network, files.get(name))
-        require_user(config.env.profile)
-        if learns_in_rounds(config):
-            raise ConfigError(
-                f"client {name}: a danger network (learn.head=danger) learns in rounds, without clients; "
-                "expected --preset dqn or paper, which use Q-learning"
-            )
-        clients.append(Client(name=name, seat=seat, config=config))
-    worlds = {client.config.world_digest(): client.name for client in clients}
-    if len(worlds) > 1:
-        raise ConfigError(
-            f"clients {' and '.join(worlds.values())} ask for different worlds; expected the same world, chair, "
-            "camera, IMU and reward for all: only [learn] and the observation in [env] may differ (--config-for)"
-        )
-    return tuple(clients)
-
-
-def client_names(networks: Sequence[str]) -> tuple[str, ...]:
-    """A name for each client: its network's, numbered where it comes again.
-
-    >>> client_names(("fig6", "own_file:OwnNet", "fig6"))
-    ('fig6', 'OwnNet', 'fig6-2')
-
-    Raises:
-        ConfigError: A network cannot be named so.
-    """
-    used, names = set(_TAKEN), []
-    for network in networks:
-        if not _NETWORK.fullmatch(network):
-            raise ConfigError(f"--clients: {network[:80]!r} is neither the name of a network nor module:Class")
-        if ":" not in network and network not in NETWORK_NAMES:
-            known = ", ".join(NETWORK_NAMES)
-            raise ConfigError(f"--clients: unknown network {network!r}; expected {known}, or module:Class")
-        base = client_name(network)
-        name = next(n for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9))) if n not in used)
-        used.add(name)
-        names.append(name)
-    return tuple(names)
-
-
-def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
-    files = {}
-    for text in config_for:
-        name, equals, path = text.partition("=")
-        if not equals or name not in names:
-            raise ConfigError(f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}")
-        files[name] = Path(path)
-    return files
-
-
-def resumed_group(options: Options, out: Path, typed: Typed) -> tuple[GroupRun, Town]:
-    """What a run goes on with, by what its folder says.
-
-    Raises:
-        PolicyError: It is no such run, or an option says otherwise.
-        ConfigError: An option cannot be used.
-        TownError: Its town is not there.
-    """
-    folder, named = open_clients_folder(out), options.clients or ""
-    manifest = folder.manifest
-    if named and client_names(some_words("--clients", named)) != folder.clients:
-        raise PolicyError(
-            f"--clients {named}: {out} was made with other clients ({', '.join(folder.clients)}); "
-            "resume with the same ones, or leave that option out"
-        )
-    require_same(out, manifest, typed)
-    networks = [folder.client_config(name).learn.network for name in folder.clients]
-    require_own_classes(out, manifest, networks, typed, named.split(","))
-    town = town_of(out, manifest, typed)
-    own = _files(options.config_for, folder.clients)
-    clients = []
-    for seat, name in enumerate(folder.clients):
-        config = folder.client_config(name)
-        steps = steps_of(out, config, typed)
-        require_same_config(out, config, typed, [own[name]] if name in own else [])
-        longer = config.model_copy(update={"learn": config.learn.model_copy(update={"total_steps": steps})})
-        clients.append(Client(name=name, seat=seat, config=longer))
-    info = in_town(manifest.info, town, clients[0].config)
-    return GroupRun(clients=tuple(clients), out=out, info=info, resume=True), town
 
 
 @contextmanager
@@ -294,7 +204,8 @@ def _told(
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
         lost = "".join(f"; client {each.name} {each.unsaved}" for each in outcome.clients if each.unsaved)
-        print(f"wcsim: {outcome.message}{lost}; {folder.path} is kept; --resume continues it", file=sys.stderr)
+        again = f"{folder.path} is kept; continue it: {how_to_resume(folder.path)}"
+        print(f"wcsim: {outcome.message}{lost}; {again}", file=sys.stderr)
         return Exit.FAILED
     print_crossings(folder.path)
     if run.last:
@@ -310,10 +221,10 @@ def _told_stop(path: Path, clients: Sequence[ClientState]) -> str:
     why = {client.name: client.unsaved for client in clients} | given_up
     lost = [f"client {name} {told}" for name, told in why.items() if told]
     if not lost:
-        return f"stopped; {path} holds the training so far; continue with --resume"
+        return f"stopped; {path} holds the training so far; continue it: {how_to_resume(path)}"
     return (
         f"stopped, but {'; '.join(lost)}: the training since its last checkpoint is lost; {path} holds the rest; "
-        "continue with --resume"
+        f"continue it: {how_to_resume(path)}"
     )
 
 

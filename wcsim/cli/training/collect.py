@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from dataclasses import dataclass, replace
@@ -11,15 +10,25 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, parse, some_words, write_json
+from wcsim.cli.shared.common import (
+    MOST_JOBS,
+    Bounds,
+    OutFile,
+    OutFolder,
+    Repeated,
+    check_folder,
+    machines_of,
+    parse,
+    some_words,
+    write_json,
+)
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.named_policies import require_policy, require_without_veto
 from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
 from wcsim.cli.training.train import checked_town
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.reading import counted
-from wcsim.errors import ConfigError, InterruptedRunError
+from wcsim.errors import InterruptedRunError
 
 
 @dataclass
@@ -34,13 +43,13 @@ class Options:
     """TOML file with settings that override the preset."""
     set: Repeated = ()
     """Setting as section.key=value; overrides preset and file."""
-    segments: int = 10
+    segments: Annotated[int, Bounds(1)] = 10
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
     """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""
     network: str = ""
     """Your own network as module:Class, if the --policy uses it."""
-    worlds: int = 1
+    worlds: Annotated[int, Bounds(1, MOST_JOBS)] = 1
     """Worker processes that drive at once. The data does not depend on their number."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
     """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""
@@ -55,16 +64,14 @@ class Options:
 def run(words: list[str]) -> int:
     """Drive, and leave a data folder."""
     options = parse(Options, words, "collect")
-    own = (f"learn.network={json.dumps(options.network)}",) if options.network else ()
-    config = load_run_config(options.preset, (*options.set, *own), options.config)
+    own = {"learn": {"network": options.network}} if options.network else None
+    config = resolve(options.preset, options.config, options.set, own)
     if options.policy:
         require_without_veto(options.policy, "collecting")
         require_policy(options.policy, config.learn.network)
     require_known(options.network)
     require_trained_users(config)
     require_drawn_users(config, options.set, options.config)
-    if options.segments < 1 or options.worlds < 1:
-        raise ConfigError(f"--segments {options.segments}, --worlds {options.worlds}; expected at least 1 of each")
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
     out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"

@@ -19,14 +19,14 @@ from wcsim.cli.shared.run_config import (
     QUICK,
     how_it_learns,
     learning,
-    learns_in_rounds,
     require_drawn_users,
+    require_head,
     require_unset,
     resolve_run,
 )
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -88,9 +88,9 @@ def run(words: list[str]) -> int:
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
     require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
-    config = learning(load_run_config(QUICK, options.set))
-    if learns_in_rounds(config):
-        require_drawn_users(config, options.set, None)
+    config = learning(resolve(QUICK, options.set))
+    require_head(config, in_rounds=True)
+    require_drawn_users(config, options.set, None)
     demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)

@@ -14,9 +14,10 @@ import tyro
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.networks.names import client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, in_bounds, parse
-from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_known, require_user, resolve_config
+from wcsim.cli.shared.common import Bounds, OutFolder, Repeated, Steps, check_folder, parse
+from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_known, require_user
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
+from wcsim.cli.training.train_q import q_config
 from wcsim.config import RunConfig, parse_json
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped
@@ -46,9 +47,9 @@ class Options:
     """Run folder; default runs/joined-NETWORK-SEED."""
     network: str = ""
     """Name of a network, or your own as module:Class; same as --set learn.network=..."""
-    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    steps: Steps = None
     """Total steps, as --set learn.total_steps=N. A first phase of more than half of them shrinks in proportion."""
-    seat: Annotated[int | None, tyro.conf.arg(metavar="K")] = None
+    seat: Annotated[int | None, tyro.conf.arg(metavar="K"), Bounds(0, 63)] = None
     """Seat to take; by default the first free one."""
     name: str = ""
     """Name of this client; default the network's."""
@@ -64,7 +65,7 @@ class Options:
     """Your own reward term as module:Class, added to the paper's terms."""
     seed: int = 0
     """Random seed of network, exploration and replay. The server sets the world's seed."""
-    wait: Annotated[float, tyro.conf.arg(metavar="S")] = 20.0
+    wait: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(0.1, 3600.0)] = 20.0
     """Seconds to wait for the server's first answer."""
     resume: bool = False
     """Continue an interrupted run from its newest checkpoint."""
@@ -73,17 +74,13 @@ class Options:
 def run(words: list[str]) -> int:
     """Join, learn, leave a run folder."""
     options = parse(Options, words, "join")
-    in_bounds("--wait", options.wait, 0.1, 3600.0)
-    in_bounds("--seat", options.seat or 0, 0, 63)
     if options.endpoint.partition("://")[0] not in ("ipc", "tcp"):
         raise ConfigError(
             f"endpoint {options.endpoint!r}: expected ipc://FILE or tcp://HOST:PORT, as `wcsim serve` prints it"
         )
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with .")
-    config = resolve_config(options, options.network)
-    if config.learn.head == "danger":
-        raise ConfigError("learn.head=danger: `wcsim join` supports Q-learning only; expected --preset dqn or paper")
+    config = q_config(options, options.network)
     require_known(config.learn.network, options.reward)
     require_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]

@@ -18,12 +18,12 @@ from wcsim.agents.clients.clients_folder import CHOICE, KPI1, SELECTION, read_ch
 from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.networks.names import is_own
+from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.training.clients import train_clients
-from wcsim.cli.training.train import Options
+from wcsim.cli.training.clients import GroupOptions, train_clients
 from wcsim.core.files import locked
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, InterruptedRunError
@@ -48,7 +48,7 @@ class Judged:
     rank: tuple[float, ...]  # the lowest goes on
 
 
-def train_group(options: Options, run: GroupRun, town: Town) -> int:
+def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
     """Train clients, their phases together or apart; returns the exit code.
 
     Raises:
@@ -78,7 +78,7 @@ def train_group(options: Options, run: GroupRun, town: Town) -> int:
     return train_clients(options, _second_phase(run, chosen), town)
 
 
-def _checked(options: Options, run: GroupRun, by: str) -> Suite | None:
+def _checked(options: GroupOptions, run: GroupRun, by: str) -> Suite | None:
     """The suite to choose by, None for another way; what cannot be done is refused before the first phase."""
     suite = None
     if by == KPI1 or by in [client.name for client in run.clients]:
@@ -115,7 +115,7 @@ def _until_switch(client: Client) -> Client:
     return replace(client, until=min(learn.phase1_steps, learn.total_steps))
 
 
-def _choose(options: Options, run: GroupRun, by: str, suite: Suite | None) -> str:
+def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) -> str:
     """Compare what each client learned in its first phase; the best one's name."""
     log = RunLog(run.out)
     log.add("first_phase_done", by=by)
@@ -131,7 +131,8 @@ def _choose(options: Options, run: GroupRun, by: str, suite: Suite | None) -> st
     except KeyboardInterrupt:
         log.add("comparison_stopped")
         raise InterruptedRunError(
-            f"stopped while clients were compared; {run.out} holds the episodes so far; continue with --resume"
+            f"stopped while clients were compared; {run.out} holds the episodes so far; continue it: "
+            f"{how_to_resume(run.out)}"
         ) from None
     for each in judged:
         log.add("compared", who=each.client, **each.figures)
@@ -146,7 +147,7 @@ def _followed(run: GroupRun) -> list[Judged]:
     return [Judged(client=name, figures={KPI1: round(kpi1, 4)}, rank=(kpi1,)) for name, kpi1 in steps.items()]
 
 
-def _tested(options: Options, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
+def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
     from wcsim.agents.evaluation.suite.list_rules import told_of_rules
     from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 

@@ -1,55 +1,137 @@
-"""`wcsim train --resume`: everything is taken from the run folder; what is typed again may not say otherwise."""
+"""`wcsim resume RUN`: a training goes on from its newest checkpoint; everything is taken from the run folder."""
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Annotated
 
+import tyro
+
+from wcsim.agents.clients.clients_folder import open_clients_folder
+from wcsim.agents.clients.group_run import Client, GroupRun
 from wcsim.agents.runs.own_code import own_classes, require_own
-from wcsim.agents.runs.run_folder import (
-    CONFIG,
-    MANIFEST,
-    Manifest,
-    ResolvedRun,
-    extend,
-    open_run,
-    read_json,
-    with_kept_plant,
-)
-from wcsim.cli.shared.common import some_words
-from wcsim.cli.shared.run_config import DQN, QUICK, learning, learns_in_rounds, resolve_run
-from wcsim.config import RunConfig, parse, with_file, with_overrides
-from wcsim.config.plant import plant_text
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, extend, open_run, read_json
+from wcsim.cli.shared.common import Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
+from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
+from wcsim.cli.training.train import ToldOptions, told, train_in
+from wcsim.config import RunConfig, resolve
+from wcsim.config import parse as parse_config
 from wcsim.core.files import locked
-from wcsim.errors import PolicyError, TownError
+from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, streets_hash
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Typed:
-    """What was typed beside --resume; None and () where nothing was."""
+@dataclass(kw_only=True)
+class Options(ToldOptions):
+    """Continue a training from its newest checkpoint, with its own settings."""
 
-    town: str | None = None
-    preset: str | None = None
-    config: Path | None = None
-    set: tuple[str, ...] = ()
-    network: str | None = None
-    reward: tuple[str, ...] = ()
-    hook: str | None = None
-    steps: int | None = None
-    seed: int | None = None
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Run folder of a training, of one network or of several clients."""
+    steps: Steps = None
+    """Total steps of a longer training by Q-learning."""
+    worlds: Worlds = None
+    """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""
+    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`."""
+    town: str = ""
+    """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""
+    trust: Annotated[Repeated, tyro.conf.arg(metavar="CLASS")] = ()
+    """Your own module:Class that a run names which was made elsewhere: resuming runs its code."""
 
 
-def given(words: Sequence[str]) -> frozenset[str]:
-    """The names of the options among the words of a command.
+def run(words: list[str]) -> int:
+    """Go on, by what the run's folder says."""
+    options = parse(Options, words, "resume")
+    check_folder("RUN", options.run)
+    if "clients" in read_json(options.run, MANIFEST):
+        return _resume_group(options)
+    was = open_run(options.run)
+    require_used(options, was.config)
+    machines_of(options.cluster, options.worlds, "--worlds")
+    again, town = resumed(options)
+    if was.manifest.status == "done" and again.config.learn.total_steps == was.config.learn.total_steps:
+        print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
+    train_in(again, town, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
+    return told(options, again)
 
-    >>> sorted(given(["--seed", "1", "--config-for=a=b", "--resume"]))
-    ['config_for', 'resume', 'seed']
+
+def require_used(options: Options, config: RunConfig) -> None:
+    """Refuse more steps of what learns in rounds, and a cluster for what drives for itself. Raises ConfigError."""
+    if options.steps is not None and learns_in_rounds(config):
+        raise ConfigError(f"--steps: {options.run} learns in {config.collect.rounds} rounds, not steps; leave it out")
+    if options.cluster and not learns_in_rounds(config):
+        raise ConfigError(f"--cluster: {options.run} learns from every step, on this machine; leave it out")
+
+
+def _finished(out: Path, config: RunConfig) -> str:
+    """What to say of a run that has nothing left to do."""
+    if learns_in_rounds(config):
+        return f"{out} is finished: all of its {config.collect.rounds} rounds are done"
+    return f"{out} is finished: all of its {config.learn.total_steps} steps are done; extend it with --steps N"
+
+
+def resumed(options: Options) -> tuple[ResolvedRun, Town]:
+    """What a run of one network goes on with.
+
+    Raises:
+        PolicyError: It is no such run, is damaged, or names own code of somebody else.
+        TownError: Its town is not there.
+        ConfigError: An option cannot be used.
     """
-    return frozenset(w[2:].partition("=")[0].replace("-", "_") for w in words if w.startswith("--"))
+    path = options.run
+    run = open_run(path)
+    _require_own_config(path, run.manifest)
+    _require_own_classes(options, run.manifest, (run.config.learn.network,))
+    town = _town_of(options, run.manifest)
+    steps = _steps_of(options, run.config)
+    begun = "config_was_sha256" in read_json(path, MANIFEST)  # by a process that ended between two files
+    if begun or steps != run.config.learn.total_steps:
+        with locked(path):  # by nobody else at work: a run in use keeps its steps
+            extend(path, steps)
+        run = open_run(path)
+    return resolve_run(learning(run.config), run.manifest.info, town, path, resume=True), town
+
+
+def _resume_group(options: Options) -> int:
+    from wcsim.cli.training.clients import LEASE_S, GroupOptions
+    from wcsim.cli.training.phases_apart import train_group
+
+    run, town = resumed_group(options)
+    command = run.info.command
+    try:
+        lease_s = float(_value_of(command, "lease") or LEASE_S)
+    except ValueError:
+        lease_s = LEASE_S
+    again = GroupOptions(
+        lease=lease_s if 1.0 <= lease_s <= 86_400.0 else LEASE_S,
+        recovery="replay" if _value_of(command, "recovery") == "replay" else "new_epoch",
+        worlds=options.worlds,
+        verbose=options.verbose,
+        json=options.json,
+    )
+    return train_group(again, run, town)
+
+
+def resumed_group(options: Options) -> tuple[GroupRun, Town]:
+    """What a run of several clients goes on with. Raises as `resumed` does."""
+    path = options.run
+    folder = open_clients_folder(path)
+    configs = {name: folder.client_config(name) for name in folder.clients}
+    require_used(options, configs[folder.clients[0]])
+    _require_own_classes(options, folder.manifest, [config.learn.network for config in configs.values()])
+    town = _town_of(options, folder.manifest)
+    clients = []
+    for seat, (name, config) in enumerate(configs.items()):
+        longer = resolve(config, {"learn": {"total_steps": _steps_of(options, config)}})
+        clients.append(Client(name=name, seat=seat, config=longer))
+    info = in_town(folder.manifest.info, town, clients[0].config)
+    return GroupRun(clients=tuple(clients), out=path, info=info, resume=True), town
 
 
 def _value_of(command: Sequence[str], option: str) -> str | None:
@@ -66,92 +148,36 @@ def _value_of(command: Sequence[str], option: str) -> str | None:
     return found
 
 
-def is_of_clients(path: Path) -> bool:
-    """Whether a folder is a run of several clients. Raises PolicyError when it is no run."""
-    return "clients" in read_json(path, MANIFEST)
-
-
-def town_of(path: Path, manifest: Manifest, typed: Typed) -> Town:
+def _town_of(options: Options, manifest: Manifest) -> Town:
     """The town that a run was made in, of several the first one.
 
     Raises:
-        PolicyError: Others were typed, or one has other streets by now.
+        PolicyError: It has other streets by now, or it is a run of `wcsim join`.
         TownError: One is not found under the name that it had.
     """
-    said = typed.town or _value_of(manifest.command, "town") or manifest.town
+    path, command = options.run, manifest.command
+    if command[1:2] == ("join",):
+        raise PolicyError(f"{path} learns in a world that somebody serves; join again: {shlex.join(command)} --resume")
+    said = options.town or _value_of(command, "town") or manifest.town
     try:
         towns = [asked_town(word) for word in some_words("--town", said)]
         kept = [asked_town(word) for word in manifest.more_towns]
     except TownError as error:
-        if typed.town is not None:
+        if options.town:
             raise
         raise TownError(f"{path} was made in the town {said!r}: {error}; give its location: --town FOLDER") from None
     of_run = [manifest.town_sha256, *manifest.more_towns.values()]
     for found in (towns, [towns[0], *kept]):
         if [streets_hash(town) for town in found] != of_run:
             own = ", ".join((manifest.town, *manifest.more_towns))
-            raise _another(path, "town or other streets", f"--town {said}", own)
+            told = f"{path} was made with another town or other streets ({own})"
+            raise PolicyError(f"--town {said}: {told}; restore them")
     return towns[0]
 
 
-def require_same(path: Path, manifest: Manifest, typed: Typed, meant: str = DQN) -> None:
-    """Raise PolicyError for an option that says otherwise than the run was made with.
-
-    Args:
-        path: Its folder.
-        manifest: Its manifest.
-        typed: The options.
-        meant: The preset where the run's command named none.
-    """
-    if typed.seed is not None and typed.seed != manifest.seed:
-        raise _another(path, "seed", f"--seed {typed.seed}", manifest.seed)
-    if typed.reward and typed.reward != manifest.rewards:
-        raise _another(path, "rewards", f"--reward {' '.join(typed.reward)}", ", ".join(manifest.rewards) or "none")
-    if typed.hook is not None and typed.hook != manifest.hook:
-        raise _another(path, "hook", f"--hook {typed.hook}", manifest.hook or "none")
-    preset = _value_of(manifest.command, "preset") or meant
-    if typed.preset is not None and typed.preset != preset:
-        raise _another(path, "preset", f"--preset {typed.preset}", preset)
-
-
-def require_own_classes(
-    path: Path, manifest: Manifest, networks: Sequence[str], typed: Typed, named: Sequence[str] = ()
-) -> None:
-    """Refuse code that only the run folder names, unless the run was made here.
-
-    Args:
-        path: The folder.
-        manifest: Of the run.
-        networks: Of its configuration, or of its clients'.
-        typed: The options.
-        named: Networks that were named in another option.
-
-    Raises:
-        PolicyError: Classes of somebody else would be loaded.
-    """
-    said = {typed.network or "", typed.hook or "", *typed.reward, *named}
-    said |= {text.partition("=")[2].strip("\"' ") for text in typed.set if text.startswith("learn.network=")}
-    require_own(path, own_classes(manifest.hook, manifest.rewards, networks), manifest.own_code, said)
-
-
-def require_same_config(path: Path, config: RunConfig, typed: Typed, files: Sequence[Path] = ()) -> None:
-    """Raise PolicyError for a setting that says otherwise than a run's configuration.
-
-    Args:
-        path: Its folder.
-        config: As it is resumed.
-        typed: The options.
-        files: Further files laid over it.
-    """
-    network = () if typed.network is None else (f'learn.network="{typed.network}"',)
-    for file in (*([] if typed.config is None else [typed.config]), *files):
-        _require_equal(path, config, with_file(config, file), f"the file {file}")
-    words = (*typed.set, *network)
-    if _equal(path, config, with_overrides(config, words)):  # a later word may take back an earlier one
-        return
-    for text in reversed(words):
-        said = f"--network {typed.network}" if text in network else f"--set {text}"
-        _require_equal(path, config, with_overrides(config, (text,)), said)
+def _require_own_classes(options: Options, manifest: Manifest, networks: Sequence[str]) -> None:
+    """Refuse code that only the run folder names, unless the run was made here. Raises PolicyError."""
+    require_own(options.run, own_classes(manifest.hook, manifest.rewards, networks), manifest.own_code, options.trust)
 
 
 def _require_own_config(path: Path, manifest: Manifest) -> None:
@@ -162,55 +188,13 @@ def _require_own_config(path: Path, manifest: Manifest) -> None:
     if manifest.versions.get("wcsim") != metadata.version("wcsim"):
         return
     known = manifest.config_sha256, read_json(path, MANIFEST).get("config_was_sha256")
-    if parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() not in known:
+    if parse_config(RunConfig, read_json(path, CONFIG), str(path / CONFIG)).digest() not in known:
         raise PolicyError(f"{path / CONFIG} does not match the run: changed or damaged; restore it")
 
 
-def _require_equal(path: Path, config: RunConfig, other: RunConfig, said: str) -> None:
-    if not _equal(path, config, other):
-        raise _another(path, "configuration", said)
-
-
-def _equal(path: Path, config: RunConfig, other: RunConfig) -> bool:
-    """Whether both are one configuration to a run that keeps its plant."""
-    same = plant_text(other.chair.plant) == plant_text(config.chair.plant)
-    typed, own = learning(with_kept_plant(other, path)), learning(config)
-    return same and typed.with_usual_warmup() == own.with_usual_warmup()
-
-
-def steps_of(path: Path, config: RunConfig, typed: Typed) -> int:
+def _steps_of(options: Options, config: RunConfig) -> int:
     """Steps in all: those of the run, or more. Raises PolicyError for fewer."""
     total = config.learn.total_steps
-    if typed.steps is None:
-        return total
-    if typed.steps < total:
-        raise PolicyError(f"--steps {typed.steps}: {path} was made for {total}; expected at least as many")
-    return typed.steps
-
-
-def resumed(path: Path, typed: Typed) -> tuple[ResolvedRun, Town]:
-    """What a run of one network goes on with.
-
-    Raises:
-        PolicyError: It is no such run, or an option says otherwise.
-        TownError: Its town is not there.
-        ConfigError: An option cannot be used.
-    """
-    run = open_run(path)
-    _require_own_config(path, run.manifest)
-    require_same(path, run.manifest, typed, QUICK if learns_in_rounds(run.config) else DQN)
-    require_own_classes(path, run.manifest, (run.config.learn.network,), typed)
-    town = town_of(path, run.manifest, typed)
-    steps = steps_of(path, run.config, typed)
-    require_same_config(path, run.config, typed)
-    begun = "config_was_sha256" in read_json(path, MANIFEST)  # by a process that ended between two files
-    if begun or steps != run.config.learn.total_steps:
-        with locked(path):  # by nobody else at work: a run in use keeps its steps
-            extend(path, steps)
-        run = open_run(path)
-    return resolve_run(learning(run.config), run.manifest.info, town, path, resume=True), town
-
-
-def _another(path: Path, what: str, said: str, own: object = None) -> PolicyError:
-    its = "" if own is None else f" ({own})"
-    return PolicyError(f"{said}: {path} was made with another {what}{its}; resume with the same one, or leave it out")
+    if options.steps is not None and options.steps < total:
+        raise PolicyError(f"--steps {options.steps}: {options.run} was made for {total}; expected at least as many")
+    return options.steps or total

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from wcsim.agents.rounds.train_rounds import RoundProgress, train_danger
 from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.cli.shared.common import machines_of
 from wcsim.cli.shared.exit_codes import NothingKept
-from wcsim.cli.shared.machine_options import machines_of
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.bar import gone_if_nothing_came_of_it
 from wcsim.config import RunConfig

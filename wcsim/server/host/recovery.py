@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.config import RunConfig
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 from wcsim.log.parts import part_files, put_aside
 from wcsim.log.reader import inputs_of_part, read_header
@@ -139,7 +139,7 @@ def _header(order: WorldSpec, has_town: bool) -> Header:
         town=order.town,
         more_towns=order.more_towns,
         town_sha256=towns_hash(towns),
-        config=_as_meant(world.config, towns).model_dump_json(),
+        config=resolve(world.config, _usual_warmup(towns)).model_dump_json(),
         seed=order.seed,
         seats=order.rules.capacity,
         tick_s=world.config.world.tick_s,
@@ -149,11 +149,10 @@ def _header(order: WorldSpec, has_town: bool) -> Header:
     )
 
 
-def _as_meant(config: RunConfig, towns: Sequence[Town]) -> RunConfig:
-    """Without whether the warm-up was asked for where no town has one of its own: there it says nothing."""
-    if not towns or any(town.file.warmup_s is not None for town in towns):
-        return config
-    return config.with_usual_warmup()
+def _usual_warmup(towns: Sequence[Town]) -> tuple[str, ...]:
+    """Whether the warm-up was asked for says nothing where no town has one of its own: there it is left out."""
+    own = not towns or any(town.file.warmup_s is not None for town in towns)
+    return () if own else ("world.town_warmup=true",)
 
 
 def _require_same(path: Path, new: Header) -> None:

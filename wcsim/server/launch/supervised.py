@@ -502,7 +502,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         tick = self._last_tick()
         reason = self._died(code, words, now_s, tick=tick)
         if code == WorldExit.DISK_FULL:
-            self._give_up(f"{words}; then continue (with --resume, where the command has that)", refused=False)
+            self._give_up(f"{words}; then continue (a training: wcsim resume RUN)", refused=False)
             return
         if code == WorldExit.USER_ERROR or (code == WorldExit.FAILED and not self._loaded):
             self._give_up(words or f"the world {reason}; see {self._log_file}", refused=True)

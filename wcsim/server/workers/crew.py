@@ -20,7 +20,7 @@ LATE: Final = 5.0  # times the longest piece so far: then it is done again by an
 LEAST_LATE_S: Final = 180.0
 NOBODY_S: Final = 600.0  # without any worker before the run gives up
 _LOOK_S: Final = 0.1
-_KEPT: Final = "finished work is saved: continue with the same command (and --resume, where it has that)"
+_KEPT: Final = "finished work is saved: continue (a training: wcsim resume RUN; a test: --resume)"
 
 Keep = Callable[[str, bytes], object]
 """Told, in the crew's thread, of each piece by its key, before anybody else hears of it."""

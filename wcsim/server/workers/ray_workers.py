@@ -148,7 +148,7 @@ class RayWorkers:
     def _lost(self) -> WorkersError:
         return WorkersError(
             f"the Ray cluster at {self._address} is lost: start its head again, then continue "
-            f"(with --resume where the command has that); Ray's messages are in {self._folder / RAY_LOG}"
+            f"(a training: wcsim resume RUN; a test: --resume); Ray's messages are in {self._folder / RAY_LOG}"
         )
 
     def _note(self, ended: WorkEnd) -> None:

@@ -159,7 +159,7 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
     episodes = any(training.clients.values()) or any(training.steps.values())
     rounds = _round_sections(training.rounds)
     if not episodes and not rounds:
-        raise PolicyError(f"{folder}: no client has logged a step yet; continue the training with --resume")
+        raise PolicyError(f"{folder}: no client has logged a step yet; continue the training: wcsim resume {folder}")
     parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]
     if episodes:
         clients = _table(training)

@@ -11,7 +11,7 @@ from wcsim.agents.evaluation.making import make
 from wcsim.agents.evaluation.making.draw import Wanted, free_blocks
 from wcsim.agents.evaluation.suite.list_file import asked_towns, require_towns, towns_of
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.config.suite import BlockFile
 
 
@@ -58,7 +58,7 @@ def test_where_no_hazard_is_found_it_is_said_what_helps(tmp_path: Path, monkeypa
     order = make.MakeOrder(
         suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=1, tight=range(0), work=tmp_path
     )
-    config = load_run_config("quick")
+    config = resolve("quick")
     assert make._hazards(order, (), [block_with(9.0)], config, lambda text, share: said.append((text, share))) == []
     ((text, share),) = said
     assert "no hazards found" in text and "--more-ways 6" in text and share == 0.0

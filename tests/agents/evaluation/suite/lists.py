@@ -9,7 +9,7 @@ from tests.support.worlds import QUICK
 from wcsim.agents.evaluation.making.draw import Wanted, free_blocks, place_of
 from wcsim.agents.evaluation.suite.drive import BlockOrder
 from wcsim.agents.evaluation.suite.list_file import Suite, suite_of, write_list
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.supervisor.actions import action_set
 from wcsim.towns.scenario.town import content_hash, find_town
@@ -19,7 +19,7 @@ POINTS = action_set("square81")
 
 
 def config() -> RunConfig:
-    return load_run_config("quick", QUICK)
+    return resolve("quick", QUICK)
 
 
 def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> BlockFile:

@@ -11,7 +11,7 @@ from wcsim.agents.evaluation.suite.named_policy import identity_of, settings_of
 from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.errors import PolicyError
 
 RULES = ("world", "chair", "reward", "vary")
@@ -23,7 +23,7 @@ OWN = (
 
 
 def run_of(folder: Path, preset: str, *settings: str) -> str:
-    config = load_run_config(preset, settings)
+    config = resolve(preset, settings)
     run = create_run(folder, config, make_manifest(config, RunInfo(seed=1, town="helsinki", town_sha256="a" * 64)))
     stage = run.policy("final")
     stage.mkdir(parents=True)

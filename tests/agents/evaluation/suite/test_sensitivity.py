@@ -10,13 +10,13 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite import sensitivity as told_apart
 from wcsim.agents.evaluation.suite.run import SuiteOrder
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 
 
 def test_every_disturbance_is_a_setting_that_exists() -> None:
     for settings in told_apart.DISTURBANCES.values():
-        config = load_run_config("quick", (*told_apart.CLEAN, *settings))
-        assert (config == load_run_config("quick", told_apart.CLEAN)) is (not settings)
+        config = resolve("quick", (*told_apart.CLEAN, *settings))
+        assert (config == resolve("quick", told_apart.CLEAN)) is (not settings)
 
 
 def test_every_disturbance_disturbs_whatever_is_set(
@@ -28,7 +28,7 @@ def test_every_disturbance_disturbs_whatever_is_set(
     own = ("chair.plant=mwd", "chair.plant=rwd", "world.action_delay_ticks=1", "chair.v_max_mps=1.2")
     order = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path, settings=own)
     told_apart.sensitivity(order, (), lambda _: None)
-    configs = [load_run_config("quick", settings) for settings in driven]
+    configs = [resolve("quick", settings) for settings in driven]
     assert len(configs) == len(told_apart.DISTURBANCES)
     assert all(config != configs[0] for config in configs[1:])
     assert configs[0].world.action_delay_ticks == 1 and configs[0].chair.v_max_mps == 1.2

@@ -20,7 +20,7 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of,
 from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.cli.recordings.film_page import FilmOrder, play_start
-from wcsim.config import load_run_config
+from wcsim.config import resolve
 from wcsim.core.files import numbered_names
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
@@ -147,7 +147,7 @@ def test_a_torn_journal_is_shown_up_to_its_last_whole_tick(run: Path, tmp_path: 
 
 
 def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
-    config = load_run_config("quick")
+    config = resolve("quick")
     user = drawn_user(profile("tremor"), 3)
     order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=40, seed=3)
     record_user(order, tmp_path / "a.drive")

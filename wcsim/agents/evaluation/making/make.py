@@ -18,7 +18,7 @@ from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
 from wcsim.agents.evaluation.suite.tight import tight_blocks
-from wcsim.config import RunConfig, load_run_config
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
 from wcsim.core.reading import counted
@@ -61,7 +61,7 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
 
     Raises TownError for one that is too small, and for two of one name.
     """
-    config = load_run_config("quick", SETTINGS)
+    config = resolve("quick", SETTINGS)
     by_name(town for town, _ in towns)
     listed = [listed_as(town, seed) for town, seed in towns]
     named = tuple(

@@ -27,7 +27,7 @@ from wcsim.agents.evaluation.suite.records import (
 from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import RunConfig, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
 from wcsim.errors import PolicyError, WcsimError
@@ -80,7 +80,7 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
         TownError: The town cannot be opened.
         PolicyError: `make_policy` made none.
     """
-    config = with_overrides(order.config, (*order.block.settings, "world.draw_threads=1"))
+    config = resolve(order.config, (*order.block.settings, "world.draw_threads=1"))
     policies = [make_policy() for _ in order.block.episodes]
     specs = tuple(
         seat_of(order, episode, policy) for episode, policy in zip(order.block.episodes, policies, strict=True)

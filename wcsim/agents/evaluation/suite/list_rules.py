@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_plain, settings_of
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config import RunConfig, resolve
 
 _RULES: Final = ("world", "chair", "reward", "vary")  # sections
 _PACE: Final = ("draw_threads", "epoch_ticks", "epoch_growth_mb")  # of `world`: they change no result
@@ -24,8 +24,8 @@ def settings_in_list(policy: str, preset: str, settings: tuple[str, ...]) -> Run
         PolicyError: There is no such policy.
         ConfigError: The settings cannot be used.
     """
-    own, rules = settings_of(policy, preset, ()), load_run_config(preset)
-    return with_overrides(own.model_copy(update={name: getattr(rules, name) for name in _RULES}), settings)
+    own, rules = settings_of(policy, preset, ()), resolve(preset)
+    return resolve(own.model_copy(update={name: getattr(rules, name) for name in _RULES}), settings)
 
 
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:

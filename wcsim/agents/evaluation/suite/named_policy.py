@@ -15,7 +15,7 @@ from wcsim.agents.policies.served_policy import ServedPolicy, is_served
 from wcsim.agents.policy_api import VETO, Policy, is_baseline, without_veto
 from wcsim.agents.runs.policy_file import SHIPPED
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
-from wcsim.config import RunConfig, load_run_config, with_overrides
+from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, sources_of
@@ -31,7 +31,7 @@ def identity_of(name: str, preset: str) -> list[Any]:
     if is_baseline(name):
         return ["baseline", name, preset]
     if is_served(name):
-        with closing(ServedPolicy(name, action_set(load_run_config(preset).env.actions).points)) as served:
+        with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
             return ["served", served.version, preset]
     if is_onnx(name):
         return ["onnx", preset, _files(Path(name))]
@@ -140,9 +140,9 @@ def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfi
     """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
     if is_onnx(policy):
         about = read_about(Path(without_veto(policy)))
-        return with_overrides(load_run_config(about.preset, about.settings), settings)
+        return resolve(resolve(about.preset, about.settings), settings)
     plain = is_baseline(policy) or is_own_class(policy) or is_served(policy)
-    config = with_overrides(load_run_config(preset) if plain else config_of(policy, preset, ()), settings)
+    config = resolve(resolve(preset) if plain else config_of(policy, preset, ()), settings)
     action_set(config.env.actions)
     return config
 

@@ -1,0 +1,109 @@
+"""`wcsim train-clients A,B,...`: several networks learn at once in one world, each in a process of its own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from wcsim.agents.clients.group_run import Client, GroupRun
+from wcsim.agents.networks.names import NETWORK_NAMES, client_name
+from wcsim.cli.shared.common import Repeated, parse, some_words
+from wcsim.cli.shared.run_config import in_town, require_user
+from wcsim.cli.training.clients import GroupOptions
+from wcsim.cli.training.phases_apart import train_group
+from wcsim.cli.training.train import out_of, placed
+from wcsim.cli.training.train_q import QOptions, q_config
+from wcsim.errors import ConfigError
+
+MOST_CLIENTS = 64
+_NETWORK = re.compile(r"[A-Za-z_][\w.-]*(:[A-Za-z_]\w*)?")
+_TAKEN = ("world", "logs", "ledgers", "configs", "journal", "selection", "report")  # names in a run folder
+
+
+@dataclass(kw_only=True)
+class Options(QOptions, GroupOptions):
+    """Train several networks at once in one shared world, by Q-learning, each in a process of its own."""
+
+    clients: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A,B,...")]
+    """Networks, separated by commas: names or module:Class."""
+    config_for: Annotated[Repeated, tyro.conf.arg(metavar="NAME=FILE")] = ()
+    """TOML file with settings for one client; overrides all others."""
+    select_by: Annotated[str | None, tyro.conf.arg(metavar="HOW")] = None
+    """Which client learns the second phase: kpi1 (the lowest KPI 1 in the first phase), the name of a client, or a
+    suite or episode list (the best on it). With '' all do. None: learn.select_by, which is kpi1 in preset paper."""
+
+
+def run(words: list[str]) -> int:
+    """Train them, and leave a run folder."""
+    options = parse(Options, words, "train-clients")
+    clients = resolved(options)
+    config = clients[0].config
+    town, info = placed(options, options.info(("wcsim", "train-clients", *words)), config)
+    out = out_of(options, options.preset, town)
+    return train_group(options, GroupRun(clients=clients, out=out, info=in_town(info, town, config)), town)
+
+
+def resolved(options: Options) -> tuple[Client, ...]:
+    """The clients with their names, seats and configurations.
+
+    Raises:
+        ConfigError: A name or an option cannot be used, or they do not fit into one world.
+    """
+    networks = some_words("clients", options.clients)
+    if len(networks) > MOST_CLIENTS:
+        raise ConfigError(f"{len(networks)} clients; expected at most {MOST_CLIENTS}")
+    names = client_names(networks)
+    files = _files(options.config_for, names)
+    learn: dict[str, object] = {"tensorboard": True} if options.tensorboard else {}
+    if options.select_by is not None:
+        learn["select_by"] = options.select_by
+    clients: list[Client] = []
+    for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
+        config = q_config(options, network, {"learn": learn}, files.get(name))
+        require_user(config.env.profile)
+        clients.append(Client(name=name, seat=seat, config=config))
+    worlds = {client.config.world_digest(): client.name for client in clients}
+    if len(worlds) > 1:
+        raise ConfigError(
+            f"clients {' and '.join(worlds.values())} ask for different worlds; expected the same world, chair, "
+            "camera, IMU and reward for all: only [learn] and the observation in [env] may differ (--config-for)"
+        )
+    return tuple(clients)
+
+
+def client_names(networks: Sequence[str]) -> tuple[str, ...]:
+    """A name for each client: its network's, numbered where it comes again.
+
+    >>> client_names(("fig6", "own_file:OwnNet", "fig6"))
+    ('fig6', 'OwnNet', 'fig6-2')
+
+    Raises:
+        ConfigError: A network cannot be named so.
+    """
+    used, names = set(_TAKEN), []
+    for network in networks:
+        if not _NETWORK.fullmatch(network):
+            raise ConfigError(f"client {network[:80]!r} is neither the name of a network nor module:Class")
+        if ":" not in network and network not in NETWORK_NAMES:
+            known = ", ".join(NETWORK_NAMES)
+            raise ConfigError(f"client: unknown network {network!r}; expected {known}, or module:Class")
+        base = client_name(network)
+        name = next(n for n in (base, *(f"{base}-{k}" for k in range(2, 2 * MOST_CLIENTS + 9))) if n not in used)
+        used.add(name)
+        names.append(name)
+    return tuple(names)
+
+
+def _files(config_for: Sequence[str], names: Sequence[str]) -> dict[str, Path]:
+    files = {}
+    for text in config_for:
+        name, equals, path = text.partition("=")
+        if not equals or name not in names:
+            raise ConfigError(f"--config-for {text!r}: expected NAME=FILE with a NAME of {', '.join(names)}")
+        files[name] = Path(path)
+    return files

@@ -1,0 +1,110 @@
+"""`wcsim train-q`: a network learns to assist by Q-learning; and the configuration of whoever learns so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Protocol
+
+import tyro
+
+from wcsim.cli.shared.common import Repeated, Steps, parse
+from wcsim.cli.shared.run_config import how_it_learns, learning, require_head, require_trained_users, resolve_run
+from wcsim.cli.training.train import TrainingOptions, out_of, placed, told, train_in
+from wcsim.config import CONFIG_FILE, LearnConfig, RunConfig, resolve
+from wcsim.config.load import sets_key
+from wcsim.core import reading
+from wcsim.server.specs import RunInfo
+
+_PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the steps
+
+
+@dataclass(kw_only=True)
+class QOptions(TrainingOptions):
+    """What every new training by Q-learning takes."""
+
+    preset: str = "dqn"
+    """Preset to start from: dqn or paper."""
+    reward: Repeated = ()
+    """Your own reward term as module:Class, added to the paper's terms."""
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
+    steps: Steps = None
+    """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""
+    tensorboard: bool = False
+    """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
+
+    def info(self, command: tuple[str, ...]) -> RunInfo:
+        """What is known of a run before its town is."""
+        return RunInfo(seed=self.seed, rewards=self.reward, command=command, hook=self.hook)
+
+
+@dataclass(kw_only=True)
+class Options(QOptions):
+    """Train a network by Q-learning, from the reward of every step, as in the paper."""
+
+    network: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
+    """Name of a network, or your own as module:Class; same as --set learn.network=..."""
+
+
+class Asked(Protocol):
+    """The options that a configuration for Q-learning is made of."""
+
+    preset: str
+    config: Path | None
+    set: tuple[str, ...]
+    steps: int | None
+
+
+def run(words: list[str]) -> int:
+    """Train and leave a run folder."""
+    options = parse(Options, words, "train-q")
+    config = q_config(options, options.network, {"learn": {"tensorboard": True}} if options.tensorboard else None)
+    town, info = placed(options, options.info(("wcsim", "train-q", *words)), config)
+    made = resolve_run(config, info, town, out_of(options, options.preset, town))
+    train_in(made, town, note=how_it_learns(config), verbose=options.verbose)
+    return told(options, made)
+
+
+def q_config(
+    asked: Asked, network: str = "", more: Mapping[str, Any] | None = None, file: Path | None = None
+) -> RunConfig:
+    """The configuration that was asked for, as it is learned with; the window is left to `resolve_run`.
+
+    Args:
+        asked: The options.
+        network: Laid over what they say; "" for theirs.
+        more: Tables of keys that other options stand for.
+        file: TOML file laid over all, for one of several clients.
+
+    Raises:
+        ConfigError: An option cannot be used, the user is kept for tests, or it is no Q-learning.
+    """
+    named = {"learn": {"network": network}} if network else None
+    config = resolve(asked.preset, asked.config, asked.set, more, named, file)
+    if asked.steps is not None:
+        tables = [reading.read_toml(path, CONFIG_FILE).get("learn", {}) for path in (asked.config, file) if path]
+        typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
+        own = [key for key in _PARTS if key in typed or any(key in table for table in tables)]
+        parts = shrunk_parts(config.learn, asked.steps, own)
+        config = resolve(config, {"learn": {"total_steps": asked.steps, **parts}})
+    require_head(config, in_rounds=False)
+    require_trained_users(config)
+    return learning(config)
+
+
+def shrunk_parts(learn: LearnConfig, steps: int, own: list[str]) -> dict[str, int]:
+    """First phase and wait for the first update in a training of so many steps in all.
+
+    A preset's first phase of more than half of them shrinks in proportion, and so does its wait for the first update.
+    The keys in `own` are the user's, and stay.
+
+    >>> shrunk_parts(LearnConfig(), 60, [])
+    {'phase1_steps': 15, 'learning_starts': 2}
+    """
+    parts = {key: getattr(learn, key) for key in _PARTS if key not in own}
+    return {
+        key: part if part <= steps / 2 else round(steps * min(0.5, part / learn.total_steps))
+        for key, part in parts.items()
+    }
