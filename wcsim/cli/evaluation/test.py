@@ -14,14 +14,7 @@ from typing import TYPE_CHECKING
 from wcsim.agents.evaluation.suite.named_policy import is_plain
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.run_folder import config_of, run_of
-from wcsim.cli.evaluation.judged_suite import (
-    DriveOptions,
-    check_options,
-    drive_list,
-    judge,
-    order_of,
-    run_suites,
-)
+from wcsim.cli.evaluation.judged_suite import DriveOptions, check_options, drive_list, judge, order_of, run_suites
 from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import check_folder, in_bounds, parse, says, some_words
 from wcsim.cli.shared.consoles import stdout_console
