@@ -32,7 +32,7 @@ from wcsim.users.profiles import HELD_OUT
 
 _COLUMNS = (
     *("policy", "part", "crashes_own", "km", "crashes_per_km"),
-    *("kpi1_free_mean", "kpi1_moving_within", "kpi1_free_within", "speed_mps"),
+    *("kpi1_free_within", "speed_mps"),
     *("arrivals", "needless", "warned_share", "false_warnings_per_km", "score"),
 )
 _LIMITS = """- Simulation only: this says nothing about a real street, and no person has driven with it.

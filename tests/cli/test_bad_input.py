@@ -214,7 +214,7 @@ def test_a_scenario_of_ones_own_is_tested_in_unless_it_is_a_copy_of_a_training_t
     words = ("--only", "--episodes", "1", "--max-steps", "3", *QUICK)
     told = wcsim("test", "--town", scenario, *words)
     assert told.code == 0
-    assert "1 policy, 1 episode of each: follow" in told.err and "zero" not in told.out
+    assert "1 episode a policy" in told.err and "zero" not in told.out
     known = shutil.copytree(corner, folder / "scenarios/sumo/known")
     text = (known / "town.toml").read_text()
     for split in ("test", "train"):

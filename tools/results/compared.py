@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from wcsim.agents.evaluation.intervals import bootstrapped, garwood
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
-from wcsim.agents.evaluation.suite.result_files import KeptResult, Row
+from wcsim.agents.evaluation.suite.result_files import TestResult
+from wcsim.agents.evaluation.suite.rows import Row
 from wcsim.core import seeding
 from wcsim.users.profiles import HELD_OUT
 
@@ -41,9 +42,9 @@ class Wanted:
         return f"| {self.what} | {self.bar} | {self.got} | {'yes' if self.reached else 'no'} |"
 
 
-def compared_text(result: KeptResult, runs: Sequence[str]) -> str:
+def compared_text(result: TestResult, runs: Sequence[str]) -> str:
     """Tables in Markdown: scores network by network less the rival's, the user never met, and what is wanted."""
-    parts = [*dict.fromkeys(row["part"] for row in result.rows), ""]
+    parts = [*dict.fromkeys(row.part for row in result.rows), ""]
     lines = ["", f"| part | {' | '.join(Path(run).name for run in runs)} |", "|---" * (len(runs) + 1) + "|"]
     lines += [
         f"| {part or 'all'} | {' | '.join(difference_text(result, run, part) for run in runs)} |" for part in parts
@@ -54,14 +55,14 @@ def compared_text(result: KeptResult, runs: Sequence[str]) -> str:
     return "\n".join([*lines, *(item.line for item in wanted(result, runs)), ""])
 
 
-def difference_text(result: KeptResult, run: str, part: str) -> str:
+def difference_text(result: TestResult, run: str, part: str) -> str:
     """A network's score less the rival's, and the own crashes that the rival has and it has not, and the other way."""
     mine, others = records_of(result, run, part), records_of(result, RIVAL, part)
     saved, lost = saved_and_lost(mine, others)
     return f"{_mean_text(scores_of(mine) - scores_of(others))}, {saved} and {lost}"
 
 
-def by_user_text(result: KeptResult, policy: str) -> str:
+def by_user_text(result: TestResult, policy: str) -> str:
     """A row of what a policy does with the user that no network has met, and with the others."""
     records = records_of(result, policy)
     met = [record for record in records if record.profile not in HELD_OUT]
@@ -74,9 +75,9 @@ def by_user_text(result: KeptResult, policy: str) -> str:
     return f"| {Path(policy).name} | {' | '.join(cells)} |"
 
 
-def wanted(result: KeptResult, runs: Sequence[str]) -> list[Wanted]:
+def wanted(result: TestResult, runs: Sequence[str]) -> list[Wanted]:
     """Everything that is wanted of networks on a suite, taken together over their seeds."""
-    rows = {(row["policy"], row["part"]): row for row in (*result.rows, *result.pooled)}
+    rows = {(row.policy, row.part): row for row in (*result.rows, *result.pooled)}
     return [
         _left(result, runs),
         _half(result, runs),
@@ -89,9 +90,9 @@ def wanted(result: KeptResult, runs: Sequence[str]) -> list[Wanted]:
     ]
 
 
-def records_of(result: KeptResult, policy: str, part: str = "") -> list[EpisodeRecord]:
+def records_of(result: TestResult, policy: str, part: str = "") -> list[EpisodeRecord]:
     """A policy's episodes of a part, "" for all."""
-    return [item.record for item in result.episodes[policy] if part in ("", item.record.part)]
+    return [item for item in result.episodes[policy] if part in ("", item.part)]
 
 
 def counts_of(records: Sequence[EpisodeRecord]) -> Counts:
@@ -129,7 +130,7 @@ def _drawn(count: int) -> npt.NDArray[np.int64]:
     return seeding.generator(0, "bootstrap", count).integers(0, count, (DRAWS, count))
 
 
-def _left(result: KeptResult, runs: Sequence[str]) -> Wanted:
+def _left(result: TestResult, runs: Sequence[str]) -> Wanted:
     nets = [counts_of(records_of(result, run)) for run in runs]
     follow, oracle = (counts_of(records_of(result, name)) for name in (USER, BLINDED))
     value, low, high = left_of(nets, follow, oracle)
@@ -140,7 +141,7 @@ def _left(result: KeptResult, runs: Sequence[str]) -> Wanted:
     return Wanted(what=what, bar="0.15, interval below 0.35", got=said, reached=value <= 0.15 and high <= 0.35)
 
 
-def _half(result: KeptResult, runs: Sequence[str]) -> Wanted:
+def _half(result: TestResult, runs: Sequence[str]) -> Wanted:
     nets = np.array([[record.own for record in records_of(result, run)] for run in runs], np.float64)
     rival = np.array([record.own for record in records_of(result, RIVAL)], np.float64)
     mean, picks = nets.mean(0), _drawn(len(rival))
@@ -157,7 +158,7 @@ def _survived(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
 
     def survived(policy: str, part: str) -> float:
         row = rows[policy, part]
-        return 100.0 * (1.0 - row["crashes_own"] / row["episodes"])
+        return 100.0 * (1.0 - row.crashes_own / row.episodes)
 
     gains = {part: float(np.mean([survived(run, part) for run in runs])) - survived(RIVAL, part) for part in HARD}
     reached = max(gains.values()) >= 20.0 and min(gains.values()) >= 0.0
@@ -173,8 +174,8 @@ def _survived(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
 
 
 def _obedience(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
-    within = [rows[run, ""]["kpi1_free_within"] or 0.0 for run in runs]
-    paces = [(rows[run, ""]["speed_mps"] or 0.0) / (rows[USER, ""]["speed_mps"] or 1.0) for run in runs]
+    within = [rows[run, ""].kpi1_free_within or 0.0 for run in runs]
+    paces = [(rows[run, ""].speed_mps or 0.0) / (rows[USER, ""].speed_mps or 1.0) for run in runs]
     return [
         Wanted(
             what="close to user, within 0.1768 on moving free steps", bar="95 %", got=_each(within, 100.0, 1, " %"),
@@ -189,7 +190,7 @@ def _obedience(rows: Rows, runs: Sequence[str]) -> list[Wanted]:
 
 def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
     crossing = [rows[name, "crossing"] for name in (RIVAL, *runs)]
-    rival, *shares = (row["arrivals"] / max(row["attempts"], 1) for row in crossing)
+    rival, *shares = (row.arrivals / max(row.attempts, 1) for row in crossing)
     return Wanted(
         what="arrivals in part crossing",
         bar=f"`{RIVAL}`'s {100 * rival:.1f} %, minus 3 points",
@@ -199,18 +200,18 @@ def _arrivals(rows: Rows, runs: Sequence[str]) -> Wanted:
 
 
 def _needless(rows: Rows, runs: Sequence[str]) -> Wanted:
-    most, *counts = (rows[name, ""]["needless"] for name in (RIVAL, *runs))
+    most, *counts = (rows[name, ""].needless for name in (RIVAL, *runs))
     reached = float(np.mean(counts)) <= most
     return Wanted(what="unneeded interventions", bar=f"`{RIVAL}`'s {most}", got=_each(counts, 1.0, 0), reached=reached)
 
 
 def _warned(rows: Rows, runs: Sequence[str]) -> Wanted:
-    shares = [rows[run, ""]["warned_share"] or 0.0 for run in runs]
+    shares = [rows[run, ""].warned_share or 0.0 for run in runs]
     reached = float(np.mean(shares)) >= 0.9
     return Wanted(what="warned 1 s ahead", bar="90 %", got=_each(shares, 100.0, 0, " %"), reached=reached)
 
 
-def _ahead(result: KeptResult, runs: Sequence[str]) -> Wanted:
+def _ahead(result: TestResult, runs: Sequence[str]) -> Wanted:
     """The mean score against the best baseline that is no bound."""
     scores = {name: scores_of(records_of(result, name)) for name in result.episodes if name not in BOUNDS}
     means = {name: float(each.mean()) for name, each in scores.items()}

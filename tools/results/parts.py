@@ -122,9 +122,7 @@ def trained(
     return Step(words=words, again=again, folder=run, makes=run / MANIFEST)
 
 
-def judged(
-    out: Path, suite: str, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()
-) -> Step:
+def judged(out: Path, suite: str, runs: tuple[str, ...], alone: bool = False, settings: tuple[str, ...] = ()) -> Step:
     """A test of runs on a suite, beside all baselines or beside the user alone; kept blocks are not driven again."""
     kind = "-".join((suite, *(setting.replace("=", "-") for setting in settings)))
     name = "-".join((kind, *runs))

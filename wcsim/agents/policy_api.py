@@ -24,7 +24,8 @@ GYRO: Final = "gyro"  # the IMU's turn rates, among the senses of `NeedsSenses`
 MOTION_SENSES: Final = ("odometry", GYRO)  # that tell how the chair moves
 ANSWER_S: Final = 90.0  # for an answer of a model or process of others: a slow machine may load and compile at first
 
-BASELINES: Final = ("follow", "random", "zero", "stop", "dwa")
+UNAIDED: Final = "follow"  # the user alone, on the grid of actions
+BASELINES: Final = (UNAIDED, "random", "zero", "stop", "dwa")
 """What sees no more than a network does."""
 
 UPPER_BOUND: Final = "oracle"

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from wcsim.config import Finite, Model, NotNegative, Text
 
 MOST_SEATS = 12
 MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
-Part = Literal["free", "crossing", "hazard", "tight"]
+Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]  # free, crossing, hazard, tight, or drawn
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Steps = Annotated[int, Field(ge=1, le=1_000_000)]
 
@@ -23,14 +23,20 @@ def name_pattern(most: int) -> str:
 class EpisodeFile(Model):
     """One way of one wheelchair."""
 
-    start_m: tuple[Finite, Finite]  # W
+    start_m: tuple[Finite, Finite] | None  # W; None where the block's world draws it, and one goal after the other
     heading_rad: Finite
-    goal_m: tuple[Finite, Finite]  # W
+    goal_m: tuple[Finite, Finite] | None  # W; None as the start is
     profile: Text  # of the user
     max_steps: Steps
     route_m: NotNegative  # from start to goal
     reference_s: Annotated[float, Field(gt=0.0, le=1e6)]  # the way's time with nothing to hinder it
     handover_step: Annotated[int, Field(ge=0, le=1_000_000)] = 0  # until here the user drives alone
+
+    @model_validator(mode="after")
+    def _is_given_or_drawn(self) -> Self:
+        if (self.start_m is None) is not (self.goal_m is None):
+            raise ValueError("an episode has both start_m and goal_m, or null for both, which draws them")
+        return self
 
 
 class BlockFile(Model):

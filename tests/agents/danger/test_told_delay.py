@@ -6,10 +6,9 @@ import pytest
 
 from tests.agents.danger.sights import observation, small_config
 from tests.agents.danger.test_policy import policy_of
+from tests.agents.driven import Script, driven
 from tests.agents.evaluation.suite.lists import Held, block_of, order_of
-from tests.agents.evaluation.test_evaluate import Script
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.evaluation.evaluate import evaluate
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policy_api import HearsDelay, tell_delay
@@ -64,7 +63,7 @@ def test_without_a_drawn_delay_the_configured_one_stays():
 
 def test_a_test_in_a_town_tells_each_episodes_delay_before_it_begins():
     policy = Told()
-    evaluate(policy, Drawing(crash_at=3), episodes=3, max_steps=9, seed=1)
+    driven(policy, Drawing(crash_at=3), episodes=3, max_steps=9, seed=1)
     assert policy.heard == [0, "reset", 1, "reset", 2, "reset"]
 
 

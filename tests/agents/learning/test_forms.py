@@ -13,7 +13,7 @@ import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
-from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.train import train
 from wcsim.agents.replay.buffer import _layout_of

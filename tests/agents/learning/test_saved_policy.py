@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 
 import wcsim.agents
 from tests.agents.toy import ToyStreet, toy_camera
-from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks import registry

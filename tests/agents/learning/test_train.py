@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.evaluation.matrix import open_policy
+from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EverySeconds
 from wcsim.agents.learning.checkpoint import _restored_generator, generator_state, save_checkpoint

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import wcsim
+from tests.agents.driven import driven
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
-from wcsim.agents.evaluation.evaluate import evaluate
-from wcsim.agents.evaluation.matrix import open_policy, window_for
+from wcsim.agents.evaluation.open_policy import open_policy, window_of
 from wcsim.agents.learning.build import build_model, with_window
 from wcsim.agents.learning.checkpoint import save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
@@ -371,10 +371,9 @@ def test_policies_with_different_windows_are_tested_in_one_environment(run, tmp_
     """Each drives as it does in an environment of its own."""
     single = train(a_run(config(window=1, network="patch", total_steps=60), tmp_path / "run", 5), lambda: street(1))
     policies = [open_policy(str(path), CONFIG) for path in (run, single)] + [baseline("stop", CONFIG)]
-    assert window_for(policies) == 3
-    assert window_for(policies[1:]) == window_for([]) == 1
+    assert [window_of(policy) for policy in policies] == [3, 1, 1]
     for policy, own in zip(policies, (3, 1, 1), strict=True):
-        rows = [evaluate(policy, WindowedStreet(n, CAMERA, 40), 2, 40, seed=4) for n in (own, 3, 5)]
+        rows = [driven(policy, WindowedStreet(n, CAMERA, 40), 2, 40, seed=4) for n in (own, 3, 5)]
         assert rows[0] == rows[1] == rows[2]
 
 

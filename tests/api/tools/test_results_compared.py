@@ -7,8 +7,7 @@ import pytest
 
 from tools.results.compared import by_user_text, compared_text, difference_text, left_of, wanted
 from wcsim.agents.evaluation.suite.records import CRASHED, FINISHED, EpisodeRecord, Intervention
-from wcsim.agents.evaluation.suite.result_files import KeptEpisode, KeptResult
-from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.evaluation.suite.result_files import result_of as result
 
 PARTS = ("free", "crossing", "hazard", "tight")
 MANY = 40  # episodes of a part
@@ -31,22 +30,8 @@ def driven(own, **changes):
 
 
 def result_of(policies):
-    rows, pooled = [], []
-    for name, records in policies.items():
-        mine, everything = pooled_rows(name, records, policies["follow"])
-        rows += mine
-        pooled.append(everything)
-    episodes = {
-        name: tuple(
-            KeptEpisode(record=item, said={}, path_m=None, accel_sq_sum=None, stick_travel=None, asked_travel=None)
-            for item in records
-        )
-        for name, records in policies.items()
-    }
-    return KeptResult(
-        suite="s", set="v1", list_sha256="0" * 64, changed=(), rows=tuple(rows), pooled=tuple(pooled),
-        episodes=episodes, list_name="v1", preset="quick", network="", out="",
-    )  # fmt: skip
+    said = {"suite": "s", "set": "v1", "list_sha256": "0" * 64, "changed": (), "list_name": "v1", "preset": "quick"}
+    return result(policies, **said, network="", out="")
 
 
 def beside(nets, dwa=None):

@@ -70,8 +70,8 @@ def test_it_has_a_row_beside_the_user_alone(wcsim, folder, corner, own):
     words = ("--town", corner, "--only", "--allow-train-town", "--episodes", "1", "--max-steps", "20", *QUICK)
     assert wcsim("test", f"{own}:Still", *words, "--json", "rows.json").code == 0
     rows = {row["policy"]: row for row in json.loads((folder / "rows.json").read_text())["rows"]}
-    assert set(rows) == {"still", "follow"}
-    assert rows["still"]["km"] < 0.1 * rows["follow"]["km"]
+    assert set(rows) == {f"{own}:Still", "follow"}
+    assert rows[f"{own}:Still"]["km"] < 0.1 * rows["follow"]["km"]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,9 @@ def test_the_example_is_tested_in_a_town_and_creeps_before_what_is_near(wcsim, f
     monkeypatch.delitem(sys.modules, "own_policy", raising=False)
     words = ("--town", corner, "--only", "--allow-train-town", "--episodes", "1", "--max-steps", "10", *QUICK)
     assert wcsim("test", "own_policy:Careful", *words, "--json", "rows.json").code == 0
-    assert {row["policy"] for row in json.loads((folder / "rows.json").read_text())["rows"]} == {"careful", "follow"}
+    assert {row["policy"] for row in json.loads((folder / "rows.json").read_text())["rows"]} == {
+        *("follow", "own_policy:Careful")
+    }
 
     policy = sys.modules["own_policy"].Careful(resolve("quick"))
     seen = {"depth": np.zeros((1, 24, 32), np.uint8), "joystick": np.array([0.0, 1.0], np.float32)}

@@ -3,22 +3,22 @@
 import io
 import json
 import re
+from dataclasses import fields, replace
 
 import pytest
 from rich.console import Console
 
 from tests.agents.evaluation.suite.lists import written_list
 from tests.agents.evaluation.suite.test_list_rules import run_of
+from tests.agents.evaluation.suite.test_records import GOOD
 from tests.support.one_process import in_this_process
+from wcsim.agents.evaluation.suite.result_files import result_of
+from wcsim.agents.evaluation.suite.rows import Row
 from wcsim.cli import main
 from wcsim.cli.evaluation.result_tables import show_result
+from wcsim.view.report.columns import GROUPS
 
-KEYS = {
-    "policy", "part", "episodes", "status", "km", "crashes_own", "crashes_other", "drops", "crash_reasons",
-    "crashes_per_km", "crashes_per_km_ci", "kpi1", "kpi1_free_within", "kpi2_median", "alive_at_end", "speed_mps",
-    "arrivals", "attempts", "road_s", "red_entries", "blocked_share", "freezes", "needed", "needless", "missed",
-    "warned_share", "false_warnings_per_km", "helps", "score", "score_ci",
-}  # fmt: skip
+KEYS = {field.name for field in fields(Row)}
 
 
 @pytest.fixture(scope="module")
@@ -91,20 +91,63 @@ def test_what_cannot_be_played_is_refused(small, words, said, tmp_path, capsys):
     assert said in capsys.readouterr().err
 
 
+def result(records, **changes):
+    said = {"suite": "s", "set": "x", "list_sha256": "", "changed": (), "list_name": "x", "preset": "", "network": ""}
+    return result_of(records, **{**said, "out": "", **changes})
+
+
+def shown(found, width=120, undriven=()):
+    console = Console(width=width, file=io.StringIO(), emoji=False)
+    show_result(console, found, undriven)
+    return console.file.getvalue()
+
+
 def test_names_in_tables_are_no_markup():
     """What stands in brackets would be gone."""
-    rows = [{"policy": name, "episodes": 3, "part": "free"} for name in ("own:Robot:", "runs/[red]a")]
-    console = Console(width=120, file=io.StringIO(), emoji=False)
-    show_result(console, {"suite": "s [b]", "set": "x", "rows": rows, "pooled": rows}, (), ["runs/[red]b: failed"])
-    told = console.file.getvalue()
-    assert told.count("runs/[red]a") == 3 and "s [b] x: free" in told and "runs/[red]b: failed" in told
+    records = {name: [GOOD] for name in ("own:Robot:", "runs/[red]a")}
+    told = shown(result(records, suite="s [b]"), undriven=["runs/[red]b: failed"])
+    assert told.count("runs/[red]a") == len(GROUPS) and "s [b] x: free" in told and "runs/[red]b: failed" in told
 
 
 @pytest.mark.parametrize("parts", [("tight",), ("free", "tight")])
 def test_a_list_of_one_part_is_shown_once(parts):
-    row = {"policy": "follow", "episodes": 3}
-    rows, pooled = [{**row, "part": part} for part in parts], [{**row, "part": ""}]
-    console = Console(width=120, file=io.StringIO())
-    show_result(console, {"suite": "s", "set": "x", "rows": rows, "pooled": pooled}, ())
-    shown = re.findall(r"^s x: (.+), safety *$", console.file.getvalue(), re.MULTILINE)
-    assert shown == [*parts, *(["all parts"] if len(parts) > 1 else [])]
+    told = shown(result({"follow": [replace(GOOD, part=part) for part in parts]}))
+    found = re.findall(r"^s x: (.+), safety *$", told, re.MULTILINE)
+    assert found == [*parts, *(["all parts"] if len(parts) > 1 else [])]
+
+
+def test_the_tables_show_what_was_counted_and_call_the_oracles_upper_bounds():
+    crash = {
+        "status": "chair_crashed",
+        "reason": "drop",
+        "fault": "own",
+        "crash": "fell off a kerb, edge e",
+    }
+    record = replace(
+        GOOD, **crash, m=100.0, distance_sum=25.0, within=33, free_steps=80, free_sum=4.0, moving_sum=2.4, goals=2
+    )
+    told = shown(result({"follow": [record] * 2}), width=80)
+    assert max(map(len, told.splitlines())) <= 80
+    rows = [line.split()[1:] for line in told.splitlines() if line.split()[:1] == ["follow"]]
+    assert rows[0] == ["2", "0.20", "2", "10.00", "1.2-36.1", "0", "2", "0", "0", "0"]
+    assert rows[1] == ["0.250", "33%", "0.050", "0.030", "75.0%", "80%", "0.0%", "0", "100"]
+    assert rows[2] == ["0.000", "-", "0", "4", "0", "0", "10.00", "0", "0"]
+    assert "follow, episode 0.1: drop, own fault: it fell off a kerb, edge e" in told and "upper bound" not in told
+    both = shown(result({name: [record] for name in ("follow", "oracle-visible", "oracle")}))
+    assert "upper bound" in both and "road users in its cameras" in " ".join(both.split())
+
+
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_no_name_and_no_number_is_broken_however_long(width):
+    many = {"m": 123_450.0, "crossings": 123, "freezes": 123, "goals": 123, "road_s": 1234.0, "steps": 10000}
+    far = "/somewhere/experiments/2026-11/assistive-networks/runs"
+    names = ["follow", "runs/demo", "runs/demo:phase1", "oracle-visible", f"{far}/a:phase1", f"{far}/b/two", "c/two"]
+    names += [f"{far}/{'d' * 60}"]
+    told = shown(result({name: [replace(GOOD, **many)] for name in names}), width)
+    lines = [line.rstrip() for line in told.splitlines()]
+    assert max(map(len, lines)) <= width and "…" not in told
+    found = [line.split(" ")[0] for line in lines if " 1234 " in line]
+    joined = "".join(lines)
+    labels = [line.partition(" 1234")[0] for line in lines if " 1234 " in line]
+    assert len(set(labels)) == len(found) == len(names)
+    assert all(name in joined for name in names)

@@ -7,9 +7,7 @@ import pytest
 from tests.bridge.sumo.test_actor_kinds import ADDITIONAL, EVENTS, TYPES
 from tests.support.menagerie import HITTING, build_street
 from tests.towns.made import hostile
-from wcsim.bridge.sumo.session import log
 from wcsim.bridge.town_run import CrashFact
-from wcsim.cli.evaluation.test import _jams_once
 from wcsim.cli.main import main
 from wcsim.cli.town.run import _crash_lines
 from wcsim.towns.scenario.town import find_town
@@ -69,14 +67,6 @@ def test_collisions_of_the_warm_up_are_counted_apart(tmp_path, capsys):
     assert "within SUMO's traffic │ 1, 1 during warm-up" in capsys.readouterr().out
     facts = json.loads((out / "manifest.json").read_text())["facts"]
     assert (facts["collisions"], facts["collisions_warming"]) == (1, 1)
-
-
-def test_a_jam_that_all_policies_meet_is_told_once(caplog):
-    with _jams_once():
-        for vehicle in ("a", "a", "b", "a"):
-            log.warning("jam: %s", vehicle)
-    log.warning("jam: %s", "a")
-    assert [record.getMessage() for record in caplog.records] == ["jam: a", "jam: b", "jam: a"]
 
 
 def two_streets(corner, tmp_path, vclass):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.evaluation.suite.rows import pooled_rows
+from wcsim.agents.evaluation.suite.result_files import TestResult, result_of
 
 SCRIPT = "<script>alert(1)</script>"
-PATH_M = [[1.0, 0.0], [2.5, 0.0]]  # after 1 s, and after 1.5
+PATH_M = ((1.0, 0.0), (2.5, 0.0))  # after 1 s, and after 1.5
 WAYS = {"path_m": PATH_M, "accel_sq_sum": 25.0, "stick_travel": 30.0, "asked_travel": 10.0}
 POLICIES = ("follow", "dwa", "net@0.25", "net@0.75", SCRIPT)
 
@@ -41,26 +43,20 @@ def records_of(policy: str) -> tuple[EpisodeRecord, ...]:
     return (worst, record(1, status="policy_failed", reason=f"RuntimeError: {SCRIPT}"), *map(record, range(2, 6)))
 
 
-def write_result(folder: Path, ways: bool = True, **changes: Any) -> dict[str, Any]:
+def write_result(folder: Path, **changes: Any) -> dict[str, Any]:
     """Write the files of a test; `result.json` as it stands there."""
-    records = {name: records_of(name) for name in POLICIES}
-    rows, pooled = [], []
-    for name, found in records.items():
-        parts, whole = pooled_rows(name, found, records["follow"])
-        rows += parts
-        pooled.append(whole)
-    result = {
-        "suite": "made-up-v1", "set": "try", "list_sha256": "0" * 64, "rows": rows, "pooled": pooled,
-        "changed": ["world.tick_s=0.1"], **changes,
-    }  # fmt: skip
-    more = WAYS if ways else {}
-    episodes = {name: [{**_old(item), **more} for item in found] for name, found in records.items()}
+    records = {name: [replace(item, **WAYS) for item in records_of(name)] for name in POLICIES}
+    said = {"suite": "made-up-v1", "set": "try", "list_sha256": "0" * 64, "changed": ("world.tick_s=0.1",)}
+    unsaid = {"list_name": "try", "preset": "quick", "network": "", "out": ""}
+    result = {**result_of(records, **said, **unsaid).to_json(), **changes}
+    episodes = {name: [item.to_json() for item in found] for name, found in records.items()}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").write_text(json.dumps(result), encoding="utf-8")
     (folder / "episodes.json").write_text(json.dumps(episodes), encoding="utf-8")
     return result
 
 
-def _old(item: EpisodeRecord) -> dict[str, Any]:
-    """As a version before ways and comfort were recorded would write it."""
-    return {key: value for key, value in item.to_json().items() if key not in WAYS}
+def with_episodes(result: TestResult, episodes: Mapping[str, Sequence[EpisodeRecord]]) -> TestResult:
+    """The result of other episodes."""
+    rest = ("suite", "set", "list_sha256", "changed", "list_name", "preset", "network", "out")
+    return result_of(episodes, **{name: getattr(result, name) for name in rest})

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from tests.view.report.results import PATH_M, SCRIPT, crashed, record, write_result
-from wcsim.agents.evaluation.episode_meter import EpisodeMeter
-from wcsim.agents.evaluation.suite.result_files import KeptEpisode, read_result
+from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.config import RewardConfig
+from wcsim.supervisor.kpi import KpiMeter
 from wcsim.types import Events, Joystick
 from wcsim.view.report.failures import _last_speed_mps, chosen, failures_of, judged, where_typed, worst_of
 
@@ -20,9 +20,7 @@ NOTHING = Events(
 
 
 def kept(path_m, time_s):
-    return KeptEpisode(
-        record=record(0, time_s=time_s), said={}, path_m=path_m, accel_sq_sum=None, stick_travel=None, asked_travel=None
-    )
+    return record(0, time_s=time_s, path_m=path_m)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +53,7 @@ def test_the_worst_come_first(tmp_path):
     assert (worst.key, worst.reason, worst.unaided) == ((0, 0), "collision", "drop (own fault) after 2 s")
     assert worst_of(failures, "dwa") is None
     assert [one.key for one in chosen(failures, 1) if one.policy == "follow"] == [(0, 1)]  # with a car, not the fall
-    assert all(one.episode.record.steps for one in chosen(failures, 100))
+    assert all(one.record.steps for one in chosen(failures, 100))
 
 
 def test_of_two_like_failures_the_faster_is_worse(tmp_path):
@@ -69,20 +67,20 @@ def test_of_two_like_failures_the_faster_is_worse(tmp_path):
 
 
 def test_the_speed_of_the_last_second_comes_from_the_way():
-    assert _last_speed_mps(kept(tuple(map(tuple, PATH_M)), 1.5)) == pytest.approx(1.5 / 0.5)
+    assert _last_speed_mps(kept(PATH_M, 1.5)) == pytest.approx(1.5 / 0.5)
     assert _last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (1.1, 0.0)), 2.1)) == pytest.approx(1.1 / 1.1)
     assert _last_speed_mps(kept(((0.0, 0.0), (1.0, 0.0), (3.0, 0.0)), 3.0)) == pytest.approx(2.0)
-    assert _last_speed_mps(kept(None, 1.5)) is None
+    assert _last_speed_mps(kept((), 1.5)) is None
 
 
 @pytest.mark.parametrize("steps", [11, 14, 120, 121, 123, 129])
 def test_a_steady_speed_is_told_however_long_the_episode(steps):
-    meter = EpisodeMeter(0.1, RewardConfig())
+    meter = KpiMeter(0.1, RewardConfig())
     for step in range(1, steps + 1):
         state = SimpleNamespace(p_WB_m=(0.15 * step, 0.0, 0.0))
         at_rest = Joystick(0.0, 0.0)
         told = {"events": NOTHING, "joystick_distance": 0.0, "asked": at_rest, "given": at_rest, "speed_mps": 1.5}
-        meter.add({**told, "state": state}, None)
+        meter.add({**told, "state": state}, True)
     path_m = meter.sums()["path_m"]
     assert _last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
 

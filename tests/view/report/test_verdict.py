@@ -1,11 +1,10 @@
 """The verdict of a test: figures of the result in plain words, and no winner by chance."""
 
-from dataclasses import replace
 from textwrap import wrap
 
 import pytest
 
-from tests.view.report.results import SCRIPT, crashed, record, write_result
+from tests.view.report.results import SCRIPT, crashed, record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.records import NEEDLESS, Intervention
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.comparisons import paired, verdict
@@ -18,14 +17,12 @@ def result(tmp_path):
 
 
 def only(result, *names):
-    kept = {name: result.episodes[name] for name in names}
-    return replace(result, episodes=kept, pooled=[row for row in result.pooled if row["policy"] in names])
+    return with_episodes(result, {name: result.episodes[name] for name in names})
 
 
 def driven(result, policy, records):
     """The result with other episodes of a policy."""
-    kept = result.episodes["follow"][0]
-    return replace(result, episodes={**result.episodes, policy: tuple(replace(kept, record=one) for one in records)})
+    return with_episodes(result, {**result.episodes, policy: tuple(records)})
 
 
 def test_it_counts_crashes_by_the_chairs_fault_and_says_what_help_costs(result):
@@ -53,10 +50,10 @@ def test_no_policy_is_best_that_the_intervals_cannot_tell_from_another(result):
     assert f"The best {1 + apart.count(False)} of 5 policies" in said
     three = only(result, "dwa", "net@0.25", "net@0.75")
     assert " dwa, net@0.25 and net@0.75 cannot be told apart here. " in verdict(three)
-    strangers = replace(result, episodes={**result.episodes, "follow": result.episodes["follow"][:0]})
+    strangers = with_episodes(result, {**result.episodes, "follow": result.episodes["follow"][:0]})
     assert "the user alone among them" in verdict(strangers), "they share no episode"
     few = only(result, "follow", "dwa")
-    few = replace(few, episodes={name: found[:2] for name, found in few.episodes.items()})
+    few = with_episodes(few, {name: found[:2] for name, found in few.episodes.items()})
     assert "Of 2 drives, " in verdict(few) and "Fewer than 6 drives cannot tell policies apart." in verdict(few)
 
 
@@ -66,14 +63,12 @@ def test_own_policies_come_first_and_it_stays_short(result):
     assert "net@0.25 (it failed in 1)" in said and SCRIPT not in said
     two = only(result, "follow", "dwa")
     named = {**two.episodes, "own_policy:Careful": two.episodes["dwa"]}
-    rows = [*two.pooled, {**two.pooled[1], "policy": "own_policy:Careful"}]
-    both = verdict(replace(two, episodes=named, pooled=rows))
+    both = verdict(with_episodes(two, named))
     assert "0 with own_policy:Careful and 0 with dwa. dwa and own_policy:Careful cannot be told apart here." in both
     assert both.endswith(" did 95 % as requested and dwa 95 %, with 0 and 0 unneeded interventions.")
     far = "runs/" + "x" * 200
-    rows = [{**row, "policy": far if row["policy"] == "dwa" else row["policy"]} for row in two.pooled]
-    found = {**two.episodes, "net": two.episodes["dwa"], far: two.episodes["dwa"]}
-    assert " 0 with net." in verdict(replace(two, episodes=found, pooled=[*rows, {**rows[1], "policy": "net"}]))
+    found = {"follow": two.episodes["follow"], "net": two.episodes["dwa"], far: two.episodes["dwa"]}
+    assert " 0 with net." in verdict(with_episodes(two, found))
 
 
 def test_a_test_of_the_user_alone_or_of_bounds_crowns_nothing(result):

@@ -71,9 +71,9 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     )
     console = stdout_console()
     _tell(console, played, config.world.tick_s)
-    twin = next((item for item in kept if (item.record.block, item.record.seat) == (index, seat)), None)
+    twin = next((item for item in kept if (item.block, item.seat) == (index, seat)), None)
     if twin is not None:
-        require_same(played.record, twin.said)
+        require_same(played.record, twin)
     compared = "the same as the saved one" if twin is not None else f"not compared: none is saved in {order.out}"
     console.print(f"{film if played.steps else 'no video: nothing was driven'}; the episode is {compared}", style="dim")
     return 0

@@ -14,7 +14,7 @@ from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
-    from wcsim.agents.evaluation.suite.result_files import KeptResult
+    from wcsim.agents.evaluation.suite.result_files import TestResult
     from wcsim.view.report.failures import FailedEpisode, Illustration, Key
 
 _MOST_PICTURES = 1000
@@ -98,7 +98,7 @@ def _of_test(options: Options, out: Path) -> Path:
     return write_suite_page(result, tested, failures, pictures, why_none, out)
 
 
-def _pictures(options: Options, result: KeptResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
+def _pictures(options: Options, result: TestResult, failures: tuple[FailedEpisode, ...]) -> dict[Key, Illustration]:
     from wcsim.view.report.failures import chosen, illustrated, order_of
 
     wanted = chosen(failures, options.pictures)

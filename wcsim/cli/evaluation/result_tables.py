@@ -1,9 +1,10 @@
-"""The tables of a result, safety and service, for each part and for all, with a legend, and the verdict."""
+"""The tables of a result on a console, for each part and for all, with a legend, and the verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -11,72 +12,62 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-Column = tuple[str, str, str]
-_SAFE: tuple[Column, ...] = (
-    ("episodes", "\nepisodes", "{:d}"),
-    ("km", "\nkm", "{:.2f}"),
-    ("crashes_own", "own\ncrash", "{:d}"),
-    ("crashes_per_km", "own\nper km", "{:.2f}"),
-    ("crashes_per_km_ci", "\n95 %", "{0:.1f}-{1:.1f}"),
-    ("crashes_other", "other\ncrash", "{:d}"),
-    ("drops", "\ndrops", "{:d}"),
-    ("red_entries", "at\nred", "{:d}"),
-    ("saved", "\nsaved", "{:d}"),
-    ("lost", "\nlost", "{:d}"),
-)
-_THERE: tuple[Column, ...] = (
-    ("kpi1_free_within", "close\nto user", "{:.1%}"),
-    ("blocked_share", "\nblocked", "{:.1%}"),
-    ("freezes", "times\nfrozen", "{:d}"),
-    ("speed_mps", "\nm/s", "{:.2f}"),
-    ("arrivals", "\narrivals", "{:d}"),
-    ("road_s", "seconds\non road", "{:.0f}"),
-    ("score", "\nscore", "{:.3f}"),
-    ("score_ci", "\n95 %", "{0:.2f}-{1:.2f}"),
-)
-_JUDGED: tuple[Column, ...] = (
-    ("interventions", "\n\ninterventions", "{:d}"),
-    ("missed", "\nmissed\ncrashes", "{:d}"),
-    ("judged_episodes", "\njudged\nepisodes", "{:d}"),
-    ("needed", "\n\nneeded", "{:d}"),
-    ("needless", "\n\nunneeded", "{:d}"),
-    ("warned_share", "\nwarned\nin time", "{:.0%}"),
-    ("false_warnings_per_km", "false\nwarnings\nper km", "{:.0f}"),
-    ("helps", "\n\nhelp", "{:d}"),
-)
+from wcsim.cli.shared.common import first_few
+from wcsim.view.report.columns import GROUPS, Column
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.agents.evaluation.suite.result_files import TestResult
+    from wcsim.agents.evaluation.suite.rows import Row
+    from wcsim.agents.evaluation.suite.sensitivity import Disturbed
+
+_SPREAD = {"crashes_per_km": "{:.1f}-{:.1f}", "score": "{:.2f}-{:.2f}"}  # figures whose interval stands beside them
+_NUMBERS_WIDTH = 66  # characters of the longest numbers
+_SHORTEST_NAME, _LEGEND_WIDTH = 14, 76
 LEGEND = """\
 own crash: the chair's fault; at red: entered a crossing at red
 saved: only the user alone has an own crash there; lost: only the policy has one
-close to user: share of moving steps without danger within 0.177 of the command
-blocked: share of steps without danger that give less than half of a push ahead
+KPI 1: distance between the driven and the user's stick; KPI 2: steps of an
+episode until a crash or its end
+close: share of steps within 0.177 of the user's command
+free: steps without danger; moving: the user's stick is out
+blocked: free steps that give less than half of a push ahead
 frozen: stood 3 s or more against the stick; on road: stood on a carriageway
 needed: else the user crashes within 5 s; missed: own crash, no intervention
 warned in time: share of dangers with a warning at least 1 s ahead
 help: times that the user asked for it"""
+_BOUNDS = {
+    "oracle": "oracle knows the true state: an upper bound",
+    "oracle-visible": "oracle-visible: the true state, but only road users in its cameras",
+}
 
 
-def show_result(
-    console: Console, result: Mapping[str, Any], changed: Sequence[str], undriven: Sequence[str] = (), verdict: str = ""
-) -> None:
-    """Print a result of `wcsim test --suite`: three tables for each part, and three for all where there are several.
+def show_result(console: Console, result: TestResult, undriven: Sequence[str] = (), verdict: str = "") -> None:
+    """Print a result: tables for each part, and for all where there are several; then the crashes.
 
     The verdict stands last: the tables of a long list leave the screen.
 
     Args:
         console: Where.
-        result: As `result.json` has it.
-        changed: Settings over those of the list.
+        result: Of `wcsim test`.
         undriven: Lines on policies that failed or were refused.
         verdict: What the test says in a few sentences.
     """
-    version = f"{result['suite']} {result['set']}{' CHANGED by ' + ' '.join(changed) if changed else ''}"
-    parts = list(dict.fromkeys(row["part"] for row in result["rows"]))
-    for part in parts if len(parts) == 1 else [*parts, ""]:
-        rows = [row for row in (result["rows"] if part else result["pooled"]) if row["part"] == part]
-        title = f"{version}: {part or 'all parts'}"
-        for what, columns in (("safety", _SAFE), ("service", _THERE), ("interventions and warnings", _JUDGED)):
-            console.print(_table(f"{title}, {what}", columns, rows))
+    changed = f" CHANGED by {' '.join(result.changed)}" if result.changed else ""
+    labels = _labels(list(result.episodes), console.width - _NUMBERS_WIDTH)
+    for part, rows in _parts(result):
+        for what, columns in GROUPS.items():
+            shown = [column for column in columns if column.short]
+            lines = [[labels[row.policy], *_cells(row, shown)] for row in rows]
+            title = f"{result.suite} {result.set}{changed}: {part}, {what}"
+            console.print(_table(title, ["policy", *_headings(shown)], lines))
+    for name, label in labels.items():
+        if label != name:
+            console.print(_broken(f"{label}: {name}"), markup=False, highlight=False)
     console.print(LEGEND, style="dim", highlight=False)
+    for note in (_BOUNDS[name] for name in result.episodes if name in _BOUNDS):
+        console.print(note, style="dim", highlight=False)
+    for line in first_few(_crashed(result), "crashes; episodes.json has all"):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     for line in undriven:
         console.print(line, style="bold", markup=False, soft_wrap=True)
     console.print("SIMULATION ONLY: these figures say nothing about a real street.", style="dim")
@@ -84,37 +75,90 @@ def show_result(
         console.print(verdict, style="bold", markup=False, highlight=False)
 
 
-_MOVED: tuple[Column, ...] = (
-    ("crashes_own", "own\ncrash", "{:d}"),
-    ("crashes_other", "other\ncrash", "{:d}"),
-    ("kpi1_free_within", "close\nto user", "{:.1%}"),
-    ("speed_mps", "\nm/s", "{:.2f}"),
-    ("score", "\nscore", "{:.3f}"),
-    ("score_change", "change\nof score", "{:+.3f}"),
-    ("score_change_ci", "\n95 %", "{0:+.2f} to {1:+.2f}"),
+def _parts(result: TestResult) -> list[tuple[str, list[Row]]]:
+    """Each part's rows, and those of all where there are several parts."""
+    parts = dict.fromkeys(row.part for row in result.rows)
+    found = [(part, [row for row in result.rows if row.part == part]) for part in parts]
+    return found if len(found) == 1 else [*found, ("all parts", list(result.pooled))]
+
+
+def _crashed(result: TestResult) -> list[str]:
+    """Every crash, with its policy, episode, reason, fault, with whom and where."""
+    from wcsim.agents.evaluation.suite.records import CRASHED
+    from wcsim.supervisor.rewards import blamed
+
+    return [
+        f"{policy}, episode {record.block}.{record.seat}: {blamed(record.reason, record.fault, record.crash)}"
+        for policy, records in result.episodes.items()
+        for record in records
+        if record.status == CRASHED
+    ]
+
+
+_MOVED = (
+    *(column for column in GROUPS["safety"] if column.key in ("crashes_own", "crashes_other")),
+    *(column for column in GROUPS["following"] if column.key == "kpi1_free_within"),
+    *(column for column in GROUPS["service"] if column.key in ("speed_mps", "score")),
 )
 
 
-def show_sensitivity(console: Console, title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print the rows of `wcsim test --suite --sensitivity`, a table for each policy."""
-    for policy in dict.fromkeys(row["policy"] for row in rows):
-        own = [{**row, "policy": row["disturbance"]} for row in rows if row["policy"] == policy]
-        console.print(_table(f"{title}: {policy}, with each disturbance alone", _MOVED, own, "disturbance"))
+def show_sensitivity(console: Console, title: str, moved: Sequence[Disturbed]) -> None:
+    """Print what `wcsim test --suite --sensitivity` found, a table for each policy."""
+    for policy in dict.fromkeys(each.row.policy for each in moved):
+        own = [each for each in moved if each.row.policy == policy]
+        lines = [[each.disturbance, *_cells(each.row, _MOVED), *_change(each)] for each in own]
+        headings = ["disturbance", *_headings(_MOVED), "change\nof score", "95 %"]
+        console.print(_table(f"{title}: {policy}, with each disturbance alone", headings, lines))
     console.print("change of score: against the same episodes without noise and delay", style="dim")
 
 
-def _table(title: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]], first: str = "policy") -> Table:
+def _change(moved: Disturbed) -> tuple[str, str]:
+    low_high = moved.score_change_ci
+    return f"{moved.score_change:+.3f}", "-" if low_high is None else f"{low_high[0]:+.2f} to {low_high[1]:+.2f}"
+
+
+def _headings(columns: Sequence[Column]) -> list[str]:
+    return [text for column in columns for text in (column.short, *["95 %"] * (column.key in _SPREAD))]
+
+
+def _cells(row: Row, columns: Sequence[Column]) -> list[str]:
+    found = []
+    for column in columns:
+        value = getattr(row, column.key)
+        found.append("-" if value is None else column.form.format(value))
+        if column.key in _SPREAD:
+            bounds = getattr(row, column.interval)
+            found.append("-" if bounds is None else _SPREAD[column.key].format(*bounds))
+    return found
+
+
+def _table(title: str, headings: Sequence[str], lines: Sequence[Sequence[str]]) -> Table:
     table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
-    deep = max(heading.count("\n") for _, heading, _ in columns)
-    table.add_column("\n" * deep + first, no_wrap=True)
-    for _, heading, _ in columns:
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in rows:
-        table.add_row(Text(str(row["policy"])), *(_cell(row.get(key), text) for key, _, text in columns))
+    deep = max(heading.count("\n") for heading in headings)
+    for number, heading in enumerate(headings):
+        lower = "\n" * (deep - heading.count("\n")) + heading
+        table.add_column(lower, justify="right" if number else "left", no_wrap=True)
+    for line in lines:
+        table.add_row(*map(Text, line))
     return table
 
 
-def _cell(value: Any, text: str) -> str:
-    if value is None:
-        return "-"
-    return text.format(*value) if isinstance(value, list) else text.format(value)
+def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
+    """What each policy is called in a row: its name, the end of its path, or its number."""
+    longest = max(longest, _SHORTEST_NAME)
+    ends = [name.rstrip("/").rpartition("/")[2] for name in names]
+    found = {}
+    for number, (name, end) in enumerate(zip(names, ends, strict=True), 1):
+        alone = end not in names and ends.count(end) == 1 and len(end) <= longest
+        found[name] = name if len(name) <= longest else end if alone else f"policy {number}"
+    return found
+
+
+def _broken(line: str) -> str:
+    """A line that is broken behind a / where it is too long for a table."""
+    lines = [""]
+    for part in re.findall(r"[^/]*/|[^/]+", line):
+        if lines[-1] and len(lines[-1] + part) > _LEGEND_WIDTH:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)

@@ -85,7 +85,7 @@ def play_start(order: FilmOrder) -> PlayStart:
 
 
 def _told(failure: FailedEpisode) -> str:
-    record = failure.episode.record
+    record = failure.record
     words = (failure.reason, f"with {record.partner}" if record.partner else "", failure.whose)
     return f"{' '.join(word for word in words if word)}, {record.town}"
 

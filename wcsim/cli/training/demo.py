@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -13,7 +12,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from wcsim.cli.evaluation import test
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse, write_json
+from wcsim.cli.evaluation.result_tables import show_result
+from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
     QUICK,
@@ -32,7 +32,7 @@ from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
 
 if TYPE_CHECKING:  # loads torch, which --help must not
-    from wcsim.agents.evaluation.matrix import TestResult
+    from wcsim.agents.evaluation.suite.result_files import TestResult
 
 _FILM_WIDTH_PX, _FILM_S = 480, 10.0
 _USUAL = "This takes about 4 minutes on two free cores, half of them for training. The first run takes one minute more."
@@ -95,9 +95,9 @@ def run(words: list[str]) -> int:
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)
     _train(demo, config, school, words)
-    results = _test(demo, ", ".join(tested))
+    result = _test(demo, ", ".join(tested))
     still = _film(demo)
-    page = _page(demo, config, results, still)
+    page = _page(demo, config, result, still)
     demo.say(f"\ndone in {_minutes(time.monotonic() - started)}; open this page: {page}", "bold")
     demo.say("next:")
     for command, does in _commands(demo):
@@ -117,14 +117,12 @@ def _train(demo: _Demo, config: RunConfig, school: Town, words: list[str]) -> No
         demo.say(f"{stop}")
 
 
-def _test(demo: _Demo, towns: str) -> Sequence[TestResult]:
+def _test(demo: _Demo, towns: str) -> TestResult:
     """The second: the network beside the baselines, who meet the same world."""
     demo.say(f"\n2/3 testing in {towns}, a new town for it, next to seven baselines", "bold")
-    results = test.test_policies(replace(demo.trial, policies=(str(demo.out),)), overrides=False)
-    for result in results:
-        demo.console.print(*result.tables(demo.console.width))
-    write_json(demo.out / "test.json", test.as_json(results))
-    return results
+    result = test.test_policies(replace(demo.trial, policies=(str(demo.out),), out=demo.out / "test"))
+    show_result(demo.console, result)
+    return result
 
 
 def _film(demo: _Demo) -> Path:
@@ -155,12 +153,12 @@ def _film(demo: _Demo) -> Path:
     return still
 
 
-def _page(demo: _Demo, config: RunConfig, results: Sequence[TestResult], still: Path) -> Path:
+def _page(demo: _Demo, config: RunConfig, result: TestResult, still: Path) -> Path:
     from wcsim.view.report.demo_page import DemoShown, write_demo_page
 
     shown = DemoShown(
         learned=how_it_learns(config),
-        results=results,
+        result=result,
         film=still.with_suffix(".webm").name,
         film_says=f"The network assists a simulated user ({demo.trial.profile}) in {demo.town.name}: the chair's "
         "camera, the map, the user's stick (blue) and the driven one (orange). Click the picture to play the film.",

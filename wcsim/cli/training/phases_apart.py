@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.table import Table
@@ -34,6 +34,7 @@ from wcsim.view.report.learning_curve import kpi1_of
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
+    from wcsim.agents.evaluation.suite.result_files import TestResult
 
 
 _HEADS = {KPI1: f"KPI 1, last {KPI1_STEPS} steps", "score": "score", "crashes_own": "own crashes"}
@@ -149,7 +150,8 @@ def _followed(run: GroupRun) -> list[Judged]:
 
 def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
     from wcsim.agents.evaluation.suite.list_rules import told_of_rules
-    from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+    from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+    from wcsim.agents.policy_api import UNAIDED
 
     order = SuiteOrder(suite=suite, out=run.out / SELECTION, jobs=worlds_of(options.worlds), forks=0)
     told = stderr_console()
@@ -178,13 +180,13 @@ def _policy_of(run: Path, client: str) -> str:
     return f"{run / client}:phase1"
 
 
-def _judged_of(result: Mapping[str, Any], run: Path, clients: Sequence[str]) -> list[Judged]:
+def _judged_of(result: TestResult, run: Path, clients: Sequence[str]) -> list[Judged]:
     """What a result says of the clients, in their order."""
-    rows = {row["policy"]: row for row in result["pooled"]}
+    rows = {row.policy: row for row in result.pooled}
     found = []
     for client in clients:
         row = rows[_policy_of(run, client)]
-        figures = {"score": row["score"] or 0.0, "crashes_own": row["crashes_own"]}
+        figures = {"score": row.score or 0.0, "crashes_own": row.crashes_own}
         found.append(Judged(client=client, figures=figures, rank=(-figures["score"], figures["crashes_own"])))
     return found
 

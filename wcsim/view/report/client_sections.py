@@ -73,10 +73,14 @@ def _compared(run: Path, number: int) -> Exhibit:
 
 def _tested(run: Path, number: int) -> Exhibit:
     result = read_result(run / SELECTION)
-    names = {row["policy"]: Path(row["policy"].removesuffix(":phase1")).name for row in result.pooled}
+    names = {row.policy: Path(row.policy.removesuffix(":phase1")).name for row in result.pooled}
     best = read_choice(run, list(names.values()))
     rows: list[list[Cell]] = [
-        [name := names[row["policy"]], *(_cell(row.get(k)) for k, _ in _SHOWN), "second phase" if name == best else ""]
+        [
+            name := names[row.policy],
+            *(_cell(getattr(row, k)) for k, _ in _SHOWN),
+            "second phase" if name == best else "",
+        ]
         for row in result.pooled
     ]
     headings = ("client", *(heading for _, heading in _SHOWN), "learned on")
@@ -100,7 +104,7 @@ def _exhibit(
 
 
 def _cell(value: object) -> Cell:
-    if isinstance(value, list):
+    if isinstance(value, tuple):
         return " to ".join(f"{bound:.3f}" for bound in value)
     return value if isinstance(value, int | float | str) else None
 

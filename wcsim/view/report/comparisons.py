@@ -10,10 +10,9 @@ from typing import Final
 
 from wcsim.agents.evaluation.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
-from wcsim.agents.evaluation.suite.result_files import KeptResult
-from wcsim.agents.evaluation.suite.rows import Row, row_of, undone
-from wcsim.agents.evaluation.suite.run import UNAIDED
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
+from wcsim.agents.evaluation.suite.result_files import TestResult
+from wcsim.agents.evaluation.suite.rows import Row, undone
+from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.core.reading import counted
 
 RIVALS: Final = ("follow", "dwa")  # the user alone, and the classical controller
@@ -51,9 +50,9 @@ class Paired:
         return max(self.episodes, math.ceil(self.episodes * (half / abs(self.difference)) ** 2))
 
 
-def compared(result: KeptResult) -> tuple[Paired, ...]:
+def compared(result: TestResult) -> tuple[Paired, ...]:
     """Every policy with each rival that was driven, by part, all parts first."""
-    parts = ("", *dict.fromkeys(row["part"] for row in result.rows))
+    parts = ("", *dict.fromkeys(row.part for row in result.rows))
     rivals = [name for name in RIVALS if name in result.episodes]
     pairs = [
         (name, rival)
@@ -65,13 +64,13 @@ def compared(result: KeptResult) -> tuple[Paired, ...]:
     return tuple(item for item in found if item is not None)
 
 
-def paired(result: KeptResult, policy: str, rival: str, part: str) -> Paired | None:
+def paired(result: TestResult, policy: str, rival: str, part: str) -> Paired | None:
     """Two policies over the episodes of a part that both have; None without any."""
-    theirs = {(e.record.block, e.record.seat): e.record for e in result.episodes[rival]}
+    theirs = {(e.block, e.seat): e for e in result.episodes[rival]}
     both = [
-        (episode.record, theirs[episode.record.block, episode.record.seat])
+        (episode, theirs[episode.block, episode.seat])
         for episode in result.episodes[policy]
-        if part in ("", episode.record.part) and (episode.record.block, episode.record.seat) in theirs
+        if part in ("", episode.part) and (episode.block, episode.seat) in theirs
     ]
     if not both:
         return None
@@ -173,10 +172,10 @@ WEIGHTINGS: Final = (
 )
 
 
-def weighted(result: KeptResult) -> dict[str, list[tuple[float, int]]]:
+def weighted(result: TestResult) -> dict[str, list[tuple[float, int]]]:
     """By policy: its mean under each of WEIGHTINGS, and its rank; equal means share a rank."""
     means = {
-        name: [math.fsum(way.of(e.record) for e in episodes) / len(episodes) for way in WEIGHTINGS]
+        name: [math.fsum(way.of(e) for e in episodes) / len(episodes) for way in WEIGHTINGS]
         for name, episodes in result.episodes.items()
     }
     return {
@@ -187,19 +186,18 @@ def weighted(result: KeptResult) -> dict[str, list[tuple[float, int]]]:
     }
 
 
-def verdict(result: KeptResult) -> str:
+def verdict(result: TestResult) -> str:
     """Three sentences, and as many lines; no policy is called best by chance.
 
     Policies of the user's own come first; of many only some are named.
     """
     helping = [name for name in result.episodes if name not in _NO_HELP]
     helping.sort(key=lambda name: name.partition("@")[0] in BASELINES)
-    driven = {name: result.episodes.get(name, ()) for name in (UNAIDED, *helping[:_MOST_POLICIES])}
-    # Of the episodes, not those of the file: of a file of others they are what was checked.
-    rows = [row_of(name, "", [episode.record for episode in found], ()) for name, found in driven.items() if found]
+    driven = {row.policy: row for row in result.pooled if row.episodes}
+    rows = [driven[name] for name in (UNAIDED, *helping[:_MOST_POLICIES]) if name in driven]
     said = ""
     for many in range(min(_MOST_POLICIES, len(helping)), -1, -1):
-        chosen = [row for row in rows if row["policy"] in (UNAIDED, *helping[:many])]
+        chosen = [row for row in rows if row.policy in (UNAIDED, *helping[:many])]
         sentences = (_crashes(chosen), _told_apart(result), _price(chosen))
         said = " ".join(sentence for sentence in sentences if sentence)
         if many <= 1 or len(wrap(said, _LINE)) <= _MOST_LINES:
@@ -211,19 +209,19 @@ def _crashes(rows: Sequence[Row]) -> str:
     """How many drives ended with a crash by the chair's fault, without and with help."""
     if not rows:
         return ""
-    drives = rows[0]["episodes"]
+    drives = rows[0].episodes
     counts = []
     for row in rows:
-        of = "" if row["episodes"] == drives else f" of {row['episodes']}"
+        of = "" if row.episodes == drives else f" of {row.episodes}"
         left = undone(row)
         failed = f" (it failed in {left})" if left else ""
-        counts.append(f"{row['crashes_own']}{of} with {_called(row['policy'])}{failed}")
+        counts.append(f"{row.crashes_own}{of} with {_called(row.policy)}{failed}")
     return f"Of {counted(drives, 'drive')}, the chair caused a crash in {_and(counts)}."
 
 
-def _told_apart(result: KeptResult) -> str:
+def _told_apart(result: TestResult) -> str:
     """Which policy has the best score, or which cannot be told apart from it."""
-    scores = {row["policy"]: float(row.get("score") or 0.0) for row in result.pooled}
+    scores = {row.policy: (row.score or 0.0) for row in result.pooled}
     real = sorted((name for name in scores if name not in UPPER_BOUNDS), key=lambda name: -scores[name])
     if len(real) < 2:
         return ""
@@ -242,10 +240,10 @@ def _told_apart(result: KeptResult) -> str:
 
 def _price(rows: Sequence[Row]) -> str:
     """How often each did what the user requested, and intervened without need."""
-    moved = [row for row in rows if row["policy"] != UNAIDED and row["kpi1_free_within"] is not None]
+    moved = [row for row in rows if row.policy != UNAIDED and row.kpi1_free_within is not None]
     if not moved:
         return ""
-    shares = [(row["policy"], 100.0 * row["kpi1_free_within"]) for row in moved]
+    shares = [(row.policy, 100.0 * (row.kpi1_free_within or 0.0)) for row in moved]
     close = [f"{name} {share:.0f} %" for name, share in shares]
     close[0] = f"{shares[0][0]} did {shares[0][1]:.0f} % as requested"
     return f"In safe moments {_and(close)}{_unneeded(moved)}."
@@ -253,11 +251,11 @@ def _price(rows: Sequence[Row]) -> str:
 
 def _unneeded(rows: Sequence[Row]) -> str:
     """Interventions without need of each policy, where its episodes were judged by counterfactual rollouts."""
-    judged = [row["judged_episodes"] for row in rows]
+    judged = [row.judged_episodes for row in rows]
     if not all(judged):
         return ""
-    counts = [row["needless"] for row in rows]
-    among = "" if judged == [row["episodes"] for row in rows] else f" in {counted(judged[0], 'judged drive')}"
+    counts = [row.needless for row in rows]
+    among = "" if judged == [row.episodes for row in rows] else f" in {counted(judged[0], 'judged drive')}"
     word = "unneeded intervention" if counts == [1] else "unneeded interventions"
     return f", with {_and([str(count) for count in counts])} {word}{among}"
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
@@ -28,8 +28,9 @@ from wcsim.agents.evaluation.suite.records import (
     TIMED_OUT,
     EpisodeRecord,
 )
-from wcsim.agents.evaluation.suite.result_files import KeptEpisode, KeptResult
-from wcsim.agents.evaluation.suite.run import UNAIDED, Piece, SuiteOrder, piece_of, town_addresses
+from wcsim.agents.evaluation.suite.result_files import TestResult
+from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, town_addresses
+from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.world import World
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
@@ -59,7 +60,7 @@ class FailedEpisode:
     """An episode that went wrong."""
 
     policy: str
-    episode: KeptEpisode
+    record: EpisodeRecord
     reason: str
     whose: str  # own, other, or that the policy did not drive yet
     severity: int  # 0 is worst
@@ -70,16 +71,15 @@ class FailedEpisode:
     @property
     def key(self) -> tuple[int, int]:
         """Block and seat."""
-        return self.episode.record.block, self.episode.record.seat
+        return self.record.block, self.record.seat
 
 
-def failures_of(result: KeptResult, folder: Path) -> tuple[FailedEpisode, ...]:
+def failures_of(result: TestResult, folder: Path) -> tuple[FailedEpisode, ...]:
     """All failures of all policies, worst first."""
-    alone = {(e.record.block, e.record.seat): e.record for e in result.episodes.get(UNAIDED, ())}
+    alone = {(e.block, e.seat): e for e in result.episodes.get(UNAIDED, ())}
     found = []
     for policy, episodes in result.episodes.items():
-        for episode in episodes:
-            record = episode.record
+        for record in episodes:
             reason, whose, severity = judged(record)
             if not reason:
                 continue
@@ -87,11 +87,11 @@ def failures_of(result: KeptResult, folder: Path) -> tuple[FailedEpisode, ...]:
             found.append(
                 FailedEpisode(
                     policy=policy,
-                    episode=episode,
+                    record=record,
                     reason=reason,
                     whose=whose,
                     severity=severity,
-                    speed_mps=_last_speed_mps(episode),
+                    speed_mps=_last_speed_mps(record),
                     unaided="not driven" if twin is None else fate(twin),
                     command=_command_of(result, folder, policy, record),
                 )
@@ -125,13 +125,13 @@ def fate(record: EpisodeRecord) -> str:
     return f"{said}, {counted(record.red_entries, 'red light')}" if record.red_entries else said
 
 
-def _last_speed_mps(episode: KeptEpisode) -> float | None:
-    """Mean speed in about the last second; None where no path was recorded.
+def _last_speed_mps(record: EpisodeRecord) -> float | None:
+    """Mean speed in about the last second; None where there is no path.
 
-    A path has the place after each whole second, and the last one (`EpisodeMeter`): at 12.3 s 13 places.
+    A path has the place after each whole second, and the last one (`KpiMeter`): at 12.3 s 13 places.
     """
-    path_m, time_s = episode.path_m, episode.record.time_s
-    if path_m is None or len(path_m) < 2 or time_s <= 0.0:
+    path_m, time_s = record.path_m, record.time_s
+    if len(path_m) < 2 or time_s <= 0.0:
         return None
     leg_s = time_s - (len(path_m) - 1)
     legs = 1 if leg_s >= _SHORT_S or len(path_m) == 2 else 2
@@ -140,7 +140,7 @@ def _last_speed_mps(episode: KeptEpisode) -> float | None:
     return way_m / spent_s if spent_s > 0.0 else None
 
 
-def _command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
+def _command_of(result: TestResult, folder: Path, policy: str, record: EpisodeRecord) -> str:
     """The command that drives an episode again, typed where the test was; see `where_typed`."""
     words = ["wcsim", "test", policy, "--suite", result.list_name, "--play", f"{record.block}.{record.seat}"]
     words += ["--out", result.out or folder.resolve().name]  # policies and lists have names from where they were typed
@@ -150,7 +150,7 @@ def _command_of(result: KeptResult, folder: Path, policy: str, record: EpisodeRe
     return shlex.join(words)
 
 
-def where_typed(result: KeptResult) -> str:
+def where_typed(result: TestResult) -> str:
     """Where the commands of a page run, in words."""
     return "in which you ran the test" if result.out else "that contains the folder of the test"
 
@@ -186,7 +186,7 @@ class _Order:
     """A block to be driven by a process."""
 
     piece: Piece
-    kept: tuple[tuple[int, Mapping[str, Any]], ...]  # seat, and its record as it was kept
+    kept: tuple[EpisodeRecord, ...]  # as they were
 
 
 def chosen(failures: Sequence[FailedEpisode], each: int) -> list[FailedEpisode]:
@@ -194,7 +194,7 @@ def chosen(failures: Sequence[FailedEpisode], each: int) -> list[FailedEpisode]:
     taken: dict[str, int] = {}
     found = []
     for failure in failures:
-        if failure.episode.record.steps and taken.get(failure.policy, 0) < each:
+        if failure.record.steps and taken.get(failure.policy, 0) < each:
             taken[failure.policy] = taken.get(failure.policy, 0) + 1
             found.append(failure)
     return found
@@ -228,7 +228,7 @@ def illustrated(
     orders = [
         _Order(
             piece=piece_of(order, block, policy, towns, judged=False),
-            kept=tuple((failure.key[1], dict(failure.episode.said)) for failure in found),
+            kept=tuple(failure.record for failure in found),
         )
         for (policy, block), found in blocks.items()
     ]
@@ -238,7 +238,7 @@ def illustrated(
     return found_all
 
 
-def order_of(result: KeptResult, folder: Path, own: Collection[str]) -> SuiteOrder:
+def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrder:
     """How a result was driven; `own` as in `illustrated`.
 
     Raises:
@@ -267,7 +267,7 @@ def _driven(orders: Sequence[_Order], jobs: int) -> Iterator[tuple[_Order, list[
 
 def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
     """The pictures of a block, by seat; runs in a process of its own."""
-    kept = dict(order.kept)
+    kept = {record.seat: record for record in order.kept}
     try:
         config = settings_in_list(order.piece.policy, order.piece.preset, order.piece.settings)
         tick_s = config.world.tick_s
@@ -294,7 +294,7 @@ def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
     return [(item.record.seat, _checked(item, kept[item.record.seat])) for item in found]
 
 
-def _checked(played: Played, kept: Mapping[str, Any]) -> Illustration:
+def _checked(played: Played, kept: EpisodeRecord) -> Illustration:
     try:
         require_same(played.record, kept)
     except ConfigError as error:

@@ -19,8 +19,10 @@ from wcsim.agents.evaluation.suite.records import (
     REFUSED,
     STATUSES,
     TIMED_OUT,
+    EpisodeRecord,
 )
-from wcsim.agents.evaluation.suite.result_files import TOWNS, KeptEpisode, KeptResult, Row
+from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
+from wcsim.agents.evaluation.suite.rows import Row
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -102,7 +104,7 @@ def figure(name: str, title: str, says: str, csv: str, svg: bytes) -> Exhibit:
     return Exhibit(name=name, title=title, says=says, body=body, csv=csv, svg=svg)
 
 
-def figures_of(result: KeptResult, folder: Path) -> list[Exhibit]:
+def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     """All figures of a test, which lies in this folder, in the order of the page."""
     places = {name: place for place, name in enumerate(result.episodes)}
     return [
@@ -115,27 +117,22 @@ def figures_of(result: KeptResult, folder: Path) -> list[Exhibit]:
 
 
 def _estimate(row: Row, key: str, interval: str) -> Estimate | None:
-    value, bounds = row.get(key), row.get(interval) or [math.nan, math.nan]  # a point of few episodes has no bar
-    if not _number(value) or not isinstance(bounds, list) or len(bounds) != 2 or not all(map(_number, bounds)):
-        return None
-    return Estimate(value=float(value or 0.0), low=float(bounds[0]), high=float(bounds[1]))
+    value = getattr(row, key)
+    low, high = getattr(row, interval) or (math.nan, math.nan)  # a point of few episodes has no bar
+    return None if value is None else Estimate(value=value, low=low, high=high)
 
 
-def _number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _scores(result: KeptResult, places: dict[str, int]) -> Exhibit:
+def _scores(result: TestResult, places: dict[str, int]) -> Exhibit:
     groups: list[tuple[str, list[tuple[str, Estimate]]]] = []
     plain: list[list[Cell]] = []
-    parts = dict.fromkeys(row["part"] for row in result.rows)
+    parts = dict.fromkeys(row.part for row in result.rows)
     for part in ("", *parts):
         group = []
         for row in result.rows if part else result.pooled:
-            score = _estimate(row, "score", "score_ci") if row["part"] == part else None
+            score = _estimate(row, "score", "score_ci") if row.part == part else None
             if score is not None:
-                group.append((row["policy"], score))
-                plain.append([part or "all", row["policy"], score.value, score.low, score.high])
+                group.append((row.policy, score))
+                plain.append([part or "all", row.policy, score.value, score.low, score.high])
         groups.append((part or "all", group))
     return figure(
         "scores",
@@ -146,16 +143,16 @@ def _scores(result: KeptResult, places: dict[str, int]) -> Exhibit:
     )
 
 
-def _obedience_figure(result: KeptResult, places: dict[str, int]) -> Exhibit:
+def _obedience_figure(result: TestResult, places: dict[str, int]) -> Exhibit:
     """Obedience over own crashes a kilometre, of those who obey half of the time at least."""
-    points, plain = {}, []
+    points, plain = {}, list[list[Cell]]()
     for row in result.pooled:
         crashes = _estimate(row, "crashes_per_km", "crashes_per_km_ci")
         obeyed = _estimate(row, "kpi1_free_within", "kpi1_free_within_ci")
         if crashes is not None and obeyed is not None:
-            points[row["policy"]] = crashes, obeyed
+            points[row.policy] = crashes, obeyed
             figures = (crashes.value, crashes.low, crashes.high, obeyed.value, obeyed.low, obeyed.high)
-            plain.append([row["policy"], *figures])
+            plain.append([row.policy, *figures])
     columns = ("policy", "own_crashes_per_km", "low", "high", "obeyed", "obeyed_low", "obeyed_high")
     says = (
         "Upper left is best. Bars are 95 % intervals over all parts. A line joins the assistance levels of one policy "
@@ -190,45 +187,39 @@ def _levels_of(names: Sequence[str] | dict[str, Any]) -> list[list[str]]:
     return [[name for _, name in sorted(levels)] for levels in found.values() if len(levels) > 1]
 
 
-def _towns(result: KeptResult, places: dict[str, int], made: Path) -> list[Exhibit]:
+def _towns(result: TestResult, places: dict[str, int], made: Path) -> list[Exhibit]:
     """A map a town, some of which lie in `made`; tight places are scenes with coordinates of their own, on no map."""
-    towns = dict.fromkeys(
-        e.record.town for episodes in result.episodes.values() for e in episodes if e.record.part != TIGHT
-    )
+    towns = dict.fromkeys(e.town for episodes in result.episodes.values() for e in episodes if e.part != TIGHT)
     found = []
     for town in towns:
         here = [
             (name, e)
             for name, episodes in result.episodes.items()
             for e in episodes
-            if e.record.town == town and e.record.part != TIGHT and e.record.steps
+            if e.town == town and e.part != TIGHT and e.steps
         ]
         if here:
             found.append(_town(town, here, places, made))
     return found
 
 
-def _way_rows(name: str, e: KeptEpisode) -> list[list[Cell]]:
+def _way_rows(name: str, e: EpisodeRecord) -> list[list[Cell]]:
     """Where a chair was after each second, and where its episode ended, as rows of the map's CSV."""
-    who: list[Cell] = [name, e.record.block, e.record.seat]
+    who: list[Cell] = [name, e.block, e.seat]
     way: list[list[Cell]] = [
-        [*who, "way", min(float(second), e.record.time_s), round(x, 1), round(y, 1)]
-        for second, (x, y) in enumerate(e.path_m or (), 1)
+        [*who, "way", min(float(second), e.time_s), round(x, 1), round(y, 1)]
+        for second, (x, y) in enumerate(e.path_m, 1)
     ]
-    return [*way, [*who, "crash" if e.record.own else "end", e.record.time_s, *e.record.end_m]]
+    return [*way, [*who, "crash" if e.own else "end", e.time_s, *e.end_m]]
 
 
-def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, int], made: Path) -> Exhibit:
-    ways = [
-        DrivenWay(policy=name, points_m=e.path_m or (), crash_m=e.record.end_m if e.record.own else None)
-        for name, e in here
-    ]
+def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: dict[str, int], made: Path) -> Exhibit:
+    ways = [DrivenWay(policy=name, points_m=e.path_m, crash_m=e.end_m if e.own else None) for name, e in here]
     points = [point for way in ways for point in (*way.points_m, *((way.crash_m,) if way.crash_m else ()))]
     own = made / town
     ground = _ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
     plain = [row for name, e in here for row in _way_rows(name, e)]
-    missing = "" if any(way.points_m for way in ways) else " Paths were not recorded; only crashes are shown."
-    missing += "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."
+    missing = "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."
     return figure(
         f"town-{town}",
         f"Paths in {town}",
@@ -239,45 +230,26 @@ def _town(town: str, here: Sequence[tuple[str, KeptEpisode]], places: dict[str, 
     )
 
 
-def _comfort(result: KeptResult, places: dict[str, int]) -> list[Exhibit]:
+def _comfort(result: TestResult, places: dict[str, int]) -> list[Exhibit]:
     """How a ride feels: accelerations, and how much the stick that was given moves beside the user's."""
-    found: dict[str, list[float | None]] = {}
-    for name, episodes in result.episodes.items():
-        steps, seconds = sum(e.record.steps for e in episodes), sum(e.record.time_s for e in episodes)
-        squares = _sum(episodes, "accel_sq_sum")
-        given, asked = _sum(episodes, "stick_travel"), _sum(episodes, "asked_travel")
-        found[name] = [
-            None if squares is None or not steps else (squares / steps) ** 0.5,
-            None if given is None or not seconds else given / seconds,
-            None if asked is None or not seconds else asked / seconds,
-        ]
     columns = ("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s")
-    plain: list[list[Cell]] = [[name, *values] for name, values in found.items()]
+    plain: list[list[Cell]] = [[row.policy, *(getattr(row, name) for name in columns)] for row in result.pooled]
     csv = csv_of(("policy", *columns), plain)
     kinds = (
-        ("comfort-acceleration", "Comfort: acceleration", "root mean square of the acceleration, m/s²", 0),
-        ("comfort-stick", "Comfort: movement of the stick", "travel of the driven stick per second", 1),
+        ("comfort-acceleration", "Comfort: acceleration", "root mean square of the acceleration, m/s²", columns[0]),
+        ("comfort-stick", "Comfort: movement of the stick", "travel of the driven stick per second", columns[1]),
     )
     exhibits = []
-    for name, title, label, place in kinds:
-        values = {policy: float(row[place] or 0.0) for policy, row in found.items() if row[place] is not None}
-        if values:
-            says = f"{label[0].upper()}{label[1:]}; less is smoother."
-            exhibits.append(figure(name, title, says, csv, bar_chart(name, label, values, places)))
-        else:
-            says = "Not recorded by the version of wcsim that ran this test."
-            exhibits.append(Exhibit(name=name, title=title, says=says, body=el("p", "not recorded"), csv=csv))
+    for name, title, label, key in kinds:
+        values = {row.policy: getattr(row, key) or 0.0 for row in result.pooled}
+        says = f"{label[0].upper()}{label[1:]}; less is smoother."
+        exhibits.append(figure(name, title, says, csv, bar_chart(name, label, values, places)))
     return exhibits
 
 
-def _sum(episodes: Sequence[KeptEpisode], name: str) -> float | None:
-    values = [getattr(episode, name) for episode in episodes]
-    return None if any(value is None for value in values) else float(sum(values))
-
-
-def _statuses(result: KeptResult) -> Exhibit:
+def _statuses(result: TestResult) -> Exhibit:
     counts = {
-        name: {status: sum(e.record.status == status for e in episodes) for status in STATUSES}
+        name: {status: sum(e.status == status for e in episodes) for status in STATUSES}
         for name, episodes in result.episodes.items()
     }
     named = {name: {_ENDINGS[status]: count for status, count in row.items()} for name, row in counts.items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.evaluation.suite.result_files import KeptResult
+from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
 from wcsim.view.report.comparisons import RIVALS, Paired, compared, verdict, verdicts
@@ -101,12 +101,12 @@ def _worst_link(failures: Sequence[FailedEpisode], names: Sequence[str], policy:
     worst = worst_of(failures, policy)
     if worst is None:
         return "–"
-    partner = _partner(worst.episode.record)
+    partner = _partner(worst.record)
     return el("a", f"{worst.reason}{f' with {partner}' if partner else ''}", href=f"#{_anchor_of(worst, names)}")
 
 
 def _failure_exhibit(
-    result: KeptResult, failures: Sequence[FailedEpisode], pictures: Mapping[Key, Illustration], why_none: str
+    result: TestResult, failures: Sequence[FailedEpisode], pictures: Mapping[Key, Illustration], why_none: str
 ) -> Exhibit:
     """All failures; `why_none` says why there are no pictures at all."""
     names = list(result.episodes)
@@ -115,7 +115,7 @@ def _failure_exhibit(
         [failure.policy, *failure.key, record.part, record.town, *record.end_m, record.profile, failure.reason,
          failure.whose, record.partner, failure.speed_mps, failure.severity, failure.unaided, failure.command]
         for failure in failures
-        for record in (failure.episode.record,)
+        for record in (failure.record,)
     ]  # fmt: skip
     head = el("div", *(el("button", text, type="button", data_sort=key) for key, text in _HEADINGS), class_="row head")
     rows = [
@@ -147,7 +147,7 @@ def _filters(failures: Sequence[FailedEpisode]) -> Markup:
 
 
 def _entry(number: int, failure: FailedEpisode, anchor: str, pictures: Illustration | None) -> Markup:
-    record = failure.episode.record
+    record = failure.record
     speed = "–" if failure.speed_mps is None else f"{failure.speed_mps:.2f}"
     cells = (
         ("policy", failure.policy),
@@ -170,7 +170,7 @@ def _entry(number: int, failure: FailedEpisode, anchor: str, pictures: Illustrat
 
 
 def _detail(failure: FailedEpisode, anchor: str, pictures: Illustration | None) -> Markup:
-    record = failure.episode.record
+    record = failure.record
     interventions = counted(len(record.interventions), "intervention")
     said = (
         f"Episode {record.block}.{record.seat}: {record.m:.1f} m and {record.time_s:.1f} s driven, "
@@ -222,7 +222,7 @@ def _seen(moment: SeenMoment) -> Markup:
 
 
 def write_suite_page(
-    result: KeptResult,
+    result: TestResult,
     folder: Path,
     failures: Sequence[FailedEpisode],
     pictures: Mapping[Key, Illustration],
@@ -243,7 +243,7 @@ def write_suite_page(
         DiskFullError: It cannot be written.
     """
     names = list(result.episodes)
-    parts = list(dict.fromkeys(row["part"] for row in result.rows))
+    parts = list(dict.fromkeys(row.part for row in result.rows))
     pooled = result_table(result, "", lambda policy: _worst_link(failures, names, policy))
     by_part = [result_table(result, part) for part in parts]
     pairs = compared(result)
@@ -264,20 +264,20 @@ def write_suite_page(
     return write_page(out, text, (pooled, *by_part, against, weights, *drawn, listed, episodes))
 
 
-def _policies(result: KeptResult) -> str:
+def _policies(result: TestResult) -> str:
     return counted(len(result.episodes), "policy", "policies")
 
 
-def _who(result: KeptResult, parts: Sequence[str]) -> Markup:
-    users = sorted({e.record.profile for episodes in result.episodes.values() for e in episodes})
+def _who(result: TestResult, parts: Sequence[str]) -> Markup:
+    users = sorted({e.profile for episodes in result.episodes.values() for e in episodes})
     return _glossary(result.episodes, parts, users)
 
 
-def _intro(result: KeptResult) -> Markup:
-    km = sum(float(row.get("km") or 0.0) for row in result.pooled)
+def _intro(result: TestResult) -> Markup:
+    km = sum(row.km for row in result.pooled)
     count = sum(len(episodes) for episodes in result.episodes.values())
-    best = sorted(result.pooled, key=lambda row: -float(row.get("score") or 0.0))
-    ranked = ", ".join(f"{row['policy']} {float(row.get('score') or 0.0):.3f}" for row in best[:_BEST])
+    best = sorted(result.pooled, key=lambda row: -(row.score or 0.0))
+    ranked = ", ".join(f"{row.policy} {row.score or 0.0:.3f}" for row in best[:_BEST])
     changed: object = el("strong", " ".join(result.changed)) if result.changed else "no settings of the list"
     told = facts(
         (
@@ -315,13 +315,13 @@ def _against(pairs: Sequence[Paired]) -> list[Markup]:
     return found
 
 
-def _episodes(result: KeptResult) -> Exhibit:
+def _episodes(result: TestResult) -> Exhibit:
     """Every episode of every policy, for other tools."""
     plain = [field.name for field in fields(EpisodeRecord) if str(field.type) in ("int", "float", "str", "bool")]
     columns = ("policy", *plain, "x_m", "y_m", "interventions", "way_share", "pace", "obeyed", "score")
     rows = [
-        [name, *(getattr(e.record, key) for key in plain), *e.record.end_m, len(e.record.interventions),
-         *(round(value, 6) for value in (*e.record.score_parts, e.record.score))]
+        [name, *(getattr(e, key) for key in plain), *e.end_m, len(e.interventions),
+         *(round(value, 6) for value in (*e.score_parts, e.score))]
         for name, episodes in result.episodes.items()
         for e in episodes
     ]  # fmt: skip

@@ -3,150 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
-from wcsim.agents.evaluation.suite.result_files import KeptResult, Row
+from wcsim.agents.evaluation.suite.result_files import TestResult
+from wcsim.agents.evaluation.suite.rows import Row
+from wcsim.view.report.columns import COLUMNS, GROUPS, SAFETY, Column
 from wcsim.view.report.comparisons import WEIGHTINGS, Paired, weighted
 from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, table
 
 _Worst = Callable[[str], object]  # what leads to a policy's worst moment
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Column:
-    """A column of a result's table."""
-
-    heading: str
-    key: str
-    says: str
-    form: str = "{:d}"
-    interval: str = ""  # key of the interval that stands below the figure
-
-
-SAFETY: Final = (
-    Column(
-        heading="score",
-        key="score",
-        interval="score_ci",
-        says="0 after an own crash or a red light, else share of the route x pace x obedience; mean over episodes",
-        form="{:.3f}",
-    ),
-    Column(heading="own crashes", key="crashes_own", says="crashes and falls by the chair's fault"),
-    Column(
-        heading="own crashes per km",
-        key="crashes_per_km",
-        interval="crashes_per_km_ci",
-        says="with Garwood's interval",
-        form="{:.2f}",
-    ),
-    Column(
-        heading="close to user",
-        key="kpi1_free_within",
-        interval="kpi1_free_within_ci",
-        says="obedience: share of moving steps without danger within 0.1768 of the user's command",
-        form="{:.1%}",
-    ),
-    Column(heading="episodes", key="episodes", says="all count, however they ended"),
-    Column(heading="km", key="km", says="distance driven", form="{:.2f}"),
-    Column(heading="crashes by others", key="crashes_other", says="crashes by another's fault"),
-    Column(heading="falls off kerbs", key="drops", says="also counted as own crashes"),
-    Column(heading="red lights", key="red_entries", says="times that the chair entered a crossing at red"),
-    Column(
-        heading="without a crash",
-        key="alive_at_end",
-        interval="alive_at_end_ci",
-        says="share of episodes that were driven to their end without any crash",
-        form="{:.0%}",
-    ),
-    Column(
-        heading="saved",
-        key="saved",
-        says="episodes with an own crash of the user alone, and none with the policy",
-    ),
-    Column(
-        heading="lost",
-        key="lost",
-        says="episodes with an own crash with the policy, and none of the user alone",
-    ),
-    Column(heading="p", key="mcnemar_p", says="McNemar's exact p-value of saved against lost", form="{:.2g}"),
-)
-SERVICE: Final = (
-    Column(
-        heading="KPI 1",
-        key="kpi1",
-        says="mean distance between the driven and the user's stick, over all steps",
-        form="{:.3f}",
-    ),
-    Column(heading="KPI 2", key="kpi2_median", says="steps of an episode, median", form="{:.0f}"),
-    Column(
-        heading="arrivals",
-        key="arrivals",
-        says="episodes of the parts free and crossing that reached their destination",
-    ),
-    Column(heading="speed, m/s", key="speed_mps", says="mean", form="{:.2f}"),
-    Column(heading="seconds on road", key="road_s", says="time of standing on a carriageway", form="{:.0f}"),
-    Column(
-        heading="blocked",
-        key="blocked_share",
-        says="share of steps without danger that give less than half of the user's push ahead",
-        form="{:.1%}",
-    ),
-    Column(heading="times frozen", key="freezes", says="stood for 3 s or more while the user's stick was out"),
-)
-_JUDGED: Final = (
-    Column(
-        heading="interventions",
-        key="interventions",
-        says="stretches in which the policy did not do what was requested, in all episodes",
-    ),
-    Column(heading="missed crashes", key="missed", says="own crashes without an intervention in the last 5 s"),
-    Column(
-        heading="judged episodes",
-        key="judged_episodes",
-        says="their interventions were judged in copies of the world in which the user drives on alone",
-    ),
-    Column(
-        heading="needed",
-        key="needed",
-        says="judged interventions without which the user crashes within 5 s",
-    ),
-    Column(
-        heading="unneeded",
-        key="needless",
-        says="judged interventions without which nothing happens within 5 s",
-    ),
-    Column(
-        heading="warned in time",
-        key="warned_share",
-        says="share of dangers with a warning at least 1 s ahead; 0 % if the policy cannot warn",
-        form="{:.0%}",
-    ),
-    Column(
-        heading="false warnings per km",
-        key="false_warnings_per_km",
-        says="warnings that no danger follows",
-        form="{:.0f}",
-    ),
-    Column(heading="help", key="helps", says="times that the user asked for help"),
-)
-COLUMNS: Final = (*SAFETY, *SERVICE, *_JUDGED)
-
-
-def result_table(result: KeptResult, part: str, worst: _Worst | None = None) -> Exhibit:
+def result_table(result: TestResult, part: str, worst: _Worst | None = None) -> Exhibit:
     """The table of a part, "" for all parts; `worst` gives what stands below each policy's name."""
-    rows = [row for row in (result.rows if part else result.pooled) if row["part"] == part]
+    rows = [row for row in (result.rows if part else result.pooled) if row.part == part]
     name = f"table-{part or 'all'}"
-    safety = _table(rows, SAFETY, f"{name}-safety", worst)
-    service = _table(rows, SERVICE, f"{name}-service", None)
-    judged = _table(rows, _JUDGED, f"{name}-judged", None)
+    tables = [
+        _table(rows, columns, f"{name}-{what.split()[0]}", worst if columns is SAFETY else None)
+        for what, columns in GROUPS.items()
+    ]
     keys = [key for column in COLUMNS for key in _keys(column)]
-    plain = [[row["policy"], *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows]
+    plain = [[row.policy, *(cell for column in COLUMNS for cell in _plain(row, column))] for row in rows]
     return Exhibit(
         name=name,
         title=f"Part {part}" if part else "All parts",
         says="Small figures are 95 % intervals.",
-        body=joined((safety, service, judged)),
+        body=joined(tables),
         csv=csv_of(["policy", *keys], plain),
     )
 
@@ -155,9 +37,9 @@ def _table(rows: Sequence[Row], columns: Sequence[Column], name: str, worst: _Wo
     headings: list[object] = ["policy", *(el("span", column.heading, title=column.says) for column in columns)]
     lines = []
     for row in rows:
-        cells: list[object] = [row["policy"], *(_figure(row, column) for column in columns)]
+        cells: list[object] = [row.policy, *(_figure(row, column) for column in columns)]
         if worst is not None:
-            cells[0] = joined((row["policy"], el("br"), el("small", "worst: ", worst(row["policy"]))))
+            cells[0] = joined((row.policy, el("br"), el("small", "worst: ", worst(row.policy))))
         lines.append(cells)
     return table(headings, lines, name)
 
@@ -201,7 +83,7 @@ def _pair_row(pair: Paired) -> tuple[object, ...]:
     )
 
 
-def weights_table(result: KeptResult) -> Exhibit:
+def weights_table(result: TestResult) -> Exhibit:
     """The score and what other weights would say."""
     found = weighted(result)
     headings = ["policy", *(el("span", way.name, title=way.says) for way in WEIGHTINGS)]
@@ -224,14 +106,14 @@ def weights_table(result: KeptResult) -> Exhibit:
 
 
 def _figure(row: Row, column: Column) -> object:
-    value = row.get(column.key)
+    value = getattr(row, column.key)
     text = _said(column.form, value)
     if column.key == "mcnemar_p" and value == 0:
         return "< 1e-6", value  # a result keeps six digits
     if text is None:
         return "–", None
-    bounds = row.get(column.interval) if column.interval else None
-    if isinstance(bounds, list) and len(bounds) == 2:
+    bounds = getattr(row, column.interval) if column.interval else None
+    if bounds is not None:
         low, high = (_said(column.form, bound) or "–" for bound in bounds)
         return _with_interval(text, f"{low} to {high}"), value
     return text, value
@@ -253,8 +135,8 @@ def _keys(column: Column) -> list[str]:
 
 
 def _plain(row: Row, column: Column) -> list[Cell]:
-    value: Any = row.get(column.key)
+    value: Any = getattr(row, column.key)
     if not column.interval:
         return [value]
-    bounds = row.get(column.interval)
-    return [value, *(bounds if isinstance(bounds, list) and len(bounds) == 2 else (None, None))]
+    bounds = getattr(row, column.interval)
+    return [value, *(bounds if bounds is not None else (None, None))]

@@ -8,7 +8,8 @@ import pytest
 
 from wcsim.agents.evaluation.suite.list_file import open_suite, suite_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
+from wcsim.agents.policy_api import UNAIDED
 
 FOOLS = ("Stands", "NeverCrosses", "FreezesBeforeWalkers", "Oscillates", "ReversesHome", "WarnsAlways")
 BLOCKS = {"free": 2, "crossing": 3, "hazard": 2}  # of each part
@@ -25,7 +26,7 @@ def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
     for policy, records in driven.items():
         rows, row = pooled_rows(policy, records, driven[UNAIDED])
         name = named.get(policy, policy)
-        whole[name], parts[name] = row, {item["part"]: item for item in rows}
+        whole[name], parts[name] = row.to_json(), {item.part: item.to_json() for item in rows}
     sane, follow = whole["oracle"], whole[UNAIDED]
 
     assert follow["crashes_own"] >= 5 * max(1, sane["crashes_own"]) and follow["missed"] == follow["crashes_own"]

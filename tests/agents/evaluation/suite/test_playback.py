@@ -1,12 +1,14 @@
 """An episode driven once more is the same episode, and its last steps are those that were."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.playback import play, require_same
+from wcsim.agents.evaluation.suite.records import Intervention
 from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, run_suite, town_addresses
 from wcsim.errors import ConfigError
 
@@ -24,7 +26,7 @@ def test_the_record_is_the_kept_one_and_the_steps_lead_to_its_end(driven):
     piece = piece_of(order, 0, "dwa", town_addresses(order), judged=True)
     worlds = []
     (played,) = play(piece, (1,), 12, lambda world, steps: worlds.append(len(steps)) or "drawn")
-    require_same(played.record, kept[1].to_json())
+    require_same(played.record, kept[1])
     assert [step.step for step in played.steps] == list(range(29, 41))
     assert (played.drawn, worlds) == ("drawn", [12])
     last, before = played.steps[-1], played.steps[-2]
@@ -39,9 +41,9 @@ def test_another_episode_is_told(driven):
     piece = piece_of(order, 0, "follow", town_addresses(order), judged=False)
     (played,) = play(piece, (0,), 1)
     with pytest.raises(ConfigError, match="run the test again"):
-        require_same(played.record, {**kept[0].to_json(), "m": kept[0].m + 1.0})
+        require_same(played.record, replace(kept[0], m=kept[0].m + 1.0))
     with pytest.raises(ConfigError, match="interventions"):
-        require_same(kept[0], {**kept[0].to_json(), "interventions": [{"first": 3, "last": 4}]})
+        require_same(kept[0], replace(kept[0], interventions=(Intervention(first=3, last=4, verdict="needed"),)))
     assert played.drawn is None
 
 

@@ -45,8 +45,11 @@ def test_a_record_comes_back_from_json_and_anything_else_is_refused():
     alarms.alone_s[3] = 2.0
     record = replace(GOOD, interventions=alarms.interventions())
     assert record_of(record.to_json()) == record
-    with pytest.raises(ConfigError, match="remove it"):
-        record_of({**record.to_json(), "more": 1})
+    older = record.to_json()
+    del older["within"]
+    for other in ({**record.to_json(), "more": 1}, older, [record.to_json()]):
+        with pytest.raises(ConfigError, match="run the test again with this version"):
+            record_of(other)
 
 
 def test_gaps_under_half_a_second_join_interventions():

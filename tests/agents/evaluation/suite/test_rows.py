@@ -1,19 +1,23 @@
 """Rows of the table, and the planted fools: each is caught by the column that should."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
+from tests.agents.driven import Script, driven
 from tests.agents.evaluation.suite.test_records import GOOD
 from wcsim.agents.evaluation.suite.records import Intervention
 from wcsim.agents.evaluation.suite.rows import pooled_rows, row_of
+from wcsim.agents.policies.baselines import baseline
+from wcsim.config import RunConfig
 
 CRASH = replace(GOOD, status="chair_crashed", fault="own", reason="collision")
 MANY = [replace(GOOD, block=number, m=100.0) for number in range(20)]
 
 
 def row(records, unaided=()):
-    return row_of("p", "", records, list(unaided))
+    return row_of("p", "", records, list(unaided)).to_json()
 
 
 def test_a_row_says_on_what_it_stands():
@@ -22,12 +26,13 @@ def test_a_row_says_on_what_it_stands():
     assert found["crashes_per_km"] == 2.5 and found["crashes_per_km_ci"][0] < 2.5 < found["crashes_per_km_ci"][1]
     assert found["status"]["finished"] == 15 and found["status"]["chair_crashed"] == 5
     assert found["alive_at_end"] == 0.75 and found["alive_at_end_ci"][0] < 0.75 < found["alive_at_end_ci"][1]
+    assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
     assert found["score"] == pytest.approx(0.75 * 0.6) and found["crash_reasons"] == {"collision": 5}
 
 
 def test_parts_keep_their_order_and_the_whole_is_beside_them():
     parts, whole = pooled_rows("p", [GOOD, replace(GOOD, part="crossing")], [])
-    assert [item["part"] for item in parts] == ["free", "crossing"] and whole["episodes"] == 2
+    assert [item.part for item in parts] == ["free", "crossing"] and whole.episodes == 2
 
 
 def test_nothing_driven_is_no_number():
@@ -81,4 +86,31 @@ def test_arrivals_count_where_there_is_a_destination():
     records = [replace(GOOD, block=number, part=part) for number, part in enumerate(parts)]
     records[1] = replace(records[1], status="timed_out")
     _, whole = pooled_rows("a", records, records)
-    assert (whole["arrivals"], whole["attempts"]) == (2, 3)
+    assert (whole.arrivals, whole.attempts) == (2, 3)
+
+
+def test_the_indicators_of_a_scripted_drive():
+    env = Script(crash_at=6)
+    found = driven(baseline("follow", RunConfig()), env, episodes=2, max_steps=100, seed=7, tick_s=10.0)
+    assert found.kpi1 == pytest.approx(0.25)
+    assert found.kpi1_within == pytest.approx(2 / 6)
+    assert found.kpi1_free == pytest.approx(0.05)  # 0.0 and 0.1: the truth of the moment that was answered
+    assert found.free_share == pytest.approx(2 / 6)
+    assert (found.kpi2, found.crashes_own, found.episodes) == (6, 2, 2)
+    assert (found.km, found.crashes_per_km) == (pytest.approx(0.12), pytest.approx(2 / 0.12, abs=1e-5))
+    assert env.seeds == [7, None]
+    assert found.kpi1_moving == pytest.approx(0.05)  # the stick is out by more than 0.3 in all steps
+    assert (found.kpi1_free_within, found.blocked_share) == (1.0, 1.0)
+    assert (found.goals, found.given_up, found.crossings, found.red_entries, found.helps) == (2, 2, 4, 2, 2)
+    assert (found.crash_reasons, found.freezes, found.road_s) == ({"tilt": 2}, 0, 0.0)  # it never stands
+
+
+def test_a_policy_that_stands_freezes_on_the_carriageway():
+    env = Script(crash_at=6, speed_mps=0.0)
+    found = driven(baseline("follow", RunConfig()), env, episodes=2, max_steps=100, tick_s=1.0)
+    assert (found.freezes, found.road_s) == (2, 6.0)  # one an episode; 3 steps of each on the road
+
+
+def test_a_cut_episode_survived():
+    found = driven(baseline("follow", RunConfig()), Script(crash_at=99), episodes=1, max_steps=5)
+    assert (found.kpi2, found.crashes_own, found.crashes_per_km, found.alive_at_end) == (5, 0, None, 1.0)

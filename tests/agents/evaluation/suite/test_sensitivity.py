@@ -45,8 +45,8 @@ def test_a_change_is_measured_against_the_same_episodes_driven_clean(
     with in_this_process():
         rows = told_apart.sensitivity(order, ("follow",), said.append)
     clean, faster = rows
-    assert (clean["disturbance"], clean["score_change"], clean["score_change_ci"]) == ("clean", 0.0, None)
-    assert faster["speed_mps"] > 1.2 * clean["speed_mps"]
-    assert faster["score_change"] == pytest.approx(faster["score"] - clean["score"], abs=1e-6)
-    assert faster["score_change"] != 0.0
+    assert (clean.disturbance, clean.score_change, clean.score_change_ci) == ("clean", 0.0, None)
+    assert faster.row.speed_mps > 1.2 * clean.row.speed_mps
+    assert faster.score_change == pytest.approx(faster.row.score - clean.row.score, abs=1e-6)
+    assert faster.score_change != 0.0
     assert said == ["clean: follow, 1 of 1 blocks", "10 km/h: follow, 1 of 1 blocks"]

@@ -14,11 +14,10 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.support.framing import read_whole
 from tests.support.journals import eventful_run, nudged, rewritten
 from wcsim.agents.evaluation.suite.list_file import write_list
-from wcsim.agents.evaluation.suite.records import record_of
-from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
 from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
 from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.recordings.film_page import FilmOrder, play_start
 from wcsim.config import resolve
 from wcsim.core.files import numbered_names
@@ -221,13 +220,7 @@ def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_list(suite.file, folder / "corner.json")
     order = SuiteOrder(suite=suite, out=folder, forks=0)
     piece = piece_of(order, 0, "stop", town_addresses(order), judged=False)
-    records = tuple(record_of(record) for record in drive_piece(piece))
-    rows, pooled = pooled_rows("stop", records, records)
-    said = {"suite": "corner-v1", "set": "try", "list_sha256": suite.sha256, "rows": rows, "pooled": [pooled]}
-    (folder / "result.json").write_text(json.dumps({**said, "changed": []}))
-    (folder / "episodes.json").write_text(json.dumps({"stop": [record.to_json() for record in records]}))
-    asked = {"suite": str(folder / "corner.json"), "preset": "quick", "network": ""}
-    (folder / "asked.json").write_text(json.dumps(asked))
+    keep_result(order, str(folder / "corner.json"), {"stop": drive_piece(piece)})
     return folder
 
 

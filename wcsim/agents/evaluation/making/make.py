@@ -16,8 +16,9 @@ from typing import Final
 from wcsim.agents.evaluation.making.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
 from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
-from wcsim.agents.evaluation.suite.run import UNAIDED, SuiteOrder, run_suite
+from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.evaluation.suite.tight import tight_blocks
+from wcsim.agents.policy_api import UNAIDED
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding

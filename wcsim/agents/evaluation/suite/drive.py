@@ -13,7 +13,6 @@ from typing import Any, Final, Protocol
 
 from wcsim.agents.envs.episode_view import EpisodeStep, Info
 from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
-from wcsim.agents.evaluation.episode_meter import EpisodeMeter
 from wcsim.agents.evaluation.suite.alarms import Alarms, crash_alone_s
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
@@ -25,6 +24,7 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns
+from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
@@ -32,6 +32,7 @@ from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
+from wcsim.supervisor.kpi import KpiMeter
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
@@ -55,6 +56,7 @@ class BlockOrder:
     recordings: Path | None = None  # folder of recorded joysticks that users are named by
     late_s: float = LATE_S
     world_seed: int | None = None  # another than the block's
+    hook: str = ""  # the user's own step hook, module:Class
 
 
 class Watch(Protocol):
@@ -86,7 +88,7 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
         seat_of(order, episode, policy) for episode, policy in zip(order.block.episodes, policies, strict=True)
     )
     seed = order.block.seed if order.world_seed is None else order.world_seed
-    with World(order.town, config, specs, seed) as world:
+    with World(order.town, config, specs, seed, RunPlace(hook=order.hook)) as world:
         seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
         watched = _looked_at(seats, watch)
         for step in rollout(world, {seat.number: seat.choose for seat in seats}):
@@ -107,8 +109,15 @@ def seat_of(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec
         max_steps=episode.max_steps,
         truth=isinstance(policy, SeesTruth),
         truth_visible=policy.name == VISIBLE_BOUND,
-        start=StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m),
+        start=start_of(episode),
     )
+
+
+def start_of(episode: EpisodeFile) -> StartSpec | None:
+    """Where an episode begins and ends; None where its world draws that."""
+    if episode.start_m is None or episode.goal_m is None:
+        return None
+    return StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
 
 
 def _looked_at(seats: Sequence[_Seat], watch: Watch | None) -> Sequence[_Seat]:
@@ -130,7 +139,7 @@ class _Seat:
         self._order, self._config, self._world = order, config, world
         self._episode = order.block.episodes[number]
         self._policy = policy
-        self._meter = EpisodeMeter(config.world.tick_s, config.reward)
+        self._meter = KpiMeter(config.world.tick_s, config.reward)
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
         self._done_m = self._before_m = 0.0
@@ -169,10 +178,10 @@ class _Seat:
             self.watch.see(self.number, step, self._world, self._policy)
         events = client.events
         if events.crashed:
-            self._end(**self._meter.crash(step.info))
-        elif events.arrived:
+            self._end(CRASHED, **self._meter.crash(step.info))
+        elif events.arrived and self._episode.goal_m is not None:  # one that draws its goals goes on to the next
             self._end(FINISHED)
-        elif events.gave_up:
+        elif events.gave_up and self._episode.goal_m is not None:
             self._end(GAVE_UP)
         elif events.truncated:
             self._end(TIMED_OUT)
@@ -188,7 +197,7 @@ class _Seat:
             self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
 
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
-        sums, tick_s = self._meter.sums(reason if status == CRASHED else ""), self._config.world.tick_s
+        sums, tick_s = self._meter.sums(), self._config.world.tick_s
         crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
         warned, to_warn, false = self._alarms.warnings(crash if own else None, None if own else crash)
         x_m, y_m, _ = self._world.snapshot.clients[self._at()].plant.p_WB_m.tolist()

@@ -101,7 +101,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
         return alone if rule is None else GuardedPolicy(alone, actions, rule)
     if is_own_class(name):
         return _own_policy(name, config)
-    from wcsim.agents.evaluation.matrix import open_policy  # torch is loaded here
+    from wcsim.agents.evaluation.open_policy import open_policy  # torch is loaded here
 
     return open_policy(name, config, seed, network)
 
@@ -131,9 +131,10 @@ def sensing(config: RunConfig, policy: Policy) -> RunConfig:
 
     Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
     """
-    from wcsim.agents.evaluation.matrix import with_window
+    from wcsim.agents.evaluation.open_policy import window_of  # torch is loaded here
 
-    return with_senses(with_window(config, [policy]), senses_of(policy))
+    config = resolve(config, (f"env.window={max(window_of(policy), config.env.frames)}",))
+    return with_senses(config, senses_of(policy))
 
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:

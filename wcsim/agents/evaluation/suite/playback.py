@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections import deque
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
+from wcsim.agents.evaluation.suite.records import EpisodeRecord
 from wcsim.agents.evaluation.suite.run import Piece, drive_piece
 from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
@@ -69,35 +68,35 @@ def play(piece: Piece, seats: Collection[int], steps: int, draw: Draw | None = N
         if seat not in there:
             raise ConfigError(f"block {piece.index} has no seat {seat}; expected 0 to {there[-1]}")
     watch = _LastSteps(frozenset(seats), steps, draw)
-    records = [record_of(record) for record in drive_piece(piece, watch)]
     return tuple(
         Played(record=record, steps=tuple(watch.kept.get(record.seat, ())), drawn=watch.drawn.get(record.seat))
-        for record in records
+        for record in drive_piece(piece, watch)
         if record.seat in watch.seats
     )
 
 
-def require_same(record: EpisodeRecord, kept: Mapping[str, Any]) -> None:
+def require_same(record: EpisodeRecord, kept: EpisodeRecord) -> None:
     """Compare an episode with one that a result holds; what forks say is left out.
 
     Raises:
         ConfigError: They differ.
     """
-    got, kept = (json.loads(json.dumps(item)) for item in (record.to_json(), kept))
-    wrong = [name for name in kept if name not in _OF_FORKS and got.get(name) != kept[name]]
-    if _spans(got) != _spans(kept):
+    names = [field.name for field in fields(EpisodeRecord) if field.name not in _OF_FORKS]
+    wrong = [name for name in names if getattr(record, name) != getattr(kept, name)]
+    if _spans(record) != _spans(kept):
         wrong.append("interventions")
     if wrong:
         name = wrong[0]
+        got, expected = (str(getattr(item, name))[:60] for item in (record, kept))
         raise ConfigError(
             f"episode {record.block}.{record.seat} differs from the saved one: {name} is "
-            f"{str(got.get(name))[:60]}, expected {str(kept.get(name))[:60]}; wcsim, the policy, its settings or the "
-            "list has changed since the test: run the test again"
+            f"{got}, expected {expected}; wcsim, the policy, its settings or the list "
+            "has changed since the test: run the test again"
         )
 
 
-def _spans(record: Mapping[str, Any]) -> list[tuple[int, int]]:
-    return [(item["first"], item["last"]) for item in record.get("interventions", ())]
+def _spans(record: EpisodeRecord) -> list[tuple[int, int]]:
+    return [(item.first, item.last) for item in record.interventions]
 
 
 Placed = TypeVar("Placed", ActorState, ChairPose)

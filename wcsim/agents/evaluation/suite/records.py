@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Final
 
-from wcsim.core.reading import counted, escaped
+from wcsim.core.reading import counted, escaped, escaped_value
 from wcsim.errors import ConfigError
 
 FINISHED: Final = "finished"
@@ -23,6 +23,10 @@ ON_THE_WAY: Final = ("free", "crossing")  # parts to be driven to the end; in ot
 NEEDED: Final = "needed"
 NEEDLESS: Final = "needless"
 NOT_JUDGED: Final = "not_judged"
+
+_AGAIN: Final = "run the test again with this version"
+_LARGEST: Final = 1e12  # of a number, so that sums and squares of any are finite
+_PLAIN: Final[Mapping[str, tuple[type, ...]]] = {"int": (int,), "float": (int, float), "str": (str,), "bool": (bool,)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,12 +59,17 @@ class EpisodeRecord:
     route_m: float = 0.0  # that was left when the policy took over
     done_m: float = 0.0  # of it
     reference_s: float = 0.0  # for it
-    distance_sum: float = 0.0
-    free_steps: int = 0
+    distance_sum: float = 0.0  # of joystick distances, KPI 1's
+    within: int = 0  # steps with one of at most 0.1768
+    free_steps: int = 0  # without danger when the policy answered
+    free_sum: float = 0.0  # of their joystick distances
     blocked_steps: int = 0
     moving_steps: int = 0  # free ones in which the user's stick is out
+    moving_sum: float = 0.0
     moving_within: int = 0
     freezes: int = 0
+    goals: int = 0  # destinations reached
+    given_up: int = 0
     road_s: float = 0.0
     red_entries: int = 0
     crossings: int = 0
@@ -141,13 +150,35 @@ def undriven(policy: str, records: Sequence[EpisodeRecord]) -> list[str]:
     return told
 
 
-def record_of(data: Mapping[str, Any]) -> EpisodeRecord:
-    """A record from `to_json`. Raises ConfigError for anything else."""
-    known = {field.name for field in fields(EpisodeRecord)}
-    if not isinstance(data, Mapping) or not set(data) <= known:
-        raise ConfigError("a saved block is not of this version; expected the fields of an episode: remove it")
-    values = dict(data)
-    values["interventions"] = tuple(Intervention(**item) for item in values.get("interventions", ()))
-    values["end_m"] = tuple(values.get("end_m", (0.0, 0.0)))
-    values["path_m"] = tuple((x_m, y_m) for x_m, y_m in values.get("path_m", ()))
-    return EpisodeRecord(**values)
+def record_of(data: object) -> EpisodeRecord:
+    """A record from `to_json`, whoever wrote it. Raises ConfigError for anything else."""
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"got {escaped_value(data)}, expected an episode: {_AGAIN}")
+    kinds = {field.name: str(field.type) for field in fields(EpisodeRecord)}
+    other = sorted(set(data) ^ set(kinds))
+    if other:
+        raise ConfigError(f"an episode without, or with an unknown, {escaped(str(other[0]))}: {_AGAIN}")
+    for name, kind in kinds.items():
+        if kind in _PLAIN and not _is(data[name], _PLAIN[kind]):
+            raise ConfigError(f"{name} of an episode is {escaped_value(data[name])}, expected {kind}: {_AGAIN}")
+    try:
+        found = [Intervention(**item) for item in data["interventions"]]
+        places = _points(data["path_m"]), _points([data["end_m"]])[0]
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"a part of an episode is damaged ({error}): {_AGAIN}") from None
+    if data["status"] not in STATUSES:
+        raise ConfigError(f"status {escaped(data['status'])!r}; expected one of {', '.join(STATUSES)}: {_AGAIN}")
+    return EpisodeRecord(**{**data, "interventions": tuple(found), "path_m": places[0], "end_m": places[1]})
+
+
+def _is(value: object, expected: tuple[type, ...]) -> bool:
+    if isinstance(value, bool) and bool not in expected:
+        return False
+    return isinstance(value, expected) and (not isinstance(value, int | float) or abs(value) <= _LARGEST)
+
+
+def _points(items: Any) -> tuple[tuple[float, float], ...]:
+    points = tuple((x, y) for x, y in items)
+    if not all(_is(value, (int, float)) for point in points for value in point):
+        raise ValueError("a place that is not two numbers")
+    return points

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.intervals import bootstrapped, garwood, mcnemar, wilson
+from wcsim.agents.evaluation.intervals import Interval, bootstrapped, garwood, mcnemar, wilson
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
     FINISHED,
@@ -22,13 +23,71 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
     saved_and_lost,
 )
-from wcsim.config.suite import SuiteFile
 from wcsim.supervisor.kpi import DROP
 
 _DIGITS: Final = 6
 _FAR_ENOUGH_KM: Final = 0.05  # below this a rate per kilometre says nothing
 
-Row = dict[str, Any]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A policy on one part of a list, or on all of it; None where nothing was measured, `_ci` are 95 % intervals."""
+
+    policy: str
+    part: str  # "" for all
+    episodes: int
+    status: Mapping[str, int]  # how many ended so
+    km: float
+    crashes_own: int
+    crashes_other: int  # another's fault, while the chair stood where it may
+    drops: int
+    crash_reasons: Mapping[str, int]
+    crashes_per_km: float | None  # of the chair's own
+    crashes_per_km_ci: Interval | None
+    red_entries: int  # it set out over a crossing that had red
+    alive_at_end: float | None  # share of the episodes that no crash ended
+    alive_at_end_ci: Interval | None
+    kpi1: float | None  # mean joystick distance
+    kpi1_within: float | None  # share of steps with one of at most 0.1768
+    kpi1_free: float | None  # mean over the steps that were free of danger when the policy answered
+    kpi1_moving: float | None  # mean over the free steps in which the user's stick is out by more than 0.3
+    kpi1_free_within: float | None  # share of those with one of at most 0.1768
+    kpi1_free_within_ci: Interval | None
+    free_share: float | None  # of the steps
+    kpi2: float | None  # mean steps that an episode lived
+    kpi2_median: float | None
+    blocked_share: float | None  # of the free steps: the user pushes forward and gets less than half of it
+    freezes: int  # times that the chair stood for 3 s and more though the user pushed, because the policy did not
+    accel_rms_mps2: float | None  # from step to step
+    stick_travel_per_s: float | None  # way of the stick that the chair was given
+    asked_travel_per_s: float | None  # and of the user's
+    speed_mps: float | None
+    arrivals: int  # episodes that ended at their goal, of those that have one to reach
+    attempts: int  # those
+    arrivals_ci: Interval | None
+    goals: int  # destinations reached, also those that are drawn one after the other
+    given_up: int
+    crossings: int  # completed: in from one pavement, out on the opposite one
+    road_s: float  # of standing on a carriageway
+    score: float | None
+    score_ci: Interval | None
+    interventions: int
+    judged_episodes: int
+    judged_km: float
+    needed: int
+    needless: int
+    missed: int
+    warned_share: float | None
+    false_warnings_per_km: float | None
+    helps: int  # times that the user asked for help
+    unaided_crashes_own: int | None = None  # of the same episodes with the user alone, as the next
+    saved: int | None = None
+    lost: int | None = None
+    mcnemar_p: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values under the same names."""
+        return asdict(self)
 
 
 def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> Row:
@@ -40,22 +99,19 @@ def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Se
         records: Its episodes.
         unaided: The same episodes with the user alone, in the same order; empty where they were not driven.
     """
-    row: Row = {
-        "policy": policy,
-        "part": part,
-        "episodes": len(records),
+    figures: dict[str, Any] = {
         "status": {name: sum(record.status == name for record in records) for name in STATUSES},
         **_crashes(records),
         **_obedience(records),
         **_service(records),
         **_interventions(records),
+        **(_twins(records, unaided) if records and len(unaided) == len(records) else {}),
     }
-    if len(unaided) == len(records) and records:
-        row |= _twins(records, unaided)
-    return {key: _rounded(value) for key, value in row.items()}
+    rounded = {key: _rounded(value) for key, value in figures.items()}
+    return Row(policy=policy, part=part, episodes=len(records), **rounded)
 
 
-def _crashes(records: Sequence[EpisodeRecord]) -> Row:
+def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     crashes = [record for record in records if record.status == CRASHED]
     own = sum(record.own for record in crashes)
     km = _km(records)
@@ -68,28 +124,32 @@ def _crashes(records: Sequence[EpisodeRecord]) -> Row:
         "drops": sum(record.reason == DROP for record in crashes),
         "crash_reasons": dict(sorted(Counter(record.reason for record in crashes).items())),
         "crashes_per_km": own / km if rated else None,
-        "crashes_per_km_ci": [low / km, high / km] if rated else None,
-        "red_entries": sum(record.red_entries for record in records),
+        "crashes_per_km_ci": (low / km, high / km) if rated else None,
+        "red_entries": _count(records, "red_entries"),
         "alive_at_end": _ratio(len(records) - len(crashes) - _failed(records), len(records)),
-        "alive_at_end_ci": _pair(wilson(sum(map(_alive, records)), len(records))),
+        "alive_at_end_ci": wilson(sum(map(_alive, records)), len(records)),
     }
 
 
-def _obedience(records: Sequence[EpisodeRecord]) -> Row:
-    steps = sum(record.steps for record in records)
-    moving = [record.moving_steps for record in records]
+def _obedience(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
+    steps, free, moving = (_count(records, name) for name in ("steps", "free_steps", "moving_steps"))
     within = [record.moving_within / record.moving_steps if record.moving_steps else 0.0 for record in records]
     return {
-        "kpi1": _ratio(math.fsum(record.distance_sum for record in records), steps),
-        "kpi1_free_within": _ratio(sum(record.moving_within for record in records), sum(moving)),
-        "kpi1_free_within_ci": _pair(bootstrapped(within, [float(count) for count in moving])),
+        "kpi1": _ratio(_sum(records, "distance_sum"), steps),
+        "kpi1_within": _ratio(_count(records, "within"), steps),
+        "kpi1_free": _ratio(_sum(records, "free_sum"), free),
+        "kpi1_moving": _ratio(_sum(records, "moving_sum"), moving),
+        "kpi1_free_within": _ratio(_count(records, "moving_within"), moving),
+        "kpi1_free_within_ci": bootstrapped(within, [float(record.moving_steps) for record in records]),
+        "free_share": _ratio(free, steps),
+        "kpi2": _ratio(steps, len(records)),
         "kpi2_median": float(np.median([record.steps for record in records])) if records else None,
-        "blocked_share": _ratio(sum(r.blocked_steps for r in records), sum(r.free_steps for r in records)),
-        "freezes": sum(record.freezes for record in records),
+        "blocked_share": _ratio(_count(records, "blocked_steps"), free),
+        "freezes": _count(records, "freezes"),
     }
 
 
-def _service(records: Sequence[EpisodeRecord]) -> Row:
+def _service(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     scores = [record.score for record in records]
     sent = [record for record in records if record.part in ON_THE_WAY]
     arrived = sum(record.status == FINISHED for record in sent)
@@ -100,17 +160,20 @@ def _service(records: Sequence[EpisodeRecord]) -> Row:
         "accel_rms_mps2": None if (mean := _ratio(_sum(records, "accel_sq_sum"), changes)) is None else math.sqrt(mean),
         "stick_travel_per_s": _ratio(_sum(records, "stick_travel"), time_s),
         "asked_travel_per_s": _ratio(_sum(records, "asked_travel"), time_s),
-        "speed_mps": _ratio(math.fsum(record.m for record in records), time_s),
+        "speed_mps": _ratio(_sum(records, "m"), time_s),
         "arrivals": arrived,
         "attempts": len(sent),
-        "arrivals_ci": _pair(wilson(arrived, len(sent))),
-        "road_s": math.fsum(record.road_s for record in records),
+        "arrivals_ci": wilson(arrived, len(sent)),
+        "goals": _count(records, "goals"),
+        "given_up": _count(records, "given_up"),
+        "crossings": _count(records, "crossings"),
+        "road_s": _sum(records, "road_s"),
         "score": _ratio(math.fsum(scores), len(scores)),
-        "score_ci": _pair(bootstrapped(scores)),
+        "score_ci": bootstrapped(scores),
     }
 
 
-def _interventions(records: Sequence[EpisodeRecord]) -> Row:
+def _interventions(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
     judged = [record for record in records if record.judged]
     found = [item for record in judged for item in record.interventions]
     km = _km(judged)
@@ -120,11 +183,15 @@ def _interventions(records: Sequence[EpisodeRecord]) -> Row:
         "judged_km": km,
         "needed": sum(item.verdict == NEEDED for item in found),
         "needless": sum(item.verdict == NEEDLESS for item in found),
-        "missed": sum(record.missed for record in records),
-        "warned_share": _ratio(sum(record.warned for record in judged), sum(record.to_warn for record in judged)),
-        "false_warnings_per_km": sum(r.false_warnings for r in judged) / km if km >= _FAR_ENOUGH_KM else None,
-        "helps": sum(record.helps for record in records),
+        "missed": _count(records, "missed"),
+        "warned_share": _ratio(_count(judged, "warned"), _count(judged, "to_warn")),
+        "false_warnings_per_km": _count(judged, "false_warnings") / km if km >= _FAR_ENOUGH_KM else None,
+        "helps": _count(records, "helps"),
     }
+
+
+def _count(records: Sequence[EpisodeRecord], name: str) -> int:
+    return sum(getattr(record, name) for record in records)
 
 
 def _sum(records: Sequence[EpisodeRecord], name: str) -> float:
@@ -147,18 +214,12 @@ def pooled_rows(
     return rows, row_of(policy, "", records, unaided)
 
 
-def undone(row: Mapping[str, Any]) -> int:
+def undone(row: Row) -> int:
     """Episodes of a row that its policy did not bring to an end: it failed or was refused."""
-    status: dict[str, int] = row["status"]
-    return status[POLICY_FAILED] + status[REFUSED]
+    return row.status[POLICY_FAILED] + row.status[REFUSED]
 
 
-def result_of(file: SuiteFile, sha256: str, rows: Sequence[Row], pooled: Sequence[Row]) -> dict[str, Any]:
-    """The whole result as plain values; the version is in the suite's name."""
-    return {"suite": file.suite, "set": file.set, "list_sha256": sha256, "rows": list(rows), "pooled": list(pooled)}
-
-
-def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> Row:
+def _twins(records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> dict[str, Any]:
     """What became of the same episodes with the user alone; crashes that are the chair's own, and falls."""
     saved, lost = saved_and_lost(records, unaided)
     return {
@@ -181,14 +242,10 @@ def _ratio(above: float, below: float) -> float | None:
     return above / below if below else None
 
 
-def _pair(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else list(interval)
-
-
 def _rounded(value: Any) -> Any:
     """Sums of floats in one order are equal everywhere; their last digits are not worth a byte."""
     if isinstance(value, float):
         return round(value, _DIGITS)
-    if isinstance(value, list):
-        return [_rounded(item) for item in value]
+    if isinstance(value, tuple):
+        return tuple(_rounded(item) for item in value)
     return value

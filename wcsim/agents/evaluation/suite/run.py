@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, profiles_of, require_towns, towns_of
@@ -34,6 +34,7 @@ from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
+from wcsim.core.plugins import sources_of
 from wcsim.core.reading import FileKind, escaped, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
@@ -41,7 +42,6 @@ from wcsim.server.workers.crew import Crew, WorkerNow
 from wcsim.server.workers.machines import HERE, Machines
 from wcsim.server.workers.worker_api import At, Parcel, Work, Workers
 
-UNAIDED: Final = "follow"  # the user alone, on the grid of actions
 _KEPT: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 
 _LEAST_LATE_S: Final = 1800.0  # blocks differ by much
@@ -72,6 +72,7 @@ class Piece:
     preset: str
     judged: bool
     late_s: float
+    hook: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +89,7 @@ class SuiteOrder:
     network: str = ""
     forks: int = 1 << 30  # episodes whose interventions are judged, evenly spread
     late_s: float = 10.0
+    hook: str = ""  # the user's own step hook, module:Class
 
 
 def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[str, tuple[EpisodeRecord, ...]]:
@@ -162,6 +164,7 @@ def piece_of(order: SuiteOrder, index: int, policy: str, towns: Mapping[str, str
         preset=order.preset,
         judged=judged,
         late_s=order.late_s,
+        hook=order.hook,
     )
 
 
@@ -201,7 +204,7 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
                 told = "is a process of this machine; test other policies, or use --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
         own = [policy for policy in policies if is_own_class(policy)]
-        require_travels(RunConfig(), _all_settings(order), (*own, order.network), _users(order))
+        require_travels(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
     return machines.open(order.out)
 
 
@@ -225,13 +228,13 @@ def drive_alone(piece: Piece, at: At) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
     where = {name: policy_at(name, at) for name in (piece.policy,) if not is_baseline(name)}
     policy = where.get(piece.policy, piece.policy)
-    records = drive_piece(replace(piece, town=at(piece.town), policy=policy))
+    records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
     for record in records:
         record["reason"] = str(record["reason"]).replace(policy, piece.policy)  # it may name the policy
     return json.dumps(records).encode()
 
 
-def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]]:
+def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord, ...]:
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
@@ -242,7 +245,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
             config = sensing(config, _open_in(opened, piece.policy, config, 0, piece.network))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
-            return [record.to_json() for record in refused(piece.index, piece.block, str(error))]
+            return refused(piece.index, piece.block, str(error))
         order = BlockOrder(
             index=piece.index,
             block=piece.block,
@@ -250,18 +253,20 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> list[dict[str, Any]
             config=config,
             judged=piece.judged,
             late_s=piece.late_s,
+            hook=piece.hook,
         )
         if piece.block.part == TIGHT:
             order = in_scene(order, Path(work))
-        records = drive_block(order, iter(drivers).__next__, watch)
-        return [record.to_json() for record in records]
+        return drive_block(order, iter(drivers).__next__, watch)
 
 
 def policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
     named = own_files(_all_settings(order), order.network, _users(order))
-    own = {word: file_digest(path) for word, path in named.items()}
-    said = [order.settings, order.forks, order.network, own, code_digest(), *identity_of(name, order.preset)]
+    hooks = sources_of(order.hook, "step hook") if order.hook else {}
+    own = {word: file_digest(path) for word, path in (named | hooks).items()}
+    said = [order.settings, order.forks, order.network, order.hook, own, code_digest()]
+    said += identity_of(name, order.preset)
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.intervals import bootstrapped
+from wcsim.agents.evaluation.intervals import Interval, bootstrapped
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, undriven
-from wcsim.agents.evaluation.suite.rows import row_of
+from wcsim.agents.evaluation.suite.rows import Row, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 
 CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")
@@ -25,23 +25,31 @@ DISTURBANCES: Final[Mapping[str, tuple[str, ...]]] = {
     "mid-wheel drive": ("chair.plant=mwd",),
     "10 km/h": ("chair.v_max_mps=2.78",),
 }
-_KEPT: Final = (
-    *("policy", "episodes", "status", "crashes_own", "crashes_other", "crashes_per_km"),
-    *("kpi1_free_within", "speed_mps"),
-)
-
-Row = dict[str, Any]
 Told = Callable[[str], object]
 
 
-def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[Row]:
-    """Drive a list with each disturbance alone, without forks; a row for each policy and disturbance.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disturbed:
+    """A policy's row with one disturbance, and what that does to its score."""
 
-    `score_change` is the mean difference to the same episodes driven clean, with its 95 % interval (bootstrap).
+    disturbance: str
+    settings: tuple[str, ...]
+    row: Row
+    score_change: float  # mean difference to the same episodes driven clean
+    score_change_ci: Interval | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values: the row's, and its own under the same names."""
+        own = {name: getattr(self, name) for name in ("disturbance", "settings", "score_change", "score_change_ci")}
+        return self.row.to_json() | own
+
+
+def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[Disturbed]:
+    """Drive a list with each disturbance alone, without forks; a row for each policy and disturbance.
 
     Raises what `run_suite` raises.
     """
-    rows: list[Row] = []
+    rows: list[Disturbed] = []
     clean: Mapping[str, Sequence[EpisodeRecord]] = {}
     for name, settings in DISTURBANCES.items():
         disturbed = replace(order, settings=(*CLEAN, *order.settings, *settings), forks=0)  # what is set disturbs all
@@ -50,23 +58,19 @@ def sensitivity(order: SuiteOrder, policies: Sequence[str], told: Told) -> list[
         for policy, records in driven.items():
             for line in undriven(policy, records):
                 told(f"{name}: {line}")
-            rows.append({"disturbance": name, "settings": list(settings), **_row(policy, records, clean[policy])})
-    return sorted(rows, key=lambda row: list(driven).index(row["policy"]))
+            changes = [now.score - before.score for now, before in zip(records, clean[policy], strict=True)]
+            low_high = bootstrapped(changes)
+            rows.append(
+                Disturbed(
+                    disturbance=name,
+                    settings=settings,
+                    row=row_of(policy, "", records, ()),
+                    score_change=round(float(np.mean(changes)), 6),
+                    score_change_ci=None if low_high is None else (round(low_high[0], 6), round(low_high[1], 6)),
+                )
+            )
+    return sorted(rows, key=lambda each: list(driven).index(each.row.policy))
 
 
 def _telling(told: Told, name: str) -> Done:
     return lambda policy, done, of: told(f"{name}: {policy}, {done} of {of} blocks")
-
-
-def _row(policy: str, records: Sequence[EpisodeRecord], clean: Sequence[EpisodeRecord]) -> Row:
-    whole = row_of(policy, "", records, ())
-    changes = [now.score - before.score for now, before in zip(records, clean, strict=True)]
-    kept = {key: whole[key] for key in (*_KEPT, "score", "score_ci")}
-    return kept | {
-        "score_change": round(float(np.mean(changes)), 6),
-        "score_change_ci": _pair(bootstrapped(changes)),
-    }
-
-
-def _pair(interval: Iterable[float] | None) -> list[float] | None:
-    return None if interval is None else [round(float(value), 6) for value in interval]

@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.run import UNAIDED
+from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.drives.beside import by_person
 from wcsim.bridge.drives.remake import config_of_drive, remade, town_of_drive
 from wcsim.bridge.world import World

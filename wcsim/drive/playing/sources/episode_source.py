@@ -14,10 +14,9 @@ from wcsim.agents.envs.episode_view import EpisodeStep
 from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import is_own_class
 from wcsim.agents.evaluation.suite.playback import require_same
-from wcsim.agents.evaluation.suite.records import record_of
-from wcsim.agents.evaluation.suite.result_files import KeptResult, read_result
-from wcsim.agents.evaluation.suite.run import UNAIDED, Piece, drive_piece, piece_of, town_addresses
-from wcsim.agents.policy_api import Policy, TellsUnsafe, Warns
+from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
+from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses
+from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
 from wcsim.bridge.world import World
 from wcsim.config.suite import BlockFile
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FilmStep, Flag, Said
@@ -51,16 +50,16 @@ def episode_film(choice: EpisodeChoice, say: Callable[[Said], object]) -> None:
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
     config = settings_in_list(piece.policy, piece.preset, piece.settings)
     watch = _BlockWatch(piece, say, result.suite, config.cameras[0].model_dump_json(), config.env.actions)
-    records = [record_of(record) for record in drive_piece(piece, watch)]
+    records = drive_piece(piece, watch)
     watch.flush()
-    kept = {(one.record.block, one.record.seat): one for one in result.episodes[policy]}
+    kept = {(one.block, one.seat): one for one in result.episodes[policy]}
     told = [f"chair {record.seat}: {fate(record)}" for record in records]
     for record in records:
         twin = kept.get((record.block, record.seat))
         if twin is None:
             continue
         try:
-            require_same(record, twin.said)
+            require_same(record, twin)
         except ConfigError as error:
             say(FilmLine(kind="bad", told=str(error)))
     say(FilmLine(kind="end", told="; ".join(told)))
@@ -71,7 +70,7 @@ def failed_episodes(folder: Path) -> tuple[FailedEpisode, ...]:
     return failures_of(read_result(folder), folder)
 
 
-def _found(result: KeptResult, choice: EpisodeChoice) -> tuple[str, int]:
+def _found(result: TestResult, choice: EpisodeChoice) -> tuple[str, int]:
     """Policy and block. Raises ConfigError."""
     failures = failures_of(result, choice.folder)
     worst = next((one for one in failures if choice.policy in ("", one.policy)), None)
@@ -84,7 +83,7 @@ def _found(result: KeptResult, choice: EpisodeChoice) -> tuple[str, int]:
             f"{policy} is your own code, which runs only when you name it: --policy {shlex.quote(policy)}"
         )
     block = choice.block if choice.block >= 0 else (worst.key[0] if worst is not None else 0)
-    blocks = sorted({episode.record.block for episode in result.episodes[policy]})
+    blocks = sorted({episode.block for episode in result.episodes[policy]})
     if block not in blocks:
         raise ConfigError(f"--block {block}: not in this result; expected {blocks[0]} to {blocks[-1]}")
     return policy, block
