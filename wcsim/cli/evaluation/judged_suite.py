@@ -293,7 +293,7 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     asked = {"suite": name, "preset": order.preset, "network": order.network, "out": str(order.out)}
 
     with ExitStack() as held:  # all of it first: a full disk leaves what an earlier test wrote as it was
-        for file, said in ((RESULT, result.to_json()), (EPISODES, episodes), (ASKED, asked)):
-            part = held.enter_context(result_file(order.out / file))
-            part.write_text(json_text(order.out / file, said), encoding="utf-8")
+        for output, said in ((RESULT, result.to_json()), (EPISODES, episodes), (ASKED, asked)):
+            part = held.enter_context(result_file(order.out / output))
+            part.write_text(json_text(order.out / output, said), encoding="utf-8")
     return result
