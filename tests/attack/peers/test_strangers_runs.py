@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -42,7 +41,7 @@ def test_a_class_is_named_by_words_not_by_paths(tmp_path: Path, monkeypatch: pyt
 def test_a_journals_hook_is_named_on_the_command_line_or_not_loaded(tmp_path: Path) -> None:
     from wcsim.log.writer import LogWriter
 
-    with LogWriter(tmp_path / "journal", replace(HEADER, hook="evil:H")):
+    with LogWriter(tmp_path / "journal", changed(HEADER, hook="evil:H")):
         pass
     for hook in ("", "other:H"):
         with pytest.raises(ConfigError, match="a hook is code"):
