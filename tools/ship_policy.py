@@ -49,8 +49,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
     told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
         export_policy(policy, Path(held) / "onnx", run.config, ride)
-
-        def fill(target: Path) -> None:
+        with files.whole_folder(to) as target:
             for name in (POLICY_JSON, WEIGHTS):
                 shutil.copyfile(policy / name, target / name)
             shutil.copyfile(Path(held) / "onnx" / MODEL_FILE, target / "model.onnx")
@@ -60,8 +59,6 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
                 shutil.copyfile(to / "README.md", target / "README.md")
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
             write_hashes(target)
-
-        files.write_folder(to, fill)
     return shipped_folder(to)
 
 

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRecord
-from wcsim.agents.evaluation.suite.rows import Row, row_of
+from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth, tell_delay
 from wcsim.config import RunConfig
 from wcsim.supervisor.kpi import KpiMeter
@@ -17,7 +17,7 @@ from wcsim.types import Events, Joystick, Truth
 
 def driven(
     policy: Policy, env: gym.Env[Any, Any], episodes: int, max_steps: int, seed: int = 0, tick_s: float = 0.1
-) -> Row:
+) -> ResultRow:
     """The first episode begins with the seed; without the truth a step counts as free of danger."""
     records = []
     policy.begin()

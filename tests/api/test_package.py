@@ -102,7 +102,7 @@ def lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 FOLDERS = sorted({path.parent for path in (*SOURCES, *tracked("tests", ".py"))})
 STAY = ("scenarios/sumo", "wcsim/bridge", "wcsim/physics", "wcsim/agents", "wcsim/supervisor", "tests")
 MOST_ENTRIES = 14
-MOST_ROOMS = 18  # the tests' folder has those of support and of benchmarks beside the product's
+MOST_ROOMS = 19  # the tests' folder has those of support and of benchmarks beside the product's
 ROOTS = (ROOT, ROOT / "wcsim", ROOT / "tests")
 
 
@@ -243,6 +243,7 @@ SAME_FILE_NAME = {
     "build": "a scene's folder, and a learner of its settings",
     "camera": "the sensor, and the script of its benchmark",
     "chair": "its section of a run file, what crosses borders of it, and its command",
+    "checkpoint": "of any run, and what a Q-learner puts into it",
     "collect": "its section of a run file, and its command",
     "command": "the commands of a group",
     "drive": "a block of a suite, and the command on whose page a person drives",
@@ -263,6 +264,7 @@ SAME_FILE_NAME = {
     "run": "its section of a run file, a scene's, and the command of a town's",
     "scene": "its file, and the command",
     "soak": "the benchmark, and its script",
+    "states": "of a launch's processes, and of a world as it is recorded",
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",
     "train": "the loop, and the command",

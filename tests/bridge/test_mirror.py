@@ -98,8 +98,8 @@ def test_people_go_where_their_velocity_leads_them_those_who_stepped_aside_too()
     people = aside = slid = 0
     with _open_scene(find_scene("rush-hour")) as (world, scene):
         before: dict[str, ActorState] = {}
-        for after, _ in play(world, scene):
-            now = {one.id: one for one in after.actors if one.kind is ActorKind.PEDESTRIAN}
+        for step in play(world, scene):
+            now = {one.id: one for one in step.after.actors if one.kind is ActorKind.PEDESTRIAN}
             for old, new in ((before[name], one) for name, one in now.items() if name in before):
                 gone_m = (new.p_W_m - old.p_W_m)[:2]
                 if math.hypot(*gone_m) > JUMP_M:

@@ -67,7 +67,7 @@ def test_an_import_that_is_ended_leaves_nothing(tmp_path):
     town = Path(__file__).resolve().parents[2] / "scenarios" / "sumo" / "manhattan"
     child = start(tmp_path, "town", "import", "--osm", town / "osm" / "manhattan.osm.xml.gz", "--name", "mine")
     towns = tmp_path / "scenarios" / "sumo"
-    while not list(towns.glob(".mine-*")):
+    while not list(towns.glob(".mine.*")):
         assert child.poll() is None
     child.terminate()
     _, err = child.communicate(timeout=200)

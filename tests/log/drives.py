@@ -8,7 +8,7 @@ import numpy as np
 
 from wcsim import __version__
 from wcsim.config import resolve
-from wcsim.log.records import Drive, DriveTick, Header, Note, changed
+from wcsim.log.records import DriveHeader, DriveTick, Header, Note, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile, profile_json
@@ -18,7 +18,7 @@ TICK_S = 0.1
 
 def drive_header(**changes: object) -> Header:
     """The header of a drive that never was."""
-    about = Drive(
+    about = DriveHeader(
         wcsim=__version__,
         profile="competent",
         user=profile_json(profile("competent")),

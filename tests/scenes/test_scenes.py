@@ -11,7 +11,7 @@ from wcsim.config import read_toml
 from wcsim.config.scene import SceneExpect, SceneFile
 from wcsim.log.diff import golden_difference
 from wcsim.log.reader import read_states
-from wcsim.log.records import WorldState
+from wcsim.log.records import changed
 from wcsim.log.writer import LogWriter
 from wcsim.scenes.facts import facts_from_line, facts_line, faults
 from wcsim.scenes.run import TRACE_EVERY, run_in_child
@@ -82,10 +82,9 @@ def test_one_changed_number_is_found(tmp_path):
     header, ticks = read_states(golden)
     plants = ticks[5].plants.copy()
     plants[0, 0] += 1e-9
-    fields = {name: getattr(ticks[5], name) for name in WorldState.__dataclass_fields__}
-    changed = WorldState(**{**fields, "plants": plants, "state_hash": "0"})
+    other = changed(ticks[5], plants=plants, state_hash="0")
     with LogWriter(tmp_path / "a", header) as writer:
-        for tick in (*ticks[:5], changed, *ticks[6:]):
+        for tick in (*ticks[:5], other, *ticks[6:]):
             writer.append(tick)
     assert f"tick {ticks[5].tick}" in golden_difference(tmp_path / "a", golden)
     assert ticks[5].tick == 6 * TRACE_EVERY

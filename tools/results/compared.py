@@ -13,7 +13,7 @@ import numpy.typing as npt
 from wcsim.agents.evaluation.intervals import bootstrapped, garwood
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import Row
+from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.core import seeding
 from wcsim.users.profiles import HELD_OUT
 
@@ -24,7 +24,7 @@ BLINDED: Final = "oracle-visible"
 BOUNDS: Final = ("oracle", BLINDED)  # they know what no camera shows, or what no picture says
 HARD: Final = ("hazard", "tight")
 Counts = npt.NDArray[np.float64]
-Rows = Mapping[tuple[str, str], Row]  # by policy and part, "" for all
+Rows = Mapping[tuple[str, str], ResultRow]  # by policy and part, "" for all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

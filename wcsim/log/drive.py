@@ -11,7 +11,7 @@ from typing import Final
 from wcsim.core.reading import escaped
 from wcsim.errors import JournalError
 from wcsim.log.reader import scan_in_memory
-from wcsim.log.records import Drive, DriveTick, Header, Note
+from wcsim.log.records import DriveHeader, DriveTick, Header, Note
 from wcsim.log.writer import MOST_RECORDS
 
 _SAME_MOTION: Final = ("0.1.0",)
@@ -34,7 +34,7 @@ class DriveRecording:
 
     name: str  # of the file
     header: Header
-    about: Drive  # `header.drive`, which is there
+    about: DriveHeader  # `header.drive`, which is there
     ticks: tuple[DriveTick, ...]
     events: tuple[Note, ...]
     torn: bool  # something that is no whole record followed the last one

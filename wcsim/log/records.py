@@ -48,7 +48,7 @@ Hash = Annotated[str, Meta(max_length=64)]
 Printable = Annotated[str, Meta(max_length=4096, pattern=rf"\A[^{_NO_XML}]*\Z")]
 
 
-class Drive(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DriveHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the header of a drive says of who drove: enough, with its ticks, to make the same drive again."""
 
     wcsim: Document  # version
@@ -86,7 +86,7 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     origin_m: tuple[Number, Number] = (0.0, 0.0)  # W's origin in the town's net coordinates
     origin_z_m: Number = 0.0
     chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
-    drive: Drive | None = None  # who drove, where the log is of one chair's ticks
+    drive: DriveHeader | None = None  # who drove, where the log is of one chair's ticks
 
     @property
     def kind(self) -> LogKind:

@@ -104,9 +104,10 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     sticks = np.clip(np.c_[rng.normal(0.0, 0.2, 40), rng.uniform(0.3, 0.8, 40)], -0.7, 0.7)
     _write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
+    header = drive_header(town, config, 6, spec, None, policy="dwa", level="1", episode="dev 1.0")
     with (
         World(town, config, (spec,), 6) as world,
-        LogWriter(path, drive_header(town, config, 6, spec, None, "dwa", "1", "dev 1.0")) as recorder,
+        LogWriter(path, header) as recorder,
     ):
         for number in range(30):
             if number == 12:

@@ -13,12 +13,12 @@ from tests.agents.evaluation.suite.test_list_rules import run_of
 from tests.agents.evaluation.suite.test_records import GOOD
 from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.result_files import result_of
-from wcsim.agents.evaluation.suite.rows import Row
+from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.cli import main
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.view.report.columns import GROUPS
 
-KEYS = {field.name for field in fields(Row)}
+KEYS = {field.name for field in fields(ResultRow)}
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,8 @@ from tests.support.events import read_events
 from wcsim.agents.clients.clients_folder import open_clients_folder, read_choice
 from wcsim.agents.clients.group_run import GroupRun
 from wcsim.agents.evaluation.suite.list_file import write_list
+from wcsim.agents.evaluation.suite.result_files import result_of
+from wcsim.agents.evaluation.suite.rows import pooled_rows
 from wcsim.agents.learning.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
@@ -58,10 +60,16 @@ def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():
     assert second.clients[1].ordered == run.clients[1].config
 
 
+UNNAMED = {name: "" for name in ("suite", "set", "list_sha256", "changed", "list_name", "preset", "network", "out")}
+
+
 def test_the_highest_score_goes_on_then_fewer_crashes_then_the_first_seat():
     def result(**scores):
-        rows = [{"policy": _policy_of(Path("r"), n), "score": s, "crashes_own": c} for n, (s, c) in scores.items()]
-        return {"pooled": [{"policy": "follow", "score": 0.9, "crashes_own": 0}, *rows]}
+        follow = pooled_rows("follow", (), ())[1]
+        rows = [
+            replace(follow, policy=_policy_of(Path("r"), n), score=s, crashes_own=c) for n, (s, c) in scores.items()
+        ]
+        return replace(result_of({}, **UNNAMED), pooled=(replace(follow, score=0.9), *rows))
 
     def best(**scores):
         return _best_of(_judged_of(result(**scores), Path("r"), list(scores)))

@@ -117,7 +117,7 @@ def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
     (tmp_path / "journal").write_bytes(b"nothing of the kind")
     desk = Desk(FilmSource(kind="journal", path=tmp_path / "journal"))
     told = desk.said("notice")
-    assert told["kind"] == "bad" and "is not a journal" in told["told"]
+    assert told["kind"] == "bad" and "is not a log" in told["told"]
     assert desk.said("busy")["told"] == "The recording ends here."
     desk.close()
 

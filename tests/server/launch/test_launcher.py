@@ -23,7 +23,7 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import ClientStatus, WorldSpec, WorldStatus, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 
-STUB = (sys.executable, "-I", "-S", str(Path(__file__).parents[1] / "launch_stubs.py"))
+STUB = (sys.executable, "-I", "-S", str(Path(__file__).parent / "launch_stubs.py"))
 QUICK = LaunchRules(
     world_lease_s=3.0,
     loading_lease_s=60.0,

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from tests.server.desk import Desk, failure, join_of, only, session_of
 from tests.server.model.shadow import Shadow
+from tests.server.protocol.desk import Desk, failure, join_of, only, session_of
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import (

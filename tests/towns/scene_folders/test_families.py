@@ -72,7 +72,8 @@ def test_streets_build_and_the_chair_starts_on_pavement(family: str, tmp_path: P
 def test_who_only_follows_meets_the_danger_that_is_meant(family: str, tmp_path: Path) -> None:
     seed, reason, partner = MEANT[family]
     with _open_scene(write_scene(family, seed, tmp_path / "scene")) as (world, scene):
-        end = next(snapshot.clients[0] for snapshot, _ in play(world, scene) if snapshot.clients[0].events.crashed)
+        ticks = (step.after.clients[0] for step in play(world, scene))
+        end = next(client for client in ticks if client.events.crashed)
     assert end.events.crash_reason == reason
     assert {contact.actor_id for contact in end.contacts} <= {partner}
     assert bool(end.contacts) == (reason == "collision")

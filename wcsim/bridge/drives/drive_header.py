@@ -5,7 +5,7 @@ from __future__ import annotations
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.config import RunConfig
 from wcsim.log.drive import wcsim_version
-from wcsim.log.records import PERSON, Drive, Header
+from wcsim.log.records import PERSON, DriveHeader, Header
 from wcsim.towns.scenario.town import Town, content_hash
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import UserProfile, profile_json
@@ -17,11 +17,7 @@ def drive_header(
     seed: int,
     spec: SeatSpec,
     user: UserProfile | None,
-    policy: str = "",
-    level: str = "",
-    episode: str = "",
-    beside: str = "",
-    scene: str = "",
+    **assisted: str,
 ) -> Header:
     """The header of a drive.
 
@@ -31,11 +27,7 @@ def drive_header(
         seed: Of the world.
         spec: Of the only seat.
         user: The simulated user as it was drawn; None when a person drives.
-        policy: Who assists; "" for nobody.
-        level: Of the assistance, where it has levels.
-        episode: Of a suite, its name, block and seat; "" for none.
-        beside: JSON of the profile of who sits beside a person; "" for nobody.
-        scene: The generated scene that the street is; "" for a town.
+        assisted: Of `DriveHeader`: policy, level, episode, beside and scene.
     """
     return Header(
         fingerprint=fingerprint(),
@@ -46,16 +38,12 @@ def drive_header(
         seats=1,
         tick_s=config.world.tick_s,
         config=config.model_dump_json(),
-        drive=Drive(
+        drive=DriveHeader(
             wcsim=wcsim_version(),
             profile=PERSON if user is None else user.name,
             user="" if user is None else profile_json(user),
-            beside=beside,
-            policy=policy,
-            level=level,
-            episode=episode,
-            scene=scene,
             max_steps=spec.max_steps,
             start=spec.start,
+            **assisted,
         ),
     )

@@ -60,7 +60,7 @@ def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], obje
     points, crashes = action_set(order.config.env.actions), 0
     with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
         spec = SeatSpec(profile=write_user(Path(work), order.user), max_steps=ENDLESS)
-        header = drive_header(order.town, order.config, order.seed, spec, order.user, FOLLOW)
+        header = drive_header(order.town, order.config, order.seed, spec, order.user, policy=FOLLOW)
         with LogWriter(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
             world.go_blind()
             for number in range(1, order.ticks + 1):

@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
-    from wcsim.agents.evaluation.suite.rows import Row
+    from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
 _TOLD_EVERY_S = 20.0
@@ -225,7 +225,7 @@ def _disturb(order: SuiteOrder, options: DriveOptions, title: str) -> int:
     return _exit_of([each.row for each in moved])
 
 
-def _exit_of(rows: Iterable[Row]) -> Exit:
+def _exit_of(rows: Iterable[ResultRow]) -> Exit:
     """A policy that came to the end of no episode has no result, whatever its row says."""
     from wcsim.agents.evaluation.suite.rows import undone
 

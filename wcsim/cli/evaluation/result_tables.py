@@ -17,7 +17,7 @@ from wcsim.view.report.columns import GROUPS, Column
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
-    from wcsim.agents.evaluation.suite.rows import Row
+    from wcsim.agents.evaluation.suite.rows import ResultRow
     from wcsim.agents.evaluation.suite.sensitivity import Disturbed
 
 _SPREAD = {"crashes_per_km": "{:.1f}-{:.1f}", "score": "{:.2f}-{:.2f}"}  # figures whose interval stands beside them
@@ -75,7 +75,7 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
         console.print(verdict, style="bold", markup=False, highlight=False)
 
 
-def _parts(result: TestResult) -> list[tuple[str, list[Row]]]:
+def _parts(result: TestResult) -> list[tuple[str, list[ResultRow]]]:
     """Each part's rows, and those of all where there are several parts."""
     parts = dict.fromkeys(row.part for row in result.rows)
     found = [(part, [row for row in result.rows if row.part == part]) for part in parts]
@@ -121,7 +121,7 @@ def _headings(columns: Sequence[Column]) -> list[str]:
     return [text for column in columns for text in (column.short, *["95 %"] * (column.key in _SPREAD))]
 
 
-def _cells(row: Row, columns: Sequence[Column]) -> list[str]:
+def _cells(row: ResultRow, columns: Sequence[Column]) -> list[str]:
     found = []
     for column in columns:
         value = getattr(row, column.key)

@@ -277,8 +277,17 @@ def json_text(path: Path, data: Any) -> str:
 
 @contextmanager
 def result_file(path: Path) -> Iterator[Path]:
-    """As `whole_file`, and says that it made a folder for it. Raises DiskFullError."""
+    """As `whole_file`, and says that it made a folder for it.
+
+    Raises:
+        ConfigError: Its folder cannot be made.
+        DiskFullError: There is no room.
+    """
     missing = missing_folder(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
     with whole_file(path) as part:
         yield part
     tell_made(missing)

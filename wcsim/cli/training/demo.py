@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from rich.console import Console
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
 
 _FILM_WIDTH_PX, _FILM_S = 480, 10.0
+_RULES: Final = ("world.", "chair.", "reward.", "vary.")
 _USUAL = "This takes about 4 minutes on two free cores, half of them for training. The first run takes one minute more."
 
 
@@ -80,7 +81,11 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "demo")
     started = time.monotonic()
     trial = test.Options(
-        town=options.test_town, episodes=options.episodes, max_steps=options.max_steps, seed=options.seed
+        town=options.test_town,
+        episodes=options.episodes,
+        max_steps=options.max_steps,
+        seed=options.seed,
+        set=tuple(text for text in options.set if text.startswith(_RULES)),  # a network is tested as it was trained
     )
     school, tested = _towns(options.train_town, trial)
     out = options.out if options.out is not None else _free_folder(Path("runs"), "demo")

@@ -11,7 +11,7 @@ from typing import Final
 from wcsim.agents.evaluation.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import Row, undone
+from wcsim.agents.evaluation.suite.rows import ResultRow, undone
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.core.reading import counted
 
@@ -205,7 +205,7 @@ def verdict(result: TestResult) -> str:
     return said
 
 
-def _crashes(rows: Sequence[Row]) -> str:
+def _crashes(rows: Sequence[ResultRow]) -> str:
     """How many drives ended with a crash by the chair's fault, without and with help."""
     if not rows:
         return ""
@@ -238,7 +238,7 @@ def _told_apart(result: TestResult) -> str:
     return f"{_first_upper(_and(named))} cannot be told apart here."
 
 
-def _price(rows: Sequence[Row]) -> str:
+def _price(rows: Sequence[ResultRow]) -> str:
     """How often each did what the user requested, and intervened without need."""
     moved = [row for row in rows if row.policy != UNAIDED and row.kpi1_free_within is not None]
     if not moved:
@@ -249,7 +249,7 @@ def _price(rows: Sequence[Row]) -> str:
     return f"In safe moments {_and(close)}{_unneeded(moved)}."
 
 
-def _unneeded(rows: Sequence[Row]) -> str:
+def _unneeded(rows: Sequence[ResultRow]) -> str:
     """Interventions without need of each policy, where its episodes were judged by counterfactual rollouts."""
     judged = [row.judged_episodes for row in rows]
     if not all(judged):

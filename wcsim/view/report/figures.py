@@ -22,7 +22,7 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.evaluation.suite.result_files import TOWNS, TestResult
-from wcsim.agents.evaluation.suite.rows import Row
+from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -116,7 +116,7 @@ def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     ]
 
 
-def _estimate(row: Row, key: str, interval: str) -> Estimate | None:
+def _estimate(row: ResultRow, key: str, interval: str) -> Estimate | None:
     value = getattr(row, key)
     low, high = getattr(row, interval) or (math.nan, math.nan)  # a point of few episodes has no bar
     return None if value is None else Estimate(value=value, low=low, high=high)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import Row
+from wcsim.agents.evaluation.suite.rows import ResultRow
 from wcsim.view.report.columns import COLUMNS, GROUPS, SAFETY, Column
 from wcsim.view.report.comparisons import WEIGHTINGS, Paired, weighted
 from wcsim.view.report.markup import Cell, Exhibit, Markup, csv_of, el, joined, table
@@ -33,7 +33,7 @@ def result_table(result: TestResult, part: str, worst: _Worst | None = None) -> 
     )
 
 
-def _table(rows: Sequence[Row], columns: Sequence[Column], name: str, worst: _Worst | None) -> Markup:
+def _table(rows: Sequence[ResultRow], columns: Sequence[Column], name: str, worst: _Worst | None) -> Markup:
     headings: list[object] = ["policy", *(el("span", column.heading, title=column.says) for column in columns)]
     lines = []
     for row in rows:
@@ -105,7 +105,7 @@ def weights_table(result: TestResult) -> Exhibit:
     )
 
 
-def _figure(row: Row, column: Column) -> object:
+def _figure(row: ResultRow, column: Column) -> object:
     value = getattr(row, column.key)
     text = _said(column.form, value)
     if column.key == "mcnemar_p" and value == 0:
@@ -134,7 +134,7 @@ def _keys(column: Column) -> list[str]:
     return [column.key, *((f"{column.interval}_low", f"{column.interval}_high") if column.interval else ())]
 
 
-def _plain(row: Row, column: Column) -> list[Cell]:
+def _plain(row: ResultRow, column: Column) -> list[Cell]:
     value: Any = getattr(row, column.key)
     if not column.interval:
         return [value]

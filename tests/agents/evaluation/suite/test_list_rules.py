@@ -102,5 +102,5 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
     monkeypatch.setattr(driving, "open_named", no_policy)
     order = driving.SuiteOrder(suite=open_suite("dev"), out=tmp_path)
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
-    assert {record["status"] for record in records} == {"refused"}
+    assert {record.status for record in records} == {"refused"}
     assert configs == [settings_in_list(run, "quick", listed())] and configs[0].reward.drop

@@ -1,7 +1,7 @@
 """A whole list: the same bytes with one process and with two, kept pieces are used, and changes are told."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -23,7 +23,7 @@ from wcsim.errors import ConfigError, TownError
 
 def told(records):
     rows, whole = pooled_rows("follow", records["follow"], records["follow"])
-    return json.dumps([rows, whole, [record.to_json() for record in records["follow"]]])
+    return json.dumps([[asdict(row) for row in (*rows, whole)], [record.to_json() for record in records["follow"]]])
 
 
 def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_again(corner, tmp_path):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
-from wcsim.agents.evaluation.suite.rows import Row, pooled_rows
+from wcsim.agents.evaluation.suite.rows import ResultRow, pooled_rows
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError
@@ -31,8 +31,8 @@ class TestResult:
     set: str
     list_sha256: str
     changed: tuple[str, ...]  # settings, over those of the list
-    rows: tuple[Row, ...]  # a policy and a part each
-    pooled: tuple[Row, ...]
+    rows: tuple[ResultRow, ...]  # a policy and a part each
+    pooled: tuple[ResultRow, ...]
     episodes: Mapping[str, tuple[EpisodeRecord, ...]]  # by policy, as in `pooled`
     list_name: str  # of a list that comes with wcsim, or its path
     preset: str

@@ -30,7 +30,7 @@ _FAR_ENOUGH_KM: Final = 0.05  # below this a rate per kilometre says nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class ResultRow:
     """A policy on one part of a list, or on all of it; None where nothing was measured, `_ci` are 95 % intervals."""
 
     policy: str
@@ -90,7 +90,7 @@ class Row:
         return asdict(self)
 
 
-def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> Row:
+def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]) -> ResultRow:
     """One row: a policy on one part of a suite, or on all of it.
 
     Args:
@@ -108,7 +108,7 @@ def row_of(policy: str, part: str, records: Sequence[EpisodeRecord], unaided: Se
         **(_twins(records, unaided) if records and len(unaided) == len(records) else {}),
     }
     rounded = {key: _rounded(value) for key, value in figures.items()}
-    return Row(policy=policy, part=part, episodes=len(records), **rounded)
+    return ResultRow(policy=policy, part=part, episodes=len(records), **rounded)
 
 
 def _crashes(records: Sequence[EpisodeRecord]) -> dict[str, Any]:
@@ -204,7 +204,7 @@ def _km(records: Sequence[EpisodeRecord]) -> float:
 
 def pooled_rows(
     policy: str, records: Sequence[EpisodeRecord], unaided: Sequence[EpisodeRecord]
-) -> tuple[list[Row], Row]:
+) -> tuple[list[ResultRow], ResultRow]:
     """A policy's rows by part, in the order of the parts' first episodes, and that of all episodes."""
     rows = []
     for part in dict.fromkeys(record.part for record in records):
@@ -214,7 +214,7 @@ def pooled_rows(
     return rows, row_of(policy, "", records, unaided)
 
 
-def undone(row: Row) -> int:
+def undone(row: ResultRow) -> int:
     """Episodes of a row that its policy did not bring to an end: it failed or was refused."""
     return row.status[POLICY_FAILED] + row.status[REFUSED]
 

@@ -301,5 +301,5 @@ def read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     data = read_json(path, _KEPT)
     try:
         return tuple(record_of(record) for record in data["records"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (ConfigError, KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{escaped(path)}: is damaged ({error}); expected {_KEPT.what}") from None

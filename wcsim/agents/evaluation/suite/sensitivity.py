@@ -10,7 +10,7 @@ import numpy as np
 
 from wcsim.agents.evaluation.intervals import Interval, bootstrapped
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, undriven
-from wcsim.agents.evaluation.suite.rows import Row, row_of
+from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 
 CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")
@@ -34,7 +34,7 @@ class Disturbed:
 
     disturbance: str
     settings: tuple[str, ...]
-    row: Row
+    row: ResultRow
     score_change: float  # mean difference to the same episodes driven clean
     score_change_ci: Interval | None
 

@@ -24,7 +24,7 @@ from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TOOL = runpy.run_path(str(ROOT / "tools" / "ship_policy.py"), run_name="tool")
 OWN = resolve(CONFIG, ("learn.head=danger",))
 
