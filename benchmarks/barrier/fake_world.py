@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wcsim.bridge.replay.seat_world import Specs
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink, SeatBuffers, new_images
-from wcsim.server.seat_world import Specs
 from wcsim.server.specs import WorldOrder
 from wcsim.types import (
     CameraFrame,
@@ -32,6 +32,7 @@ from wcsim.types import (
     SeatSpec,
     SensorFrame,
     Snapshot,
+    StartSpec,
 )
 
 _COMMAND = struct.Struct("<iqdd")
@@ -98,7 +99,7 @@ class FakeWorld:
         self._hash(b"dismiss%d" % seat)
         self._publish(self.snapshot.tick, tuple(c for c in self.snapshot.clients if c.seat != seat))
 
-    def respawn(self, seat: int, out: ImageSink | None = None) -> ClientSnapshot:
+    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
         """See `World.respawn`."""
         return self._anew(seat, b"respawn", out)
 

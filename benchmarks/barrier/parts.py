@@ -18,10 +18,10 @@ import msgspec
 import zmq
 
 from benchmarks.barrier.fake_world import FakeWorld
+from wcsim.bridge.replay.seat_world import Specs
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat
-from wcsim.server.seat_world import Specs
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import KnownKeys, authenticator, client_keys, server_keys, server_public
 from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot

@@ -259,7 +259,6 @@ SAME_FILE_NAME = {
     "registry": "networks by name, and sensors by name",
     "records": "of a journal, and of crashes",
     "session": "of SUMO, and of a person's drive",
-    "replay": "of a journal, and the command",
     "report": "of a training, and of a town",
     "run": "its section of a run file, a scene's, and the command of a town's",
     "scene": "its file, and the command",

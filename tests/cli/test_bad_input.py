@@ -125,12 +125,13 @@ OPTIONS = {
     "snapshot --set env.profile=slow": ("--set env.profile", "wcsim video --profile NAME"),
     "export nobody --onnx x": ("nobody is not a run",),
     "scene run nowhere": ("unknown scene 'nowhere'", "pedestrian-crossing"),
-    "replay": ("got none", "exactly one of --page, --fcd FILE.xml, --mcap FILE.mcap, --verify"),
-    "replay --verify": ("--verify got 0 runs", "expected 1"),
-    "replay a --verify": ("a: is not there", "journal"),
-    "replay a --fcd x.xml": ("a: is not there", "a run folder, a trace, a journal"),
-    "replay nofolder": ("nofolder: is not there",),
-    "replay nofolder --verify --fcd x.xml": ("nofolder: is not there",),
+    "replay nowhere": ("nowhere: is no finished test", "wcsim log play"),
+    "log": ("log needs a command", "play, verify, compare, convert"),
+    "log verify a": ("a: is not there", "journal"),
+    "log convert a x.xml": ("a: is not there", "a run folder, a trace, a journal"),
+    "log convert a x.png": ("x.png", ".xml (FCD) or .mcap (ROS 2)"),
+    "log play nofolder": ("nofolder: is not there",),
+    "log verify nofolder --epoch -1": ("--epoch -1",),
     "demo --episodes 0": ("--episodes 0",),
     "demo --test-town nowhere": ("unknown town 'nowhere'", "monaco"),
     "demo --test-town helsinki": ("helsinki is a training town",),
@@ -144,19 +145,14 @@ def test_wrong_options_are_refused_at_once(wcsim, folder, words):
 
 
 REPLAYS = {
-    "replay run": ("got none", "exactly one of"),
-    "replay run --verify --fcd x.xml": ("got --fcd and --verify", "exactly one of"),
-    "replay a b --verify": ("--verify got 2 runs", "expected 1"),
-    "replay a --first-difference": ("--first-difference got 1 runs", "expected 2"),
-    "replay a b --first-difference --epoch 1": ("--epoch",),
-    "replay a --fcd x.xml --from 3": ("--from and --to", "--verify"),
-    "replay a --verify --from 3 --to 2": ("--from 3", "0 to 2"),
+    "replay run": ("run: is no finished test", "wcsim test --suite", "wcsim log play"),
+    "log verify a --from 3 --to 2": ("--from 3", "0 to 2"),
+    "log verify a --from -1": ("--from -1", "0 or more"),
     "watch nowhere": ("nowhere: is not there", "wcsim train-clients"),
     "watch . --port -1": ("--port -1", "0 to 65535"),
-    "replay a --page": ("a: has no trace and no journal", "a drive"),
-    "replay a --verify --block 3": ("--block", "for --page"),
-    "replay a --page --port 99999": ("--port 99999", "0 to 65535"),
-    "replay a --verify --epoch -1": ("--epoch -1", "0 or more"),
+    "log play a": ("a: has no trace and no journal", "a run folder"),
+    "log play a --port 99999": ("--port 99999", "0 to 65535"),
+    "log verify a --epoch -1": ("--epoch -1", "0 or more"),
 }
 
 
@@ -174,6 +170,8 @@ def test_wrong_options_for_runs_that_are_there_are_refused(wcsim, folder, words)
         *("train --steps 9", "train-q --data x", "resume a --seed 1", "train-clients", "train-q --lease=120"),
         *("train --bogus 1", "train --seed abc", "train --seed", "test --episodes many", "town check", "town list x"),
         *("town import --name x", "town make", "town make x --kind star", "snapshot a b", "doctor --json"),
+        *("log compare a", "log compare a b --epoch 1", "log verify a --block 3", "log convert a x.xml --from 3"),
+        *("log verify a b", "log play a --json x", "replay a --hook x"),
     ],
 )
 def test_what_the_parser_refuses_ends_with_2_too(wcsim, folder, words):

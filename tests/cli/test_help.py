@@ -16,6 +16,7 @@ NESTED = {
     "scene": ("run", "list", "bless", "new", "make"),
     "users": ("record", "fit"),
     "chair": ("check",),
+    "log": ("play", "verify", "compare", "convert"),
 }
 PLAIN = [item.name for item in SUBCOMMANDS if item.name not in NESTED]
 COMMANDS = [(name,) for name in PLAIN] + [(name, word) for name, words in NESTED.items() for word in words]
@@ -53,6 +54,7 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
     for words in COMMANDS:
         told = wcsim(*words, "--help").out
         has_chance = words not in {("town", "list"), ("town", "check"), ("town", "pave"), ("replay",), ("cache",)}
+        has_chance &= words[0] != "log"
         has_chance &= words not in {("chair", "check"), ("report",), ("networks",), ("export",)}
         has_chance &= words not in {("users", "fit"), ("watch",), ("resume",)}
         has_chance &= words[0] != "scene" or words[1] == "make"
@@ -68,7 +70,9 @@ def test_chance_has_a_seed_and_results_have_a_file(wcsim):
             ("town", "run"),
             ("scene", "run"),
         }
-        has_result |= words in {("replay",), ("town", "import"), ("town", "pave"), ("cache",)}
+        has_result |= words in {("town", "import"), ("town", "pave"), ("cache",)} or (
+            words[0] == "log" and words[1] != "play"
+        )
         has_result |= words[0] == "users"
         has_result |= words in {("town", "make"), ("collect",), ("networks",), ("export",)}
         assert ("--json FILE" in told) == (has_result or words[0] == "chair"), words
@@ -82,7 +86,7 @@ def test_version(wcsim):
 def test_whatever_takes_a_town_says_that_a_scenario_will_do(wcsim):
     takes = {("town", "check"), ("town", "pave"), ("town", "run"), ("users", "record")}
     takes |= {(name,) for name in ("look", "snapshot", "video", "drive", "test", "train", "collect", "demo", "serve")}
-    takes |= {("export",), ("doctor",), ("replay",), ("train-q",), ("train-clients",)}
+    takes |= {("export",), ("doctor",), ("log", "play"), ("train-q",), ("train-clients",)}
     for words in COMMANDS:
         told = re.sub(r"[\s│]+", " ", wcsim(*words, "--help").out)
         assert bool(re.search(r"name, its folder, or a \.sumocfg file", told)) == (words in takes), words

@@ -48,7 +48,12 @@ NOWHERE = (
     *(("town", "pave", "atlantis", "--out", "x"), ("town", "import", "--name", "x", "--osm", "atlantis.osm")),
     ("town", "make", "x", "--size", "1"),
     *(("users", "record", "atlantis", "--out", "x.drive"), ("users", "fit", "atlantis", "--out", "x.toml")),
-    *(("scene", "run", "atlantis"), ("scene", "bless", "atlantis"), ("replay", "atlantis")),
+    *(
+        ("scene", "run", "atlantis"),
+        ("scene", "bless", "atlantis"),
+        ("replay", "atlantis"),
+        ("log", "verify", "atlantis"),
+    ),
 )
 WRONG = (
     *((*words, "--set", "learn.nope=3") for words in (("train",), ("test",), ("serve",), ("demo",))),

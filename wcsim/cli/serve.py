@@ -19,6 +19,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.log.parts import part_files
+from wcsim.log.records import MOST_SEATS
 from wcsim.log.torn import told_torn
 from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.launch.launcher import Launcher
@@ -33,7 +34,6 @@ from wcsim.towns.scenario.town import Town, find_town
 from wcsim.users.profiles import recordings
 from wcsim.view.live_table import LiveTable
 
-MOST_SEATS = 64
 GATHER_S = 600.0
 _TOLD_NAMES = 4
 _EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair
-from wcsim.bridge.drives.beside import let_wait
 from wcsim.bridge.ego.start_place import bearing_rad
+from wcsim.bridge.replay.drive_inputs import let_wait
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing

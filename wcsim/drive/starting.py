@@ -14,7 +14,7 @@ from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
-from wcsim.bridge.drives.made_scene import MadeScene
+from wcsim.bridge.replay.made_scene import MadeScene
 from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding

@@ -11,7 +11,7 @@ from typing import Final
 from wcsim.core.reading import escaped
 from wcsim.errors import JournalError
 from wcsim.log.reader import scan_in_memory
-from wcsim.log.records import DriveHeader, DriveTick, Header, Note
+from wcsim.log.records import DriveHeader, DriveTick, Header, Note, Ticked
 from wcsim.log.writer import MOST_RECORDS
 
 _SAME_MOTION: Final = ("0.1.0",)
@@ -34,10 +34,16 @@ class DriveRecording:
 
     name: str  # of the file
     header: Header
-    about: DriveHeader  # `header.drive`, which is there
     ticks: tuple[DriveTick, ...]
     events: tuple[Note, ...]
     torn: bool  # something that is no whole record followed the last one
+
+    @property
+    def about(self) -> DriveHeader:
+        """Who drove, as the header says. Raises JournalError for the header of another log."""
+        if self.header.drive is None:
+            raise JournalError(f"{escaped(self.name)}: is not a drive; record it again")
+        return self.header.drive
 
     @cached_property
     def episodes(self) -> tuple[tuple[DriveTick, ...], ...]:
@@ -48,6 +54,10 @@ class DriveRecording:
                 found.append([])
             found[-1].append(tick)
         return tuple(tuple(part) for part in found)
+
+    def tick_of(self, record: Ticked) -> DriveTick:
+        """The tick that a replay of this drive has reached."""
+        return self.ticks[record.tick - self.ticks[0].tick]
 
     @property
     def knows_intents(self) -> bool:
@@ -77,13 +87,9 @@ def read_drive(path: Path) -> DriveRecording:
             ticks.append(record)
         if len(ticks) + len(events) > MOST_RECORDS:
             raise JournalError(f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at most")
-    about = scan.header.drive
-    if about is None:  # the scan refuses it
-        raise JournalError(f"{escaped(path)}: is not a drive; record it again")
     return DriveRecording(
         name=str(path),
         header=scan.header,
-        about=about,
         ticks=tuple(ticks),
         events=tuple(events),
         torn=scan.torn_bytes > 0,

@@ -132,6 +132,7 @@ class Respawned(_Record, frozen=True, kw_only=True, tag="r"):
     epoch: Count
     tick: Count
     seat: Seat
+    start: StartSpec | None = None  # of that episode; None for the seat's own
 
 
 class Ticked(_Record, frozen=True, kw_only=True, tag="t"):
@@ -339,6 +340,8 @@ def _require_whole(record: LogRecord) -> None:
             _require(len(record.seats) == len(record.sticks))
         case Admitted():
             _require(_is_start(record.spec.start))
+        case Respawned():
+            _require(_is_start(record.start))
         case WorldState():
             count = len(record.plants)
             _require(

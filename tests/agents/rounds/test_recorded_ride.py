@@ -15,7 +15,7 @@ from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net, save_danger
 from wcsim.agents.policy_api import tell_delay
 from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
-from wcsim.bridge.drives.remake import config_of_drive
+from wcsim.bridge.replay.replayed import config_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core.files import numbered_names
@@ -60,7 +60,7 @@ def test_who_sees_a_drive_again_chooses_what_was_chosen(corner: Path, policy: Pa
     given = np.array([(stick.x, stick.y) for stick in sticks], np.float32)
     assert np.array_equal([seen["joystick"] for seen in ride.seen], given)
     assert ride.seen[0]["depth"].any()
-    assert again(policy, ride, config_of_drive(read_drive(path).header)) == chosen
+    assert again(policy, ride, config_of(read_drive(path).header)) == chosen
     assert len(set(chosen)) > 5
     assert len(recorded_ride(path, 7).seen) == 7
 

@@ -125,17 +125,7 @@ def test_options_that_a_sentence_names_are_there(told: str, capsys: pytest.Captu
     """Commands within a sentence leave things out, so only their options are looked up."""
     words = told.replace(PROGRAM, "wcsim benchmark").split()[1:]
     first = [word for word in words if word in ("--suite", "--make-suite")]
-    second = words[1:2] if words[0] in ("town", "scene", "chair", "benchmark", "users") else []
+    second = words[1:2] if words[0] in ("town", "scene", "chair", "benchmark", "users", "log") else []
     assert run([words[0], *second, *(each for word in first[:1] for each in (word, "x")), "--help"]) == 0
     known = set(OPTION.findall(capsys.readouterr().out))
     assert set(OPTION.findall(told)) <= known
-
-
-REPLAYED = re.compile(r"`wcsim replay ([^`]+)`")
-TASKS = ("--page", "--fcd", "--mcap", "--verify", "--first-difference")
-
-
-def test_a_sentence_that_replays_something_says_what_is_done_with_it() -> None:
-    told = [found for page in PAGES for found in REPLAYED.findall(page.read_text(encoding="utf-8"))]
-    assert told
-    assert [words for words in told if len({*TASKS} & {*words.split()}) != 1] == []

@@ -17,7 +17,7 @@ from wcsim.log.reader import read_states
 
 
 def families(work: Path) -> list[Family]:
-    """What `wcsim replay` makes of traces and drives."""
+    """What `wcsim log convert` makes of traces and drives."""
     trace, drive = sound_trace(work), sound_drive(work / "sound.drive")
     return [
         Family(name="fcd", file="trace", sound=trace, twist=log_twist(trace), take=_take_fcd),

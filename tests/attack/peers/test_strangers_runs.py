@@ -12,6 +12,7 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.clients.client import learn
 from wcsim.agents.runs import own_code
 from wcsim.agents.runs.run_folder import MANIFEST, create_run, make_manifest, open_run, read_json
+from wcsim.bridge.replay.verify import verify
 from wcsim.cli.main import main, printable
 from wcsim.core.files import locked, write_json
 from wcsim.core.plugins import find_class
@@ -20,7 +21,6 @@ from wcsim.log.records import Header, changed, header_bytes, header_of
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
-from wcsim.server.replay import verify
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
 from wcsim.server.transport.keys import make_keys
 

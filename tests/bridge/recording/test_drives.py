@@ -16,10 +16,10 @@ from wcsim.bridge.drives.record_user import (
     _seat_tick,
     drawn_user,
     record_user,
-    write_user,
 )
-from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
+from wcsim.bridge.replay.drive_inputs import write_user
+from wcsim.bridge.replay.verify import verify
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
@@ -53,7 +53,7 @@ def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driv
         np.allclose(a.sticks[-1], (b.stick.x, b.stick.y), atol=1e-6)
         for a, b in zip(drive.ticks, drive.ticks[1:], strict=False)
     )
-    found = verify_drive(drive)
+    found = verify(drive)
     assert (found.ticks, found.mismatches, found.farthest_m) == (60, 0, 0.0)
 
 
@@ -75,14 +75,14 @@ def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
 def test_a_drive_that_is_not_what_it_says_is_noticed(driven):
     drive = read_drive(driven)
     wrong = changed(drive.ticks[20], commanded=Joystick(1.0, 0.0))
-    found = verify_drive(replace_ticks(drive, {20: wrong}))
-    assert (found.ticks, found.first_tick) == (60, 21)
+    found = verify(replace_ticks(drive, {20: wrong}))
+    assert (found.ticks, found.first.tick) == (60, 21)
     assert found.mismatches >= 39 and found.farthest_m > 0.01
     moved = changed(drive.ticks[30], p_WB_m=drive.ticks[30].p_WB_m + np.array([0.0, 1e-9, 0.0]))
-    found = verify_drive(replace_ticks(drive, {30: moved}))
-    assert (found.mismatches, found.first_tick) == (1, 31)
+    found = verify(replace_ticks(drive, {30: moved}))
+    assert (found.mismatches, found.first.tick) == (1, 31)
     with pytest.raises(TownError, match=r"\(cdcdcdcdcdcd\).*expected the same town") as caught:
-        verify_drive(replace_header(drive, town_sha256="cd" * 32))
+        verify(replace_header(drive, town_sha256="cd" * 32))
     assert str(caught.value).startswith("the drive was in ")
 
 
@@ -121,7 +121,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     drive = read_drive(path)
     assert (drive.about.profile, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents
-    found = verify_drive(drive)
+    found = verify(drive)
     assert (found.ticks, found.mismatches) == (30, 0)
 
 

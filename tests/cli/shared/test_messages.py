@@ -144,16 +144,15 @@ def test_a_trace_that_was_cut_off_is_said_to_be(wcsim, folder, corner):
     whole = Path("run/trace").read_bytes()
     for length, told in ((20, "or was truncated in its first record"), (first_record(whole) + 9, "no complete tick")):
         Path("run/trace").write_bytes(whole[:length])
-        refused(wcsim("replay", "run", "--fcd", "x.xml"), "run/trace: ", told, "copy it again, or record it again")
+        refused(wcsim("log", "convert", "run", "x.xml"), "run/trace: ", told, "copy it again, or record it again")
     Path("run/trace").write_bytes(whole)
-    refused(wcsim("replay", "run", "--fcd", "x.xml", "--epoch", "3"), "no tick of epoch 3", "--epoch with one of: 0")
+    refused(wcsim("log", "convert", "run", "x.xml", "--epoch", "3"), "no tick of epoch 3", "--epoch with one of: 0")
     assert not Path("x.xml").exists()
 
 
-def test_a_missing_run_is_named_before_the_options_that_it_lacks(wcsim, folder):
-    told = wcsim("replay", "nofolder")
+def test_a_missing_run_is_named(wcsim, folder):
+    told = wcsim("log", "play", "nofolder")
     refused(told, "nofolder: is not there", "run folder")
-    assert "--fcd" not in told.err
 
 
 def test_a_run_with_an_own_network_is_tested_filmed_and_driven_by_the_name_of_that(wcsim, folder, corner):

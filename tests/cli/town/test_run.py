@@ -30,7 +30,7 @@ def test_a_town_runs_and_is_replayed(corner, tmp_path, capsys):
     assert all((out / name).is_file() for name in (*manifest["outputs"], "trace"))
     result = json.loads(told.read_text())
     assert result["ticks"] == 30 and result["episodes"] >= 1
-    assert main(["replay", str(out), "--fcd", str(tmp_path / "replay.xml")]) == 0
+    assert main(["log", "convert", str(out), str(tmp_path / "replay.xml")]) == 0
     assert 'id="wheelchair.0"' in (tmp_path / "replay.xml").read_text()
     assert "30 time steps" in capsys.readouterr().out
     assert main(words) == 2
@@ -155,7 +155,7 @@ def test_mistakes_are_said_and_leave_nothing(corner, tmp_path, capsys, words, sa
 
 
 def test_a_folder_without_a_trace_cannot_be_replayed(tmp_path, capsys):
-    assert main(["replay", str(tmp_path), "--fcd", str(tmp_path / "x.xml")]) == 2
+    assert main(["log", "convert", str(tmp_path), str(tmp_path / "x.xml")]) == 2
     assert "has no trace" in capsys.readouterr().err
 
 

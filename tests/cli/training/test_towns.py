@@ -11,11 +11,11 @@ from tests.cli.training.test_clients import SMALL, start
 from tests.conftest import ROOT
 from tests.support.events import read_events
 from wcsim.agents.runs.run_folder import open_run
+from wcsim.bridge.replay.replayed import worlds_of
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.log.reader import read_header
 from wcsim.log.writer import JOURNAL
-from wcsim.server.replay import journal_worlds
 from wcsim.towns.scenario.town import open_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -68,12 +68,12 @@ def test_clients_share_a_town_a_generation(tmp_path, corner, other):
     assert child.returncode == 0, err
     header = read_header(tmp_path / "run" / JOURNAL)
     assert header.more_towns == (str(other),)
-    worlds = journal_worlds(header)
+    worlds = worlds_of(header)
     for epoch, town in enumerate((corner, other, corner)):
         world = worlds((), 1, epoch)
         assert world.town.name == open_town(town).name
         world.close()
-    assert main(["replay", str(tmp_path / "run" / JOURNAL), "--verify"]) == Exit.DONE
+    assert main(["log", "verify", str(tmp_path / "run" / JOURNAL)]) == Exit.DONE
 
 
 BAD = {

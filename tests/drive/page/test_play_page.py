@@ -48,7 +48,7 @@ def axe_finds_nothing(page: Any) -> None:
 
 def test_a_journal_is_played_jumped_in_and_looked_through(corner: Path, tmp_path: Path) -> None:
     eventful_run(corner, tmp_path / "run")
-    with serving("replay", str(tmp_path / "run"), "--page") as (address, _), paged(address) as page:
+    with serving("log", "play", str(tmp_path / "run")) as (address, _), paged(address) as page:
         wait(page, f"{COUNT} === 150 && document.getElementById('told').textContent.includes('whole journal')")
         page.keyboard.press("Home")
         wait(page, f"{AT} < 140")

@@ -67,7 +67,7 @@ def journal(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def desk(journal: Path) -> Iterator[Desk]:
-    found = Desk(FilmSource(kind="journal", path=journal))
+    found = Desk(FilmSource(kind="log", path=journal))
     yield found
     found.close()
 
@@ -115,7 +115,7 @@ def test_no_message_of_a_page_ends_the_film(desk: Desk) -> None:
 
 def test_what_cannot_be_read_is_told_of(tmp_path: Path) -> None:
     (tmp_path / "journal").write_bytes(b"nothing of the kind")
-    desk = Desk(FilmSource(kind="journal", path=tmp_path / "journal"))
+    desk = Desk(FilmSource(kind="log", path=tmp_path / "journal"))
     told = desk.said("notice")
     assert told["kind"] == "bad" and "is not a log" in told["told"]
     assert desk.said("busy")["told"] == "The recording ends here."

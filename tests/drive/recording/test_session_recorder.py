@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from wcsim.bridge.drives import remake
-from wcsim.bridge.drives.made_scene import made_scene_of, town_of_scene
-from wcsim.bridge.drives.remake import verify_drive
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.ego import ego
+from wcsim.bridge.replay.made_scene import made_scene_of, town_of_scene
+from wcsim.bridge.replay.verify import verify
 from wcsim.core.files import check_new_file, numbered_names
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
@@ -59,7 +59,7 @@ def kept(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
 
 def same_again(path: Path) -> DriveRecording:
     drive = read_drive(path)
-    found = verify_drive(drive)
+    found = verify(drive)
     assert (found.ticks, found.mismatches, found.farthest_m) == (len(drive.ticks), 0, 0.0), found
     return drive
 
@@ -126,8 +126,8 @@ def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> Non
     kept.drive(10)
     kept.session.close()
     drive = read_drive(tmp_path / "a.drive")
-    assert verify_drive(drive).mismatches == 0
-    assert verify_drive(replace(drive, events=())).mismatches > 5
+    assert verify(drive).mismatches == 0
+    assert verify(replace(drive, events=())).mismatches > 5
 
 
 def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +141,7 @@ def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.
     made = same_again(tmp_path / "a.drive")
     assert sum(tick.arrived for tick in made.ticks) >= 2 and not any(tick.intent for tick in made.ticks)
     late = [changed(tick, arrived=False) for tick in made.ticks]
-    assert verify_drive(replace(made, ticks=tuple(late))).mismatches >= 2, "an end that differs is noticed"
+    assert verify(replace(made, ticks=tuple(late))).mismatches >= 2, "an end that differs is noticed"
 
 
 def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, mon
     gave_up = [number for number, tick in enumerate(made.ticks) if tick.gave_up]
     assert gave_up and gave_up[0] >= 90, "who stood for 9 s was a person"
     monkeypatch.setattr(remake, "let_wait", lambda *_, **__: None)
-    assert verify_drive(made).mismatches > 10
+    assert verify(made).mismatches > 10
 
 
 @pytest.mark.proof

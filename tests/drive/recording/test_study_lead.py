@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.drive.recording.studies import STUDY, Participant, write_study
-from wcsim.bridge.drives.remake import verify_drive
+from wcsim.bridge.replay.verify import verify
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
 from wcsim.drive.recording import study_lead
@@ -89,7 +89,7 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     assert float(rows[2]["distance_m"]) > 1.0 and rows[2]["level"] == "1" and rows[1]["level"] == "1.5"
     assert {row["order"] for row in rows} == {"more>alone"} and {row["policy_failed"] for row in rows[:3]} == {"no"}
     drive = read_drive(Path(rows[2]["recording"]))
-    assert len(drive.ticks) == 30 and verify_drive(drive).mismatches == 0
+    assert len(drive.ticks) == 30 and verify(drive).mismatches == 0
 
 
 def test_who_stops_goes_on_where_it_was_left(corner: Path, tmp_path: Path, begin: Begin) -> None:

@@ -42,8 +42,8 @@ def test_a_served_drive_is_kept_world_by_world(
     assert re.findall(r"^wrote (\S+): \d+ ticks", said, re.MULTILINE) == [str(each) for each in files]
     assert said.count("recording to ") == 3
     for file in files:
-        assert main(["replay", str(file), "--verify"]) == 0
+        assert main(["log", "verify", str(file)]) == 0
         assert "all equal" in capsys.readouterr().out
-    assert main(["replay", str(path), "--mcap", str(tmp_path / "a.mcap")]) == 0
+    assert main(["log", "convert", str(path), str(tmp_path / "a.mcap")]) == 0
     assert main(["drive", str(corner), "--record", str(path)]) == 2
     assert "exists; expected the name of a new file" in capsys.readouterr().err

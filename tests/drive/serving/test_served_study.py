@@ -56,7 +56,7 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
         ("end", "", "with more"),
     ]
     assert float(rows[0]["distance_m"]) > 0.5 and rows[0]["ended"] == "minutes"
-    assert main(["replay", rows[0]["recording"], "--verify"]) == 0
+    assert main(["log", "verify", rows[0]["recording"]]) == 0
 
 
 @pytest.mark.parametrize(

@@ -15,16 +15,17 @@ import pytest
 
 from tests.server.servers import AHEAD, WAIT_S, Server, driven, joined, stand_in_order, stub_client, together
 from tests.support.framing import read_whole
+from wcsim.bridge.replay.verify import verify
 from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedError
 from wcsim.log.records import Ended, EpochBegun, Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.process import main
+from wcsim.server.host.recovery import ALIVE_EVERY
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import _read_ledger, audit
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
-from wcsim.server.replay import ALIVE_EVERY, verify
 from wcsim.server.specs import to_line
 from wcsim.server.transport.keys import make_keys
 

@@ -10,16 +10,15 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import delay_ticks
 from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
-from wcsim.bridge.drives.remake import remade
+from wcsim.bridge.replay.replayed import Log, config_of, log_of, replayed
 from wcsim.bridge.world import World
-from wcsim.config import RunConfig, parse_json
+from wcsim.config import RunConfig
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
-from wcsim.log.drive import read_drive
+from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
-from wcsim.log.records import Header, Input, Respawned, Ticked
+from wcsim.log.records import Dismissed, Input, Respawned, Ticked
 from wcsim.log.writer import JOURNAL
-from wcsim.server.replay import replayed
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
 
@@ -40,7 +39,7 @@ def recorded_with(path: Path) -> tuple[RunConfig, str]:
     """
     path = _file_of(path)
     header = read_header(path)
-    return _config_of(header), "" if header.drive is None else header.drive.policy
+    return config_of(header), "" if header.drive is None else header.drive.policy
 
 
 def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
@@ -57,59 +56,26 @@ def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:
         JournalError: It is neither, or damaged.
     """
     path = _file_of(path)
-    ride = _of_drive(path, steps) if read_header(path).kind == "drive" else _of_journal(path, steps, seat)
-    if not ride.seen:
+    watch = _SeatWatch(log_of(path), config_of(read_header(path)), seat, steps)
+    with closing(replayed(watch.log, before=watch.look)) as records:
+        for _ in records:
+            if watch.over:
+                break
+    if not watch.seen:
         raise ConfigError(f"{escaped(path)}: seat {seat} has no tick; expected another --seat")
-    return ride
+    delay = watch.delays[0]  # that of the episode
+    return RecordedRide(seen=tuple(watch.seen), actions=tuple(watch.actions), delay_ticks=delay)
 
 
 def _file_of(path: Path) -> Path:
     return path / JOURNAL if path.is_dir() else path
 
 
-def _config_of(header: Header) -> RunConfig:
-    return parse_json(RunConfig, header.config, "the configuration in the recording")
-
-
-def _of_drive(path: Path, steps: int) -> RecordedRide:
-    drive = read_drive(path)
-    config, seen, actions = _config_of(drive.header), list[Observation](), list[int]()
-    delays: list[int] = []
-
-    def look(world: World) -> None:
-        client = world.snapshot.clients[0]
-        client = client.first or client
-        seen.append(observation_of(client, config))
-        delays.append(delay_ticks(config, client.drawn))
-
-    with closing(remade(drive, look, blind=False)) as ticks:
-        for tick, _, _ in ticks:
-            if tick.episode != drive.ticks[0].episode or len(actions) == steps:
-                break
-            seen[-1] = {**seen[-1], JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
-            actions.append(tick.action)
-    return _ridden(seen[: len(actions)], actions, delays)
-
-
-def _of_journal(path: Path, steps: int, seat: int) -> RecordedRide:
-    watch = _SeatWatch(_config_of(read_header(path, "journal")), seat, steps)
-    with closing(replayed(path, None, None, "", watch.look)) as records:
-        for _ in records:
-            if watch.over:
-                break
-    return _ridden(watch.seen, watch.actions, watch.delays)
-
-
-def _ridden(seen: list[Observation], actions: list[int], delays: list[int]) -> RecordedRide:
-    """The first tick's delay is that of the episode."""
-    return RecordedRide(seen=tuple(seen), actions=tuple(actions), delay_ticks=delays[0] if delays else 0)
-
-
 class _SeatWatch:
     """Keeps what one seat sees and is given in its first episode."""
 
-    def __init__(self, config: RunConfig, seat: int, steps: int) -> None:
-        self._config, self._seat, self._steps = config, seat, steps
+    def __init__(self, log: Log, config: RunConfig, seat: int, steps: int) -> None:
+        self.log, self._config, self._seat, self._steps = log, config, seat, steps
         self._points = action_set(config.env.actions)
         self.seen: list[Observation] = []
         self.actions: list[int] = []
@@ -119,14 +85,23 @@ class _SeatWatch:
     def look(self, world: World | None, record: Input) -> None:
         """Is shown the world before each record."""
         given = [each for each in record.commands if each.seat == self._seat] if isinstance(record, Ticked) else []
-        if world is None or not given:
-            self.over = self.over or (bool(self.actions) and isinstance(record, Ticked | Respawned))
+        if world is None or not given or not isinstance(record, Ticked):
+            leaves = isinstance(record, Ticked) or (
+                isinstance(record, Respawned | Dismissed) and record.seat == self._seat
+            )
+            self.over = self.over or (bool(self.actions) and leaves)
             return
         client = next(each for each in world.snapshot.clients if each.seat == self._seat)
         self.over = self.over or len(self.actions) == self._steps or (client.first is not None and bool(self.actions))
         if self.over:
             return
         client = client.first or client
-        self.seen.append(observation_of(client, self._config))
+        seen, stick = observation_of(client, self._config), given[0].joystick
+        if isinstance(self.log, DriveRecording):
+            tick = self.log.tick_of(record)
+            seen = {**seen, JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
+            self.actions.append(tick.action)
+        else:
+            self.actions.append(self._points.nearest((stick.x, stick.y)))
+        self.seen.append(seen)
         self.delays.append(delay_ticks(self._config, client.drawn))
-        self.actions.append(self._points.nearest((given[0].joystick.x, given[0].joystick.y)))

@@ -1,1 +1,1 @@
-"""Drives of one chair in a world: a simulated user's recorded, and a recording made again. Their format: users."""
+"""Drives of one chair in a world: who records them, and what a person in one wanted."""

@@ -5,20 +5,23 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from wcsim.bridge.drives.drive_header import drive_header
+from wcsim.bridge.replay.drive_inputs import write_user
 from wcsim.bridge.world import World
+from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.records import DriveTick
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
-from wcsim.types import F64, ClientSnapshot, Command, Joystick, SeatSpec
-from wcsim.users.profiles import UserProfile, profile_text, sample
+from wcsim.types import F64, ClientSnapshot, Joystick, SeatSpec
+from wcsim.users.profiles import UserProfile, sample
 
 FOLLOW = "follow"
 ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
@@ -57,38 +60,40 @@ def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], obje
         DiskFullError: It could not be written on.
         TownError: The town cannot be run.
     """
-    points, crashes = action_set(order.config.env.actions), 0
+    crashes = 0
     with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
         spec = SeatSpec(profile=write_user(Path(work), order.user), max_steps=ENDLESS)
         header = drive_header(order.town, order.config, order.seed, spec, order.user, policy=FOLLOW)
         with LogWriter(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
             world.go_blind()
-            for number in range(1, order.ticks + 1):
-                tick = _driven_tick(world, 0, points)
+            follower = _Follower(world, action_set(order.config.env.actions))
+            for number, step in enumerate(islice(rollout(world, {0: follower}), order.ticks), start=1):
+                tick = follower.driven(step.after.clients[0])
                 recorder.append(tick)
                 crashes += tick.crashed
                 progress(number)
     return crashes
 
 
-def write_user(folder: Path, user: UserProfile) -> str:
-    """The file of a profile, as a seat names it."""
-    path = folder / f"{user.name}.toml"
-    path.write_text(profile_text(user, {}), encoding="utf-8")
-    return str(path)
+class _Follower:
+    """Gives the only chair the action nearest to its user's stick, and remembers what that answered."""
 
+    def __init__(self, world: World, actions: ActionSet) -> None:
+        self._world, self._actions = world, actions
 
-def _driven_tick(world: World, seat: int, points: ActionSet) -> DriveTick:
-    """One tick of a world with a single chair, which gets the action nearest to its user's stick."""
-    (ego,), client = world.seats, world.snapshot.clients[0]
-    before = client.first or client
-    user, intent = ego.user, ego.user.intent
-    action = points.nearest((before.user.x, before.user.y))
-    x, y = points.points[action].tolist()
-    given = Given(commanded=Joystick(x, y), chosen=Joystick(x, y), action=action)
-    tick = world.snapshot.tick
-    (after,) = world.tick((Command(seat=seat, tick=tick, joystick=given.commanded),)).clients
-    return _seat_tick(before, after, given, intent, user.sticks, world.config.world.tick_s)
+    def __call__(self, now: ClientSnapshot) -> Joystick:
+        """See `Driver`."""
+        self._before, self._user = now, self._world.seats[0].user
+        self._intent = self._user.intent
+        action = self._actions.nearest((now.user.x, now.user.y))
+        stick = Joystick(*self._actions.points[action].tolist())
+        self._given = Given(commanded=stick, chosen=stick, action=action)
+        return stick
+
+    def driven(self, after: ClientSnapshot) -> DriveTick:
+        """The tick that it drove, of which the chair is `after`."""
+        tick_s = self._world.config.world.tick_s
+        return _seat_tick(self._before, after, self._given, self._intent, self._user.sticks, tick_s)
 
 
 def _seat_tick(

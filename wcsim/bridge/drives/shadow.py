@@ -9,12 +9,12 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-from wcsim.bridge.drives.beside import by_person
-from wcsim.bridge.drives.remake import config_of_drive, remade
+from wcsim.bridge.replay.drive_inputs import by_person
+from wcsim.bridge.replay.replayed import config_of, replayed
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording
-from wcsim.log.records import DriveTick, changed
+from wcsim.log.records import DriveTick, EpochBegun, Input, Ticked, changed
 from wcsim.types import Joystick, Outline, Street, UserView
 from wcsim.users.profiles import UserProfile
 from wcsim.users.user import SimulatedUser
@@ -31,18 +31,19 @@ class _SeenDrive:
 
 
 def seen_drive(drive: DriveRecording) -> _SeenDrive:
-    """Make a drive again and keep what its person saw. Raises what `remade` raises."""
+    """Make a drive again and keep what its person saw. Raises what `replayed` raises."""
     views: list[UserView] = []
     held: list[tuple[Street, Outline]] = []
 
-    def look(world: World) -> None:
-        views.append(world.view_of(0))
-        if not held:
-            held.append((world.street, world.seats[0].chair.outline))
+    def look(world: World | None, record: Input) -> None:
+        if world is not None and isinstance(record, Ticked):
+            views.append(world.view_of(0))
 
-    with closing(remade(drive, look)) as steps:
-        for _ in steps:
-            pass
+    with closing(replayed(drive, before=look)) as steps:
+        for world, record in steps:
+            if isinstance(record, EpochBegun):
+                world.go_blind()
+                held.append((world.street, world.seats[0].chair.outline))
     street, outline = held[0]
     return _SeenDrive(drive=drive, views=tuple(views), street=street, outline=outline)
 
@@ -50,7 +51,7 @@ def seen_drive(drive: DriveRecording) -> _SeenDrive:
 def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
     """What the person drove, with the intents of an attentive driver of these delays, who always corrects."""
     careful = replace(user, see_share=1.0, away_share=0.0, correct_every_s=0.0, give_up_s=3600.0)
-    chair, shadow, before = config_of_drive(seen.drive.header).chair, None, None
+    chair, shadow, before = config_of(seen.drive.header).chair, None, None
     wishes: list[Joystick] = []
     for tick, view in zip(seen.drive.ticks, seen.views, strict=True):
         if shadow is None or before is None or tick.episode != before[0]:

@@ -8,16 +8,16 @@ from typing import Annotated, Final
 
 import tyro
 
-from wcsim.cli.recordings.film_page import serve_film
-from wcsim.cli.shared.common import in_bounds, parse
+from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
+from wcsim.cli.shared.common import parse
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError
 
 _MANIFEST: Final = "manifest.json"
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(PageOptions):
     """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
 
     For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
@@ -25,41 +25,35 @@ class Options:
 
     run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run folder; the run may start later."""
-    seat: int | None = None
+    seat: Seat = None
     """The chair to follow first."""
     hook: str = ""
     """Your own step hook, module:Class, that the run was started with; its code runs only when you name it."""
-    port: int = 8080
-    """Port of the page; 0 takes a free one."""
-    host: str = "127.0.0.1"
-    """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     options = parse(Options, words, "watch")
-    in_bounds("--port", options.port, 0, 65535)
-    in_bounds("--seat", options.seat or 0, 0, 1 << 30)
     _check(options)
     from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
     from wcsim.drive.playing.sources.source_process import FilmSource
 
     source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
     seat = -1 if options.seat is None else options.seat
-    return serve_film(PlayStart(source=source, seat=seat, gives_way=True), options.host, options.port)
+    return serve_film(PlayStart(source=source, seat=seat, gives_way=True), options)
 
 
 def _check(options: Options) -> None:
     """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
         raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
+    from wcsim.bridge.replay.replayed import worlds_of
     from wcsim.log.parts import part_files
     from wcsim.log.reader import read_header
     from wcsim.log.writer import JOURNAL
-    from wcsim.server.replay import journal_worlds
 
     if part_files(options.run / JOURNAL):
-        journal_worlds(read_header(options.run / JOURNAL), options.hook)
+        worlds_of(read_header(options.run / JOURNAL), options.hook)
     elif is_file(options.run / _MANIFEST) and not _has_clients(options.run):
         raise ConfigError(
             f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim "

@@ -87,7 +87,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     if not facts.persons:
         console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
     place = shlex.quote(str(out))
-    print(f"run folder: {out}    replay it: wcsim replay {place} --fcd {place}/fcd.xml")
+    print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
     if options.json is not None:
         write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
     return 0

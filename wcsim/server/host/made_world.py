@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
+from wcsim.bridge.replay.seat_world import Specs, W_co
 from wcsim.bridge.world import World
 from wcsim.core import seeding
-from wcsim.server.seat_world import Specs
 from wcsim.server.specs import WorldOrder, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
+
+
+class MakesWorld(Protocol[W_co]):
+    """Makes the worlds of orders."""
+
+    def __call__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> W_co:
+        """A world with a chair for each of `specs` that is not None; `epoch` is the number of its first epoch."""
 
 
 def made_world(order: WorldOrder) -> World:

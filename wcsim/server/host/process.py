@@ -23,6 +23,7 @@ from types import FrameType
 
 import msgspec
 
+from wcsim.bridge.replay.seat_world import SeatWorld
 from wcsim.errors import (
     AccessError,
     ConfigError,
@@ -35,7 +36,7 @@ from wcsim.errors import (
 )
 from wcsim.log.records import Ended, Input
 from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
-from wcsim.server.host.made_world import street_world
+from wcsim.server.host.made_world import MakesWorld, street_world
 from wcsim.server.host.recovery import Opened, open_server
 from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
@@ -48,7 +49,6 @@ from wcsim.server.protocol.events import Clock, EpochOver, Event, Lost, Peer, Re
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.protocol.members import Member, Pending
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec, read_order
 from wcsim.server.transport.entry import PeerLimits, at_the_door
 from wcsim.server.transport.shared_images import RingSink, pictures_of

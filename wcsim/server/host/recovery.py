@@ -7,24 +7,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from wcsim.bridge.recording.fingerprint import fingerprint
+from wcsim.bridge.replay.player import LogPlayer, Seats, W, require_equal
+from wcsim.bridge.replay.seat_world import MakesEpoch, SeatWorld
 from wcsim.config import resolve
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, WcsimError
 from wcsim.log.parts import part_files, put_aside
 from wcsim.log.reader import inputs_of_part, read_header
-from wcsim.log.records import Ended, EpochBegun, Header
+from wcsim.log.records import Ended, EpochBegun, Header, Input
 from wcsim.log.torn import told_torn
 from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
-from wcsim.server.host.made_world import epoch_seed, street_world
+from wcsim.server.host.made_world import MakesWorld, epoch_seed, street_world
 from wcsim.server.launch.event_log import RunLog
+from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.replay import Seats, rebuild_world
-from wcsim.server.seat_world import MakesWorld, SeatWorld
 from wcsim.server.specs import WorldSpec
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, towns_hash
 
+ALIVE_EVERY = 10  # records between two signs of life while a world is made again
 GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back
 REGATHER_S = 5.0  # how long a server that was restarted waits for all to come back before it goes on with those here
 
@@ -119,6 +121,50 @@ def _gone_on(
     return Opened(world=world, core=ServerCore(rules, now.epoch, now.tick, kept), journal=journal)
 
 
+def rebuild_world(
+    journal: Path, make: MakesEpoch[W], alive: Callable[[], object] = lambda: None
+) -> tuple[W, tuple[Kept, ...]]:
+    """The world exactly as it was after the last record, and who sits in it.
+
+    Args:
+        journal: The file.
+        make: Makes the world of the last epoch: that of `worlds_of`, or a stand-in's.
+        alive: Called now and then, for it takes long.
+
+    Raises:
+        ReplayMismatchError: A tick gave another state than the journal says.
+        WcsimError: What `make` raises; or it is no journal, or its records do not follow from each other.
+    """
+    player = LogPlayer(make, read_header(journal, "journal").seats)
+    records: list[Input] = []
+    for record in inputs_of_part(journal):  # those before it are over
+        if isinstance(record, EpochBegun):
+            for before in records:
+                player.seats.note(before)
+            records = []
+        records.append(record)
+    if not records or not isinstance(records[0], EpochBegun):
+        raise WcsimError(f"{journal}: it contains no epoch, so there is no world to recompute")
+    try:
+        for number, record in enumerate(records):
+            world = player.play(record)
+            require_equal(world, record)
+            if number % ALIVE_EVERY == 0:
+                alive()
+        return world, kept_of(player.seats)
+    except BaseException:
+        player.close()
+        raise
+
+
+def kept_of(seats: Seats) -> tuple[Kept, ...]:
+    """Who is in, in seat order."""
+    return tuple(
+        Kept(seat=seat, name=it.name, spec=it.spec, life=seats.lives[seat], claim=bytes.fromhex(it.claim))
+        for seat, it in sorted(seats.taken.items())
+    )
+
+
 def _appended(path: Path) -> LogWriter:
     """A journal to go on with; what was cut off its end is said in the events of its run."""
     journal = LogWriter.append_to(path)
@@ -188,4 +234,4 @@ def _epoch_of(part: Path) -> _LastEpoch:
         if isinstance(record, EpochBegun):
             epoch = max(epoch, record.epoch)
         is_over = isinstance(record, Ended) and record.reason.startswith(EPOCH_OVER)
-    return _LastEpoch(epoch=epoch, part=part, seated=len(seats.kept()), is_over=is_over)
+    return _LastEpoch(epoch=epoch, part=part, seated=len(seats.taken), is_over=is_over)

@@ -15,6 +15,7 @@ from typing import Protocol
 
 import msgspec
 
+from wcsim.bridge.replay.seat_world import SeatWorld
 from wcsim.errors import PhysicsError, WcsimError
 from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
 from wcsim.physics.buffers import ImageSink
@@ -36,7 +37,6 @@ from wcsim.server.protocol.events import (
     Stepped,
 )
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.seat_world import SeatWorld
 from wcsim.types import Snapshot
 
 log = logging.getLogger("wcsim.server.host.world_host")

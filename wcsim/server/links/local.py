@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 
+from wcsim.bridge.replay.seat_world import SeatWorld
 from wcsim.errors import ProtocolError, TickTimeoutError
 from wcsim.server.host.made_world import made_world
 from wcsim.server.host.world_host import WorldHost
@@ -19,7 +20,6 @@ from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received, Rules
 from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.seat_world import SeatWorld
 from wcsim.server.specs import WorldOrder
 from wcsim.types import SeatSpec
 

@@ -6,15 +6,14 @@ from typing import Annotated
 
 import msgspec
 
+from wcsim.log.records import MAX_SEED, MOST_SEATS
 from wcsim.types import CLIENT_NAME
 
 SESSION_BYTES = 16
-MOST_SEATS = 64  # of a world
 MOST_CAMERAS = 64
 MOST_CONTACTS = 4096  # of a chair in a tick
 MOST_TEXT = 4000  # characters of a message for people
 _MAX_COUNT = (1 << 53) - 1  # the largest number that every language counts to
-MAX_SEED = (1 << 63) - 1
 _MAX_PROCESS = 1 << 22  # of Linux
 MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
 MOST_METRES = 1e6

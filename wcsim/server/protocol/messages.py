@@ -17,6 +17,7 @@ import numpy as np
 from wcsim import errors
 from wcsim.core.reading import escaped
 from wcsim.errors import ProtocolError, WcsimError
+from wcsim.log.records import MOST_SEATS
 from wcsim.server.protocol import bounds as b
 from wcsim.server.protocol.frame_codec import Pictures, packed, packed_spec, unpacked, unpacked_spec
 from wcsim.server.protocol.parts import PackedClient, PackedSpec
@@ -168,7 +169,7 @@ class Waiting(_Message, frozen=True):
 
     epoch: b.Count
     tick: b.Count
-    late: Annotated[tuple[b.Name, ...], msgspec.Meta(max_length=b.MOST_SEATS)]
+    late: Annotated[tuple[b.Name, ...], msgspec.Meta(max_length=MOST_SEATS)]
 
 
 class Failure(_Message, frozen=True):

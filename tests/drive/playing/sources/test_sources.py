@@ -18,15 +18,14 @@ from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of,
 from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.cli.evaluation.judged_suite import keep_result
-from wcsim.cli.recordings.film_page import FilmOrder, play_start
+from wcsim.cli.recordings import replay
 from wcsim.config import resolve
 from wcsim.core.files import numbered_names
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
-from wcsim.drive.playing.sources.drive_source import drive_film
 from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film, failed_episodes
-from wcsim.drive.playing.sources.journal_source import journal_film
-from wcsim.drive.playing.sources.trace_source import trace_film
+from wcsim.drive.playing.sources.replay_source import replay_film
+from wcsim.drive.playing.sources.state_source import state_film
 from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish
@@ -74,7 +73,7 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> None:
-    shown = Filmed(journal_film(run / "journal", None, ""))
+    shown = Filmed(replay_film(run / "journal"))
     ticked = [record for record in read_whole(run / "journal").records if isinstance(record, Ticked)]
     frames = shown.frames()
     assert [(frame.epoch, frame.tick) for frame in frames] == [(record.epoch, record.tick) for record in ticked]
@@ -100,13 +99,13 @@ def test_a_journal_that_comes_out_another_way_says_so(run: Path, tmp_path: Path)
     records = read_whole(run / "journal").records
     at = next(i for i, r in enumerate(records) if isinstance(r, Ticked) and (r.epoch, r.tick) == (1, 40))
     other = rewritten(run / "journal", tmp_path / "journal", {at: nudged(records[at])})
-    shown = Filmed(journal_film(other, 1, ""))
+    shown = Filmed(replay_film(other, 1, ""))
     assert {frame.epoch for frame in shown.frames()} == {1}
-    assert "ticks differ from the run" in shown.lines[-1].told
+    assert "ticks differ: it was made" in shown.lines[-1].told
 
 
 def test_a_trace_shows_places_alone(run: Path, corner: Path) -> None:
-    shown = Filmed(trace_film(run / "beside.trace", None, str(corner)))
+    shown = Filmed(state_film(run / "beside.trace", None, str(corner)))
     _, records = read_states(run / "beside.trace")
     frames = shown.frames()
     assert len(frames) == sum(len(record.plants) > 0 for record in records)
@@ -117,17 +116,17 @@ def test_a_trace_shows_places_alone(run: Path, corner: Path) -> None:
     moment = shown.film.moment(len(frames) - 1, chair.seat, jumped=False)
     assert moment is not None and moment.route is None
     with pytest.raises(TownError, match="name it with --town"):
-        next(trace_film(run / "beside.trace", None, ""))
+        next(state_film(run / "beside.trace", None, ""))
     with pytest.raises(TownError, match="expected the town that it was recorded in"):
-        next(trace_film(run / "beside.trace", None, "helsinki"))
+        next(state_film(run / "beside.trace", None, "helsinki"))
     with pytest.raises(ConfigError, match="no wheelchair"):
-        next(trace_film(run / "beside.trace", 7, str(corner)))
+        next(state_film(run / "beside.trace", 7, str(corner)))
 
 
 def test_garbage_is_refused_in_a_line(run: Path, tmp_path: Path) -> None:
     garbage = tmp_path / "garbage"
     garbage.write_bytes(b"x" * 5000)
-    for film in (journal_film(garbage, None, ""), trace_film(garbage, None, ""), drive_film(garbage)):
+    for film in (replay_film(garbage), state_film(garbage)):
         with pytest.raises(JournalError):
             next(film)
     with pytest.raises(ConfigError):
@@ -136,13 +135,13 @@ def test_garbage_is_refused_in_a_line(run: Path, tmp_path: Path) -> None:
     data[len(data) // 2] ^= 0xFF
     (tmp_path / "journal").write_bytes(data)
     with pytest.raises(JournalError, match="is damaged at byte"):
-        Filmed(journal_film(tmp_path / "journal", None, ""))
+        Filmed(replay_film(tmp_path / "journal", None, ""))
     assert not world_in_this_process()
 
 
 def test_a_torn_journal_is_shown_up_to_its_last_whole_tick(run: Path, tmp_path: Path) -> None:
     (tmp_path / "journal").write_bytes((run / "journal").read_bytes()[:-20])
-    assert Filmed(journal_film(tmp_path / "journal", 1, "")).film.count == 59
+    assert Filmed(replay_film(tmp_path / "journal", 1, "")).film.count == 59
 
 
 def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
@@ -150,7 +149,7 @@ def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
     user = drawn_user(profile("tremor"), 3)
     order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=40, seed=3)
     record_user(order, tmp_path / "a.drive")
-    shown = Filmed(drive_film(tmp_path / "a.drive"))
+    shown = Filmed(replay_film(tmp_path / "a.drive"))
     ticks = read_drive(tmp_path / "a.drive").ticks
     frames = shown.frames()
     assert len(frames) == 40
@@ -178,13 +177,13 @@ def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
         session.drive_by(DriverKind.SIMULATED)
         for _ in range(6):
             session.tick(ahead)
-    shown = Filmed(drive_film(tmp_path / "a.drive"))
+    shown = Filmed(replay_film(tmp_path / "a.drive"))
     flags = [Flag(frame.chairs[0].flags) for frame in shown.frames()]
     assert [Flag.ALONE in each for each in flags] == [True] * 4 + [False] * 20
     assert [Flag.UNAIDED in each for each in flags] == ([False] * 6 + [True] * 6) * 2
     sums = shown.film.shot(23).sums[0]
     assert (sums.kpi1, sums.kpi2) == (pytest.approx(kpi1, abs=1e-3), kpi2)
-    second = [Flag(frame.chairs[0].flags) for frame in Filmed(drive_film(tmp_path / "a-2.drive")).frames()]
+    second = [Flag(frame.chairs[0].flags) for frame in Filmed(replay_film(tmp_path / "a-2.drive")).frames()]
     assert all(Flag.UNAIDED in each for each in second)
     assert not any(Flag.ALONE in each for each in second), "a simulated user who was told to drive"
 
@@ -197,7 +196,7 @@ def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner
             session.tick(Wish())
     drive = read_drive(tmp_path / "a.drive")
     assert all(tick.intent is not None for tick in drive.ticks) and "driver" not in {e.kind for e in drive.events}
-    flags = [Flag(frame.chairs[0].flags) for frame in Filmed(drive_film(tmp_path / "a.drive")).frames()]
+    flags = [Flag(frame.chairs[0].flags) for frame in Filmed(replay_film(tmp_path / "a.drive")).frames()]
     assert len(flags) == 4 and not any(Flag.ALONE in each for each in flags)
 
 
@@ -207,7 +206,7 @@ def test_follow_decides_nothing_in_a_drive(corner: Path, tmp_path: Path) -> None
         for on in (False, True):
             session.assist(on)
             session.tick(Wish())
-    shown = Filmed(drive_film(tmp_path / "a.drive"))
+    shown = Filmed(replay_film(tmp_path / "a.drive"))
     assert shown.film.about.tells_who
     assert [Flag.UNAIDED in Flag(frame.chairs[0].flags) for frame in shown.frames()] == [True, True]
 
@@ -229,12 +228,10 @@ def choice(folder: Path, **changes: object) -> EpisodeChoice:
 
 
 def test_an_own_network_goes_with_the_episodes_of_a_test(tested: Path) -> None:
-    asked = {"path": tested, "kind": "episode", "epoch": None, "hook": "", "town": "", "block": None, "seat": None}
-    start = play_start(FilmOrder(**asked, policy="stop", network="own_file:Own"))
+    start = replay.episode_start(replay.Options(result=tested, policy="stop", network="own_file:Own"))
     assert start.source.own == ("stop", "own_file:Own")
-    order = FilmOrder(**{**asked, "kind": "drive"}, policy="", network="own_file:Own")
-    with pytest.raises(ConfigError, match="--network and --block are for a test"):
-        play_start(order)
+    with pytest.raises(ConfigError, match="is no finished test; expected"):
+        replay.episode_start(replay.Options(result=tested / "none"))
 
 
 def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:

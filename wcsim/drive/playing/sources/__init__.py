@@ -1,1 +1,1 @@
-"""What films are made of: journals, traces, drives, episodes of suites, runs. Each in a process of its own."""
+"""What films are made of: states of a log, a log replayed, a run that grows, episodes. Each in its own process."""

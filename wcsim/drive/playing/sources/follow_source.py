@@ -12,14 +12,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
+from wcsim.bridge.replay.player import LogPlayer
+from wcsim.bridge.replay.replayed import worlds_of
 from wcsim.bridge.world import World
 from wcsim.drive.playing.film_states import FilmLine, FilmNames, Said
-from wcsim.drive.playing.sources.journal_source import RecordScene, journal_about
+from wcsim.drive.playing.sources.replay_source import RecordScene, replay_about
 from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked
 from wcsim.log.tail import LogTail
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.epoch_cap import EPOCH_OVER
-from wcsim.server.replay import JournalPlayer, journal_worlds
 
 SKIPS_TICKS: Final = 100  # a newer epoch is gone over to at once where more ticks than this are left of the old one
 _MOST_WAITING: Final = 200_000  # records
@@ -56,7 +57,7 @@ def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone,
             if gone(_TOLD_S):
                 return
             first = tail.read()
-        say(journal_about(tail.header, 0, live=True))
+        say(replay_about(tail.header, 0, live=True))
         following = _Following(run, tail.header, hook, say)
         try:
             while first and following.waiting < _MOST_WAITING:
@@ -73,7 +74,7 @@ class _Following:
 
     def __init__(self, run: Path, header: Header, hook: str, say: Callable[[Said], object]) -> None:
         self._run, self._say = run, say
-        self._player = JournalPlayer[World](journal_worlds(header, hook), header.seats)
+        self._player = LogPlayer[World](worlds_of(header, hook), header.seats)
         self._scene = RecordScene()
         self._queue = deque[Input]()
         self._ended = ""

@@ -14,7 +14,7 @@ from wcsim.drive.playing.film_states import FilmLine, Said, said_bytes
 from wcsim.drive.playing.low_priority import run_at_low_priority
 from wcsim.errors import WcsimError
 
-SourceKind = Literal["journal", "trace", "drive", "episode", "run"]
+SourceKind = Literal["log", "episode", "run"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +24,7 @@ class FilmSource:
     kind: SourceKind
     path: Path
     epoch: int | None = None
-    hook: str = ""  # of a journal, named by the user
+    hook: str = ""  # named by the user
     town: str = ""  # of a trace, where it is not the named one
     policy: str = ""  # of an episode, as the two below
     block: int = -1
@@ -62,17 +62,15 @@ def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -
         choice = EpisodeChoice(folder=source.path, policy=source.policy, block=source.block, own=source.own)
         episode_film(choice, say)
         return
-    if source.kind == "journal":
-        from wcsim.drive.playing.sources.journal_source import journal_film
+    from wcsim.log.reader import read_header
 
-        film = journal_film(source.path, source.epoch, source.hook)
-    elif source.kind == "drive":
-        from wcsim.drive.playing.sources.drive_source import drive_film
+    if read_header(source.path).kind == "trace":
+        from wcsim.drive.playing.sources.state_source import state_film
 
-        film = drive_film(source.path)
+        film = state_film(source.path, source.epoch, source.town)
     else:
-        from wcsim.drive.playing.sources.trace_source import trace_film
+        from wcsim.drive.playing.sources.replay_source import replay_film
 
-        film = trace_film(source.path, source.epoch, source.town)
+        film = replay_film(source.path, source.epoch, source.hook)
     for said in film:
         say(said)

@@ -8,16 +8,20 @@ import pytest
 from tests.support.framing import read_whole
 from tests.support.journals import SPEC, JournaledWorld, eventful_run, nudged, rewritten
 from wcsim.bridge.recording.fcd import write_fcd
+from wcsim.bridge.replay.convert import convert_to_fcd
+from wcsim.bridge.replay.player import Seats
+from wcsim.bridge.replay.replayed import replayed, worlds_of
+from wcsim.bridge.replay.verify import verify
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
-from wcsim.drive.playing.sources.journal_source import journal_about
+from wcsim.drive.playing.sources.replay_source import replay_about
 from wcsim.errors import ConfigError, ReplayMismatchError, TownError, WcsimError
 from wcsim.log.diff import first_difference
 from wcsim.log.reader import log_digest, read_header, read_states
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Header, Respawned, Ticked, changed, ticked
 from wcsim.log.writer import LogWriter
+from wcsim.server.host.recovery import kept_of, rebuild_world
 from wcsim.server.protocol.barrier import Kept
-from wcsim.server.replay import Seats, journal_worlds, rebuild_world, recompute, recompute_fcd, verify
 from wcsim.towns.scenario.town import find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -37,7 +41,7 @@ def records(run):
 
 
 def made_again(journal: Path) -> tuple[World, tuple[Kept, ...]]:
-    return rebuild_world(journal, journal_worlds(read_header(journal)))
+    return rebuild_world(journal, worlds_of(read_header(journal)))
 
 
 def test_who_is_in_after_the_records_of_a_journal():
@@ -49,11 +53,11 @@ def test_who_is_in_after_the_records_of_a_journal():
     def kept(*records):
         for record in records:
             seats.note(record)
-        return [(one.seat, one.name, one.life) for one in seats.kept()]
+        return [(one.seat, one.name, one.life) for one in kept_of(seats)]
 
     begun, respawned = EpochBegun(epoch=0, seed=1, fresh=True), Respawned(epoch=0, tick=0, seat=1)
     assert kept(begun, came(1, 0, "b"), came(0, 0, "a"), respawned, respawned) == [(0, "a", 0), (1, "b", 2)]
-    assert seats.kept()[0].claim == b"\xab"
+    assert kept_of(seats)[0].claim == b"\xab"
     assert seats.specs(3) == (SPEC, SPEC, None)
     first = ticked(0, 1, (), "")
     assert kept(first, Dismissed(epoch=0, tick=1, seat=0)) == [(1, "b", 0)]
@@ -67,10 +71,9 @@ def place_of(records, epoch: int, tick: int) -> int:
 
 
 def test_a_whole_run_is_made_again_state_by_state(run, records):
-    steps = list(recompute(run / "journal"))
-    assert [step.record for step in steps] == list(records)
-    assert not any(step.differs for step in steps)
-    assert sum(isinstance(step.record, Ticked) for step in steps) == 150
+    assert [record for _, record in replayed(run / "journal")] == list(records)
+    result = verify(run / "journal")
+    assert (result.ticks, result.mismatches) == (150, 0)
     assert not world_in_this_process()
 
 
@@ -84,7 +87,7 @@ def test_a_part_is_compared_from_the_beginning_of_its_epoch(run):
     done: list[int] = []
     result = verify(run / "journal", 1, 31, 40, done.append)
     assert (result.ticks, result.mismatches, result.first, done) == (10, 0, None, list(range(1, 11)))
-    assert [s.record.epoch for s in recompute(run / "journal", 1, until_tick=3)] == [1] * 4
+    assert [record.epoch for _, record in replayed(run / "journal", 1, until_tick=3)] == [1] * 4
 
 
 def test_one_bit_of_a_command_is_found_at_its_tick(run, records, tmp_path):
@@ -100,7 +103,7 @@ def test_one_bit_of_a_command_is_found_at_its_tick(run, records, tmp_path):
     with pytest.raises(ReplayMismatchError, match=r"epoch 1, tick 12: got state \w+, expected \w+"):
         made_again(other)
     with pytest.raises(ReplayMismatchError):
-        recompute_fcd(other, tmp_path / "x.xml", 1)
+        convert_to_fcd(other, tmp_path / "x.xml", 1)
     assert not world_in_this_process()
 
 
@@ -145,13 +148,13 @@ def test_a_new_world_after_a_crash_has_free_seats(corner, tmp_path):
 
 def test_a_run_is_the_same_floating_car_data_from_trace_and_journal(run, tmp_path):
     assert write_fcd(run / "beside.trace", tmp_path / "trace.xml") == 90
-    assert recompute_fcd(run / "journal", tmp_path / "journal.xml") == 90
+    assert convert_to_fcd(run / "journal", tmp_path / "journal.xml") == 90
     assert (tmp_path / "trace.xml").read_bytes() == (tmp_path / "journal.xml").read_bytes()
     text = (tmp_path / "journal.xml").read_text()
     steps = text.split("<timestep")[1:]
     assert [name for name in ("wheelchair.0", "wheelchair.1") if name in steps[10]] == ["wheelchair.1"]
     with pytest.raises(WcsimError, match=r"no epoch 7; expected one of \[0, 1\]"):
-        recompute_fcd(run / "journal", tmp_path / "x.xml", 7)
+        convert_to_fcd(run / "journal", tmp_path / "x.xml", 7)
 
 
 def test_records_that_do_not_follow_from_each_other_are_refused(run, records, tmp_path):
@@ -163,7 +166,7 @@ def test_records_that_do_not_follow_from_each_other_are_refused(run, records, tm
     ):
         broken = rewritten(run / "journal", tmp_path / "journal", {at: change})
         with pytest.raises(WcsimError, match=told):
-            list(recompute(broken, 0))
+            list(replayed(broken, 0))
         assert not world_in_this_process()
 
 
@@ -172,33 +175,33 @@ def test_what_a_journal_is_made_of_must_still_be_there(run, tmp_path):
     for change, kind, told in (
         ({"town": "atlantis"}, TownError, "atlantis"),
         ({"town_sha256": "0"}, TownError, "a net has changed"),
-        ({"config": "{"}, ConfigError, "not a JSON object"),
+        ({"config": "{"}, ConfigError, "the configuration in the journal"),
         ({"config": '{"wrld": 1}'}, ConfigError, "wrld"),
     ):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         LogWriter(path, changed(header, **change)).close()
-        for again in (made_again, lambda path: list(recompute(path))):
+        for again in (made_again, lambda path: list(replayed(path))):
             with pytest.raises(kind, match=told):
                 again(path)
     LogWriter(tmp_path / "empty", header).close()
     with pytest.raises(WcsimError, match="no epoch"):
         made_again(tmp_path / "empty")
     with pytest.raises(WcsimError, match="no epoch: it is truncated"):
-        list(recompute(tmp_path / "empty"))
+        list(replayed(tmp_path / "empty"))
 
 
 def test_worlds_of_a_journal_of_several_towns_take_turns(run, corner, tmp_path, monkeypatch):
     words = (str(corner), build_scene(find_scene("two-chairs"), tmp_path / "two-chairs")[0].address)
     towns = [find_town(word) for word in words]
     header = changed(read_header(run / "journal"), town=words[0], more_towns=words[1:], town_sha256=towns_hash(towns))
-    monkeypatch.setattr("wcsim.server.replay.World", lambda town, *given, epoch: town)
-    make = journal_worlds(header)
+    monkeypatch.setattr("wcsim.bridge.replay.replayed.World", lambda town, *given, epoch: town)
+    make = worlds_of(header)
     assert [make((None,), 0, epoch) for epoch in range(3)] == [*towns, towns[0]]
-    about = [journal_about(header, 9, epoch=epoch) for epoch in (None, 1)]
+    about = [replay_about(header, 9, epoch=epoch) for epoch in (None, 1)]
     assert [film.town for film in about] == [town.address for town in towns]
     assert all("change towns" in film.unknown[-1] for film in about)
     with pytest.raises(TownError, match="a net has changed"):
-        journal_worlds(changed(header, more_towns=words[:1]))
+        worlds_of(changed(header, more_towns=words[:1]))
 
 
 def test_the_first_difference_of_two_journals_is_told_in_words(run, records, tmp_path):

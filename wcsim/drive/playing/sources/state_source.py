@@ -28,7 +28,7 @@ NOT_IN_TRACES: Final = (
 )
 
 
-def trace_film(path: Path, epoch: int | None, town: str) -> Iterator[Said]:
+def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator[Said]:
     """A trace from its first tick to its last.
 
     Args:

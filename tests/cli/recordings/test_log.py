@@ -1,4 +1,4 @@
-"""`wcsim replay`: a recorded run made again in a process of its own, compared, and written for SUMO's tools."""
+"""`wcsim log`: a recorded run made again in a process of its own, compared, and written for SUMO's tools."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def changed(journaled, tmp_path_factory) -> Path:
 
 
 def test_a_run_is_verified_in_a_fresh_process(journaled, tmp_path):
-    words = ["replay", str(journaled), "--verify", "--json", str(tmp_path / "told.json")]
+    words = ["log", "verify", str(journaled), "--json", str(tmp_path / "told.json")]
     done = subprocess.run([sys.executable, "-m", "wcsim", *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "150 ticks compared, all equal (" in done.stdout
@@ -46,48 +46,48 @@ def test_a_run_is_verified_in_a_fresh_process(journaled, tmp_path):
 
 
 def test_a_changed_command_is_found_at_its_tick(wcsim, folder, changed):
-    result = wcsim("replay", changed, "--verify", "--epoch", 0, "--from", 11, "--to", 60, "--json", "told.json")
+    result = wcsim("log", "verify", changed, "--epoch", 0, "--from", 11, "--to", 60, "--json", "told.json")
     told = json.loads(Path("told.json").read_text())
     assert result.code == 1, result
     assert told["ticks"] == 50
     assert 1 <= told["mismatches"] <= 11
     assert told["first_mismatch"] == {"epoch": 0, "tick": 50}
-    assert wcsim("replay", changed / "journal", "--verify", "--epoch", 0, "--to", 49).code == 0
+    assert wcsim("log", "verify", changed / "journal", "--epoch", 0, "--to", 49).code == 0
 
 
 def test_a_journal_of_other_versions_says_so(wcsim, folder, journaled):
     header = read_header(journaled / "journal")
     records = map(record_bytes, iter_inputs(journaled / "journal"))
     Path("journal").write_bytes(chained([header_bytes(with_fields(header, fingerprint="numpy-0")), *records]))
-    result = wcsim("replay", "journal", "--verify", "--to", 1, "--epoch", 1)
+    result = wcsim("log", "verify", "journal", "--to", 1, "--epoch", 1)
     assert result.code == 0
     assert "other versions, so results may differ: numpy-0" in result.err
 
 
 def test_the_first_difference_of_two_runs(wcsim, folder, journaled, changed):
-    result = wcsim("replay", journaled, changed, "--first-difference", "--json", "told.json")
+    result = wcsim("log", "compare", journaled, changed, "--json", "told.json")
     assert result.code == 1
     assert result.out.startswith("Ticked (epoch 0, tick 50): seat 0 is commanded (")
     told = json.loads(Path("told.json").read_text())
     assert told == {"equal": False, "first_difference": result.out.strip()}
-    assert wcsim("replay", journaled, journaled / "journal", "--first-difference", "--json", "told.json").code == 0
+    assert wcsim("log", "compare", journaled, journaled / "journal", "--json", "told.json").code == 0
     assert json.loads(Path("told.json").read_text()) == {"equal": True, "first_difference": ""}
     trace = journaled / "beside.trace"
-    assert wcsim("replay", trace, trace, "--first-difference").code == 0
+    assert wcsim("log", "compare", trace, trace).code == 0
 
 
 def test_a_run_is_written_from_its_trace_or_else_from_its_journal(wcsim, folder, journaled):
     shutil.copy(journaled / "beside.trace", "trace")
-    assert wcsim("replay", "trace", "--fcd", "a.xml").out == "wrote a.xml: 90 time steps\n"
-    result = wcsim("replay", journaled, "--fcd", "b.xml", "--json", "told.json")
+    assert wcsim("log", "convert", "trace", "a.xml").out == "wrote a.xml: 90 time steps\n"
+    result = wcsim("log", "convert", journaled, "b.xml", "--json", "told.json")
     assert result.code == 0, result
     assert Path("a.xml").read_bytes() == Path("b.xml").read_bytes()
     assert json.loads(Path("told.json").read_text())["steps"] == 90
-    assert wcsim("replay", journaled, "--fcd", "c.xml", "--epoch", 1).out == "wrote c.xml: 60 time steps\n"
+    assert wcsim("log", "convert", journaled, "c.xml", "--epoch", 1).out == "wrote c.xml: 60 time steps\n"
 
 
 def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, folder, journaled):
-    result = wcsim("replay", journaled, "--mcap", "a.mcap", "--epoch", 1, "--json", "told.json")
+    result = wcsim("log", "convert", journaled, "a.mcap", "--epoch", 1, "--json", "told.json")
     assert result.code == 0, result
     counts = json.loads(Path("told.json").read_text())["messages"]
     chairs = {topic.split("/")[1] for topic in counts if topic.startswith("/chair_")}
@@ -96,7 +96,7 @@ def test_a_journal_is_written_for_ros_with_all_that_its_chairs_sensed(wcsim, fol
         assert ticks == counts[f"/{chair}/imu/data"] == counts[f"/{chair}/joy"] == counts[f"/{chair}/joy_command"]
         assert ticks == counts[f"/{chair}/camera/front/depth/image_raw"] == counts[f"/{chair}/camera/front/camera_info"]
     assert len(chairs) > 1 and max(counts[f"/{chair}/odom"] for chair in chairs) == 60
-    assert wcsim("replay", journaled / "beside.trace", "--mcap", "b.mcap").code == 0
+    assert wcsim("log", "convert", journaled / "beside.trace", "b.mcap").code == 0
     assert Path("b.mcap").stat().st_size < Path("a.mcap").stat().st_size
 
 
@@ -106,19 +106,20 @@ def test_a_drive_is_recorded_made_again_and_written_for_ros(wcsim, folder, corne
     assert wcsim(*slow).out.startswith("wrote a.drive: 30 ticks of a slow user in ")
     refused(wcsim(*slow), "--out a.drive exists", "a new file")
     refused(wcsim(*words, "--profile", "recorded:a.drive", "--out", "b.drive"), "is a recording")
-    result = wcsim("replay", "a.drive", "--verify", "--json", "told.json")
+    result = wcsim("log", "verify", "a.drive", "--json", "told.json")
     assert (result.code, result.err) == (0, "")
     assert "30 ticks compared, all equal, at most 0 m apart" in result.out
     told = json.loads(Path("told.json").read_text())
-    assert told == {"ticks": 30, "mismatches": 0, "first_tick": None, "farthest_m": 0.0}
-    told = wcsim("replay", "a.drive", "--mcap", "a.mcap").out
+    assert told == {"ticks": 30, "mismatches": 0, "first_mismatch": None, "farthest_m": 0.0}
+    told = wcsim("log", "convert", "a.drive", "a.mcap").out
     assert "151 messages on /joy, /joy_command, /joy_intent, /odom" in told
-    refused(wcsim("replay", "a.drive", "--fcd", "a.xml"), "is a drive, which holds no traffic")
-    refused(wcsim("replay", "a.drive", "--verify", "--epoch", 0), "are for journals")
-    assert wcsim("replay", "a.drive", "a.drive", "--first-difference").code == 0
-    for task in (("--page",), ("--mcap", "b.mcap")):
-        for more in (("--epoch", 1), ("--hook", "own:Step")):
-            refused(wcsim("replay", "a.drive", *task, *more), "are for journals; leave them out with a drive")
+    refused(wcsim("log", "convert", "a.drive", "a.xml"), "is a drive, which holds no traffic")
+    assert wcsim("log", "verify", "a.drive", "--epoch", 0, "--to", 9).out.startswith("a.drive: 9 ticks compared")
+    refused(wcsim("log", "verify", "a.drive", "--epoch", 1), "no epoch 1", "[0]")
+    assert wcsim("log", "compare", "a.drive", "a.drive").code == 0
+    for task in (("play", "a.drive"), ("verify", "a.drive"), ("convert", "a.drive", "b.mcap")):
+        refused(wcsim("log", *task, "--hook", "own:Step"), "made with the step hook 'none', got 'own:Step'")
+    refused(wcsim("log", "convert", "a.drive", "b.mcap", "--epoch", 1), "no epoch 1")
     assert not Path("b.mcap").exists()
 
 
@@ -128,23 +129,22 @@ def test_what_cannot_be_replayed_is_refused(wcsim, folder, journaled):
     shutil.copy(journaled / "beside.trace", "trace")
     before = sorted(Path().iterdir())
     for words, told in (
-        (("empty", "--verify"), ("empty: has no trace and no journal", "run folder")),
-        (("empty", "--fcd", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
-        (("nowhere", "--verify"), ("nowhere: is not there", "a run folder")),
-        (("trace", "--verify"), ("trace: is neither a journal nor a recorded drive",)),
-        (("notes", "--verify"), ("notes: is not a log",)),
-        (("notes", "--mcap", "x.mcap"), ("not a log",)),
-        (("trace", "--mcap", "x.bag"), ("expected a file name that ends in .mcap",)),
-        (("notes", "--fcd", "x.xml"), ("not a log",)),
-        (("trace", "--fcd", "x.xml", "--hook", "own:Step"), ("--hook is for journals",)),
-        (
-            (journaled, "--page", "--json", "told.json"),
-            ("--json is the result of a comparison", "leave it out with --page"),
-        ),
-        (("trace", journaled, "--first-difference"), ("is a trace and", "expected two of a kind")),
-        ((journaled, "--verify", "--epoch", 5), ("no epoch 5", "[0, 1]")),
-        ((journaled, "--fcd", "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),
-        ((journaled, "--verify", "--epoch", 1, "--from", 61), ("no tick in that range",)),
+        (("verify", "empty"), ("empty: has no trace and no journal", "run folder")),
+        (("convert", "empty", "x.xml"), ("empty: has no trace and no journal", "wcsim town run")),
+        (("verify", "nowhere"), ("nowhere: is not there", "a run folder")),
+        (("verify", "trace"), ("trace: is not a journal but a trace",)),
+        (("verify", "notes"), ("notes: is not a log",)),
+        (("play", "notes"), ("notes: is not a log",)),
+        (("convert", "notes", "x.mcap"), ("not a log",)),
+        (("convert", "trace", "x.bag"), ("expected a file name that ends in .xml (FCD) or .mcap",)),
+        (("convert", "notes", "x.xml"), ("not a log",)),
+        (("convert", "trace", "x.xml", "--hook", "own:Step"), ("the trace was made with the step hook 'none'",)),
+        (("play", "trace", "--hook", "own:Step"), ("the trace was made with the step hook 'none'",)),
+        (("compare", "trace", journaled), ("is a trace and", "expected two of a kind")),
+        (("verify", journaled, "--epoch", 5), ("no epoch 5", "[0, 1]")),
+        (("verify", journaled, "--from", 9, "--to", 5), ("--from 9: expected 0 to 5",)),
+        (("convert", journaled, "x.xml", "--epoch", 5), ("no epoch 5", "[0, 1]")),
+        (("verify", journaled, "--epoch", 1, "--from", 61), ("no tick in that range",)),
     ):
-        refused(wcsim("replay", *words), *told)
+        refused(wcsim("log", *words), *told)
     assert sorted(Path().iterdir()) == before

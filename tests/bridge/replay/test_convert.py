@@ -8,8 +8,8 @@ import pytest
 from tests.bridge.recording.test_ros import messages, stamp_ns
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.ego.randomization import moved
+from wcsim.bridge.replay.convert import convert_to_mcap
 from wcsim.physics.sensors.camera_geometry import mount
-from wcsim.server.journal_bag import recompute_bag
 from wcsim.types import SeatSpec
 
 
@@ -33,7 +33,7 @@ def bag(corner, tmp_path_factory):
         drive(3)
         it.respawn(1)
         drive(5)
-    counts = recompute_bag(folder / "journal", folder / "a.mcap")
+    counts = convert_to_mcap(folder / "journal", folder / "a.mcap")
     found = {}
     for topic, _, at, message in messages(folder / "a.mcap"):
         found.setdefault(topic, []).append((at, message))

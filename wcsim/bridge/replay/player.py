@@ -1,0 +1,109 @@
+"""Does to a world what its log says was done, record by record."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Generic, TypeVar
+
+from wcsim.bridge.replay.seat_world import MakesEpoch, SeatWorld, Specs
+from wcsim.errors import ReplayMismatchError, WcsimError
+from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Input, Respawned, Ticked
+
+W = TypeVar("W", bound=SeatWorld)
+
+
+class Seats:
+    """Who sits where, by what a log says."""
+
+    def __init__(self) -> None:
+        self.taken: dict[int, Admitted] = {}
+        self.lives: Counter[int] = Counter()  # respawns of a seat since the last tick
+
+    def note(self, record: Input) -> None:
+        """Hear the next record."""
+        match record:
+            case Admitted():
+                self.taken[record.seat] = record
+                del self.lives[record.seat]
+            case Dismissed():
+                self.taken.pop(record.seat, None)
+            case Respawned():
+                self.lives[record.seat] += 1
+            case Ticked():
+                self.lives.clear()
+            case EpochBegun():
+                self.lives.clear()
+                if record.fresh:
+                    self.taken.clear()
+
+    def specs(self, capacity: int) -> Specs:
+        """The seats of a world."""
+        return tuple(taken.spec if (taken := self.taken.get(seat)) else None for seat in range(capacity))
+
+
+class LogPlayer(Generic[W]):
+    """Does to a world what a log says was done, and keeps who sits where while there is no world."""
+
+    def __init__(self, make: MakesEpoch[W], capacity: int) -> None:
+        self.seats = Seats()
+        self._make, self._capacity = make, capacity
+        self._world: W | None = None
+
+    @property
+    def world(self) -> W | None:
+        """The world of now."""
+        return self._world
+
+    @property
+    def plays(self) -> bool:
+        """Whether there is a world now."""
+        return self._world is not None
+
+    def close(self) -> None:
+        """End the world, if there is one."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+
+    def play(self, record: Input) -> W:
+        """Do what a record says; raises WcsimError when it does not follow from those before."""
+        self.seats.note(record)
+        if isinstance(record, EpochBegun):
+            self.close()
+            self._world = self._make(self.seats.specs(self._capacity), record.seed, record.epoch)
+            return self._world
+        if self._world is None:
+            raise WcsimError(f"{record} comes before the first epoch; the log is damaged")
+        if not isinstance(record, Ended):
+            _require_now(self._world, record)
+            _do(self._world, record)
+        return self._world
+
+
+def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> None:
+    if isinstance(record, Ticked):
+        world.tick(record.commands)
+    elif isinstance(record, Admitted):
+        world.admit(record.seat, record.spec)
+    elif isinstance(record, Dismissed):
+        world.dismiss(record.seat)
+    else:
+        world.respawn(record.seat, start=record.start)
+
+
+def _require_now(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> None:
+    here, ticks = world.snapshot, isinstance(record, Ticked)
+    if (record.epoch, record.tick - ticks) != (here.epoch, here.tick):
+        raise WcsimError(
+            f"{type(record).__name__} of epoch {record.epoch}, tick {record.tick} follows epoch {here.epoch}, tick "
+            f"{here.tick}; expected {'the next tick' if ticks else 'this one'}: the log is damaged"
+        )
+
+
+def require_equal(world: SeatWorld, record: Input) -> None:
+    """Raise ReplayMismatchError when a tick gave another state than the log says."""
+    if isinstance(record, Ticked) and record.state_hash != world.snapshot.state_hash:
+        raise ReplayMismatchError(
+            f"epoch {record.epoch}, tick {record.tick}: got state {world.snapshot.state_hash}, expected "
+            f"{record.state_hash} as in the journal; use the versions and the kind of machine that it was made with"
+        )

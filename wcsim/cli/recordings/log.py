@@ -1,0 +1,214 @@
+"""`wcsim log play | verify | compare | convert`: what can be done with a recording, of whatever kind."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import tyro
+
+from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
+from wcsim.cli.shared.common import Bounds, OutFile, check_output, in_bounds, parse, result_file, subcommand, write_json
+from wcsim.core.reading import escaped, is_file, is_folder
+from wcsim.errors import ConfigError, check_installed
+
+_SHOW_EVERY: Final = 1000  # ticks
+_FCD, _MCAP = ".xml", ".mcap"
+
+Log = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+"""A run folder, a trace, a journal or a recorded drive."""
+Epoch = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(0)]
+
+
+@dataclass(kw_only=True)
+class PlayOptions(PageOptions):
+    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
+
+    log: Log
+    """A run folder, a journal, a trace or a recorded drive."""
+    epoch: Epoch = None
+    """Number of the world in the run; default all."""
+    seat: Seat = None
+    """Chair to follow."""
+    hook: str = ""
+    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
+    town: str = ""
+    """Where a trace was recorded, if not found: a town's name, its folder, or a .sumocfg file."""
+
+
+@dataclass(kw_only=True)
+class VerifyOptions:
+    """Simulate a journal or a drive again, and compare it tick by tick."""
+
+    log: Log
+    """A run folder of a server, a journal or a recorded drive."""
+    epoch: Epoch = None
+    """Number of the world in the run; default all."""
+    first: Annotated[int, tyro.conf.arg(name="from", metavar="TICK")] = 0
+    """First tick of each world to compare."""
+    last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
+    """Last tick of each world to compare."""
+    hook: str = ""
+    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+@dataclass(kw_only=True)
+class CompareOptions:
+    """Print where two recordings of a kind first differ."""
+
+    logs: Annotated[tuple[Path, Path], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG")]
+    """Run folders, traces, journals or recorded drives."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+@dataclass(kw_only=True)
+class ConvertOptions:
+    """Write a recording as SUMO floating car data (FCD) or as ROS 2 messages (MCAP)."""
+
+    log: Log
+    """A run folder, a trace, a journal or a recorded drive."""
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """FILE.xml for traffic and wheelchairs as FCD, FILE.mcap for motion, commands and sensor data of the wheelchairs.
+    MCAP needs the extra wcsim[bag]."""
+    epoch: Annotated[int, tyro.conf.arg(metavar="N"), Bounds(0)] = 0
+    """Number of the world in the run."""
+    hook: str = ""
+    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(words: list[str]) -> int:
+    """Run one of them; 1 when something differs."""
+    name = subcommand(words, "log", _COMMANDS, lambda name: _COMMANDS[name][0])
+    if not name:
+        return 0
+    options, work = _COMMANDS[name]
+    return work(parse(options, words[1:], f"log {name}"))
+
+
+def log_in(run: Path, first: str = "journal") -> Path:
+    """A log as it is named, or that of a run folder, which may have two. Raises ConfigError where there is none."""
+    if is_folder(run):
+        found = [run / name for name in sorted(("journal", "trace"), key=lambda name: name != first)]
+        there = [path for path in found if is_file(path)]
+        if there:
+            return there[0]
+        raise ConfigError(
+            f"{escaped(run)}: has no trace and no journal; expected a run folder of a server or of wcsim town run"
+        )
+    if not is_file(run):
+        raise ConfigError(
+            f"{escaped(run)}: is not there; expected a run folder, a trace, a journal or a recorded drive"
+        )
+    return run
+
+
+def _play(options: PlayOptions) -> int:
+    path = log_in(options.log)
+    from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of  # the simulators, not for --help
+    from wcsim.drive.playing.play_runner import PlayStart
+    from wcsim.drive.playing.sources.source_process import FilmSource
+    from wcsim.log.reader import read_header
+
+    header = read_header(path)  # what cannot be played is refused before a page is served for it
+    require_hook(header, options.hook)
+    if header.kind != "trace":
+        log_of(path)
+        worlds_of(header, options.hook)
+    source = FilmSource(kind="log", path=path.absolute(), epoch=options.epoch, hook=options.hook, town=options.town)
+    return serve_film(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
+
+
+def _verify(options: VerifyOptions) -> int:
+    last = math.inf if options.last is None else options.last
+    in_bounds("--to", last, 0, math.inf)
+    in_bounds("--from", options.first, 0, last)
+    path = log_in(options.log)
+    from wcsim.bridge.replay.replayed import log_of
+    from wcsim.bridge.replay.verify import verify
+    from wcsim.log.reader import read_header
+
+    header = read_header(path)
+    _note_versions(header.kind, header.fingerprint)
+    begun_s = time.perf_counter()
+    result = verify(log_of(path), options.epoch, options.first, options.last, _show, options.hook)
+    rate = result.ticks / max(time.perf_counter() - begun_s, 1e-9)
+    if not result.ticks and (options.epoch, options.first, options.last) != (None, 0, None):
+        raise ConfigError(f"{path}: has no tick in that range; change --epoch, --from or --to")
+    first = None if result.first is None else {"epoch": result.first.epoch, "tick": result.first.tick}
+    told = "all equal" if first is None else f"{result.mismatches} differ, first {first}"
+    found: dict[str, Any] = {"ticks": result.ticks, "mismatches": result.mismatches, "first_mismatch": first}
+    if header.kind == "drive":
+        told += f", at most {result.farthest_m:.3g} m apart"
+        found["farthest_m"] = result.farthest_m
+    print(f"{path}: {result.ticks} ticks compared, {told} ({rate:.0f} ticks/s)")
+    if options.json is not None:
+        write_json(options.json, found)
+    return 1 if result.mismatches else 0
+
+
+def _compare(options: CompareOptions) -> int:
+    one, other = map(log_in, options.logs)
+    from wcsim.log.diff import first_difference
+
+    told = first_difference(one, other)
+    print(told or f"{one} and {other} are equal")
+    if options.json is not None:
+        write_json(options.json, {"equal": not told, "first_difference": told})
+    return 1 if told else 0
+
+
+def _convert(options: ConvertOptions) -> int:
+    out, kind = options.out, options.out.suffix.lower()
+    if kind not in (_FCD, _MCAP):
+        raise ConfigError(f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)")
+    check_output("FILE", out)
+    path = log_in(options.log, "trace" if kind == _FCD else "journal")
+    from wcsim.bridge.replay.convert import convert_to_fcd, convert_to_mcap
+
+    found: dict[str, Any] = {"log": str(options.log), "file": str(out)}
+    if kind == _MCAP:
+        check_installed("a .mcap file needs rosbags", "bag", "rosbags")
+    with result_file(out) as part:
+        if kind == _FCD:
+            found["steps"] = convert_to_fcd(path, part, options.epoch, options.hook)
+            told = f"{found['steps']} time steps"
+        else:
+            counts = found["messages"] = convert_to_mcap(path, part, options.epoch, options.hook)
+            told = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
+    print(f"wrote {out}: {told}")
+    if options.json is not None:
+        write_json(options.json, found)
+    return 0
+
+
+def _show(ticks: int) -> None:
+    if ticks % _SHOW_EVERY == 0:
+        print(f"{ticks} ticks", file=sys.stderr)
+
+
+def _note_versions(what: str, made_by: str) -> None:
+    """Say it when equal results cannot be expected."""
+    from wcsim.bridge.recording.fingerprint import fingerprint
+
+    here = fingerprint()
+    if made_by != here:
+        told = f"the {what} was made with other versions, so results may differ: {escaped(made_by)}; here: {here}"
+        print(told, file=sys.stderr)
+
+
+_COMMANDS: Final[dict[str, tuple[type[Any], Callable[[Any], int]]]] = {
+    "play": (PlayOptions, _play),
+    "verify": (VerifyOptions, _verify),
+    "compare": (CompareOptions, _compare),
+    "convert": (ConvertOptions, _convert),
+}

@@ -1,0 +1,163 @@
+"""A log whose world is made again, blind, as a film; of a drive with what it says of person and policy."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+from wcsim.agents.policy_api import UNAIDED
+from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
+from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
+from wcsim.bridge.world import World
+from wcsim.drive.driven import DriverKind, EventKind
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said
+from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_before, intervening
+from wcsim.log.drive import DriveRecording
+from wcsim.log.reader import read_header
+from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked
+from wcsim.server.specs import town_of_epoch
+from wcsim.towns.making.asked_town import asked_town
+from wcsim.types import Joystick
+
+NOT_IN_JOURNALS: Final = (
+    "Warnings, unsafe positions and who is in control: a journal records the commands of the chairs only.",
+    "Sensor errors of the cameras: pictures are drawn without them.",
+)
+NOT_IN_DRIVES: Final = (
+    "Unsafe positions: a drive records what the policy chose, not why.",
+    "Sensor errors of the camera: its picture is drawn without them.",
+)
+_SAYS: Final = (
+    (Flag.WARNING, "warning"),
+    (Flag.INTERVENING, "intervening"),
+    (Flag.OVERRULED, "overruled"),
+    (Flag.HELPED, "helped"),
+)
+
+
+def replay_about(header: Header, ticks: int, *, epoch: int | None = None, live: bool = False) -> FilmAbout:
+    """What a journal or a drive shows: one epoch, or from its first one on."""
+    about, maps, config = header.drive, list[str](), config_of(header)
+    if about is not None:
+        town = town_of_drive(header).address
+        title = f"drive in {header.town_name}: {about.profile}"
+        title += f", assisted by {about.policy}" if about.policy else ""
+    else:
+        town = header.town
+        if header.more_towns:
+            town = asked_town(town_of_epoch(town, header.more_towns, epoch or 0)).address
+            maps = [f"Maps of other towns than {Path(town).name}: the run's worlds change towns."]
+        title = f"{header.name or 'journal'}, {Path(town).name}"
+    return FilmAbout(
+        title=title,
+        town=town,
+        tick_s=header.tick_s,
+        camera=config.cameras[0].model_dump_json(),
+        actions=config.env.actions,
+        unknown=[*(NOT_IN_JOURNALS if about is None else NOT_IN_DRIVES), *maps],
+        ticks=ticks,
+        warns=about is not None and bool(about.policy),
+        tells_who=about is not None,
+        live=live,
+    )
+
+
+def replay_film(path: Path, epoch: int | None = None, hook: str = "") -> Iterator[Said]:
+    """A journal or a drive from its first tick to its last, of one epoch or of all; raises what `replayed` raises."""
+    log, header = log_of(path), read_header(path)
+    yield replay_about(header, count_ticks(log, epoch), epoch=epoch)
+    scene = RecordScene(log if isinstance(log, DriveRecording) else None)
+    with closing(replayed(log, epoch, None, hook, scene.before)) as steps:
+        for world, record in steps:
+            yield from scene.said(world, record)
+    yield FilmLine(kind="end", told=scene.told(f"The whole {header.kind} is loaded."))
+
+
+class RecordScene:
+    """What the records of a log show, one after the other; `drive` where they are made of one."""
+
+    def __init__(self, drive: DriveRecording | None = None) -> None:
+        self.differs = 0  # ticks that gave another state than the log says
+        self._drive, self._decides = drive, None if drive is None else _WhoDecides(drive)
+        self._maker = FrameMaker()
+        self._names: dict[int, str] = {}
+        self._asked: dict[int, Joystick] = {}
+
+    def before(self, world: World | None, record: Input) -> None:
+        """What is so before a record is done."""
+        if isinstance(record, Ticked) and world is not None:
+            self._maker.begin(world)
+            self._asked = asked_before(world.snapshot.clients)
+
+    def said(self, world: World, record: Input) -> Iterator[Said]:
+        """What there is to say after it."""
+        match record:
+            case EpochBegun():
+                world.go_blind()
+                if self._drive is None:
+                    yield FilmLine(kind="mark", told=f"World {record.epoch} starts.")
+                else:
+                    yield FilmNames(names={0: self._drive.about.profile})
+            case Admitted() if self._drive is None:
+                if self._names.get(record.seat) != record.name:
+                    self._names[record.seat] = record.name
+                    yield FilmNames(names=dict(self._names))
+            case Ticked():
+                yield self._step(world, record)
+            case _:
+                return
+
+    def told(self, told: str) -> str:
+        """A line, with what went another way."""
+        if not self.differs:
+            return told
+        return f"{told} {self.differs} ticks differ: it was made with other versions or on another machine."
+
+    def _step(self, world: World, record: Ticked) -> FilmStep:
+        if self._drive is not None and self._decides is not None:
+            tick = self._drive.tick_of(record)
+            self.differs += tuple(world.snapshot.clients[0].plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
+            return self._maker.step_of(world, {0: _said(tick, self._decides.flags(tick))})
+        self.differs += record.state_hash != world.snapshot.state_hash
+        said = {}
+        for command in record.commands:
+            stick, given = self._asked.get(command.seat), command.joystick
+            said[command.seat] = TickSays(stick=stick, commanded=given, flags=intervening(stick, given))
+        return self._maker.step_of(world, said)
+
+
+class _WhoDecides:
+    """Whose say it is, tick by tick, as the events of a drive tell."""
+
+    def __init__(self, drive: DriveRecording) -> None:
+        about = drive.about
+        self._events, self._hands_over = deque(drive.events), about.accompanied and bool(about.episode)
+        self._assisted, self._simulated = True, False
+        self._can_assist = about.policy not in ("", UNAIDED)
+
+    def flags(self, tick: DriveTick) -> Flag:
+        """Of the next tick. A simulated user who drives where the person was to does so before a handover.
+
+        Handovers are in episodes of suites alone; elsewhere an older recording may not say that the user was to drive.
+        """
+        while self._events and self._events[0].tick < tick.tick:
+            self._note(self._events.popleft())
+        alone = self._hands_over and not self._simulated and not by_person(tick)
+        return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._can_assist and self._assisted else Flag.UNAIDED)
+
+    def _note(self, event: Note) -> None:
+        if event.kind == EventKind.ASSISTANCE:
+            self._assisted = event.detail == "on"
+        elif event.kind == EventKind.POLICY_FAILED:
+            self._assisted = False
+        elif event.kind == EventKind.DRIVER:
+            self._simulated = event.detail == DriverKind.SIMULATED
+
+
+def _said(tick: DriveTick, flags: Flag) -> TickSays:
+    for flag, name in _SAYS:
+        flags |= flag if getattr(tick, name) else Flag(0)
+    return TickSays(stick=tick.stick, commanded=tick.commanded, flags=flags)
