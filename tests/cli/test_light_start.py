@@ -65,7 +65,7 @@ WRONG = (
 )
 
 
-NESTED = ("town", "scene", "chair", "users")
+NESTED = ("town", "scene", "chair", "users", "log")
 
 
 @cache

@@ -21,6 +21,7 @@ from wcsim.log.records import Dismissed, Input, Respawned, Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
+from wcsim.types import ClientSnapshot, Joystick
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,24 +85,27 @@ class _SeatWatch:
 
     def look(self, world: World | None, record: Input) -> None:
         """Is shown the world before each record."""
-        given = [each for each in record.commands if each.seat == self._seat] if isinstance(record, Ticked) else []
-        if world is None or not given or not isinstance(record, Ticked):
-            leaves = isinstance(record, Ticked) or (
-                isinstance(record, Respawned | Dismissed) and record.seat == self._seat
-            )
-            self.over = self.over or (bool(self.actions) and leaves)
+        if world is None or not isinstance(record, Ticked):
+            self.over = self.over or (bool(self.actions) and self._leaves(record))
             return
-        client = next(each for each in world.snapshot.clients if each.seat == self._seat)
+        given = next((each.joystick for each in record.commands if each.seat == self._seat), None)
+        client = next((each for each in world.snapshot.clients if each.seat == self._seat), None)
+        if given is None or client is None:
+            self.over = self.over or bool(self.actions)
+            return
         self.over = self.over or len(self.actions) == self._steps or (client.first is not None and bool(self.actions))
-        if self.over:
-            return
-        client = client.first or client
-        seen, stick = observation_of(client, self._config), given[0].joystick
+        if not self.over:
+            self._keep(client.first or client, given, record)
+
+    def _leaves(self, record: Input) -> bool:
+        return isinstance(record, Respawned | Dismissed) and record.seat == self._seat
+
+    def _keep(self, client: ClientSnapshot, given: Joystick, record: Ticked) -> None:
+        seen, action = observation_of(client, self._config), self._points.nearest((given.x, given.y))
         if isinstance(self.log, DriveRecording):
             tick = self.log.tick_of(record)
             seen = {**seen, JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
-            self.actions.append(tick.action)
-        else:
-            self.actions.append(self._points.nearest((stick.x, stick.y)))
+            action = tick.action
         self.seen.append(seen)
+        self.actions.append(action)
         self.delays.append(delay_ticks(self._config, client.drawn))
