@@ -16,6 +16,8 @@ from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
 from wcsim.cli.shared.common import Bounds, OutFile, check_output, in_bounds, parse, result_file, subcommand, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
+from wcsim.log.diff import first_difference
+from wcsim.log.reader import read_header
 
 _SHOW_EVERY: Final = 1000  # ticks
 _FCD, _MCAP = ".xml", ".mcap"
@@ -114,12 +116,11 @@ def log_in(run: Path, first: str = "journal") -> Path:
 
 def _play(options: PlayOptions) -> int:
     path = log_in(options.log)
-    from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of  # the simulators, not for --help
+    header = read_header(path)  # what cannot be played is refused before a page is served for it
+    from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of  # the simulators: not for a refusal
     from wcsim.drive.playing.play_runner import PlayStart
     from wcsim.drive.playing.sources.source_process import FilmSource
-    from wcsim.log.reader import read_header
 
-    header = read_header(path)  # what cannot be played is refused before a page is served for it
     require_hook(header, options.hook)
     if header.kind != "trace":
         log_of(path)
@@ -133,11 +134,10 @@ def _verify(options: VerifyOptions) -> int:
     in_bounds("--to", last, 0, math.inf)
     in_bounds("--from", options.first, 0, last)
     path = log_in(options.log)
+    header = read_header(path)
     from wcsim.bridge.replay.replayed import log_of
     from wcsim.bridge.replay.verify import verify
-    from wcsim.log.reader import read_header
 
-    header = read_header(path)
     _note_versions(header.kind, header.fingerprint)
     begun_s = time.perf_counter()
     result = verify(log_of(path), options.epoch, options.first, options.last, _show, options.hook)
@@ -158,8 +158,6 @@ def _verify(options: VerifyOptions) -> int:
 
 def _compare(options: CompareOptions) -> int:
     one, other = map(log_in, options.logs)
-    from wcsim.log.diff import first_difference
-
     told = first_difference(one, other)
     print(told or f"{one} and {other} are equal")
     if options.json is not None:
@@ -173,6 +171,7 @@ def _convert(options: ConvertOptions) -> int:
         raise ConfigError(f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)")
     check_output("FILE", out)
     path = log_in(options.log, "trace" if kind == _FCD else "journal")
+    read_header(path)
     from wcsim.bridge.replay.convert import convert_to_fcd, convert_to_mcap
 
     found: dict[str, Any] = {"log": str(options.log), "file": str(out)}
