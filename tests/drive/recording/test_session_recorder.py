@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wcsim.bridge.drives import remake
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.ego import ego
+from wcsim.bridge.replay import drive_inputs
 from wcsim.bridge.replay.made_scene import made_scene_of, town_of_scene
 from wcsim.bridge.replay.verify import verify
 from wcsim.core.files import check_new_file, numbered_names
@@ -157,7 +157,7 @@ def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, mon
     made = same_again(tmp_path / "a.drive")
     gave_up = [number for number, tick in enumerate(made.ticks) if tick.gave_up]
     assert gave_up and gave_up[0] >= 90, "who stood for 9 s was a person"
-    monkeypatch.setattr(remake, "let_wait", lambda *_, **__: None)
+    monkeypatch.setattr(drive_inputs, "let_wait", lambda *_, **__: None)
     assert verify(made).mismatches > 10
 
 
