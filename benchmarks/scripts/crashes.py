@@ -125,8 +125,8 @@ def _config(options: CrashesOptions) -> RunConfig:
 
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
     from benchmarks.crashes.drives import CrashOrder, drive_crashes
-    from wcsim.agents.envs.senses import senses_of, with_senses
     from wcsim.agents.policies.baselines import baseline
+    from wcsim.agents.policy_api import senses_of, with_senses
     from wcsim.core.seeding import derive
 
     found = find_town(town)

@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 
 from tests.attack.files.damage import flipped, pick
-from wcsim.agents.clients.clients_folder import open_clients_folder
+from wcsim.agents.clients.group_run import open_clients_folder
 from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.report import TickRate, report_of

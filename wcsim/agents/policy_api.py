@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
+from wcsim.config import RunConfig, resolve
 from wcsim.core.plugins import running_own
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
@@ -226,3 +227,21 @@ def level_of(name: str) -> float:
             f"{HIGHEST_LEVEL:g}: {LEVELLED}@{USUAL_LEVEL:g} is {LEVELLED}"
         )
     return level
+
+
+def senses_of(policy: Policy) -> tuple[str, ...]:
+    """What a policy wants to sense beside pictures, tilt and joystick."""
+    return policy.senses if isinstance(policy, NeedsSenses) else ()
+
+
+def with_senses(config: RunConfig, senses: Sequence[str]) -> RunConfig:
+    """The configuration with these senses; a sensor that it has already stays as it is.
+
+    Raises:
+        ConfigError: There is no such sensor.
+    """
+    there = config.sensors.on()
+    words = [f"sensors.{name}=typical" for name in senses if name != GYRO and name not in there]
+    if GYRO in senses and not config.env.observe_gyro:
+        words.append("env.observe_gyro=true")
+    return resolve(config, tuple(words))

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from wcsim.agents.evaluation.suite.drive import BlockOrder, seat_of
+from wcsim.agents.evaluation.suite.drive import BlockOrder, in_scene, open_tight, seat_of
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
-from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
-from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
+from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_in_list, settings_of
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
 from wcsim.bridge.replay.made_scene import MadeScene
 from wcsim.config import RunConfig

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.clients.clients_folder import (
+from wcsim.agents.clients.group_run import (
     CONFIGS,
     ClientsFolder,
     create_clients_folder,

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.clients.clients_folder import create_clients_folder
-from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, world_order
+from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, create_clients_folder, world_order
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.cli import serve
 from wcsim.server.host import made_world

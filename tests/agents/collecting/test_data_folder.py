@@ -12,15 +12,17 @@ import zstandard
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting import data_folder
 from wcsim.agents.collecting.data_folder import (
+    Segment,
+    SegmentKey,
     _write_segment,
     data_digest,
+    joined,
     read_manifest,
     read_segment,
     require_same_settings,
     segment_path,
     write_manifest,
 )
-from wcsim.agents.collecting.segment import Segment, SegmentKey, joined
 from wcsim.errors import PolicyError
 
 KEY = SegmentKey(run=1, round=2, index=3)

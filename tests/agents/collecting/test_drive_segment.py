@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_drivers import DataDriver
-from wcsim.agents.collecting.drive_segment import collect
-from wcsim.agents.collecting.segment import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
+from wcsim.agents.collecting.data_folder import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
+from wcsim.agents.collecting.drive_segment import DataDriver, collect
 from wcsim.agents.collecting.segment_places import (
     SegmentOrder,
     _drawn_settings,

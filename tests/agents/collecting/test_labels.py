@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.collecting.segment import SAFE, codes_of, unsafe_ahead
+from wcsim.agents.collecting.data_folder import SAFE, codes_of, unsafe_ahead
 
 
 @given(st.lists(st.floats(0.0, 1e9) | st.just(float("inf")), min_size=1, max_size=20))

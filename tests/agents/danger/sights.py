@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.segment import SAFE, Segment
+from wcsim.agents.collecting.data_folder import SAFE, Segment
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set

@@ -8,9 +8,8 @@ import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, small_config
 from wcsim.agents.danger.dataset import Dataset, _frame_windows, labelled_steps
-from wcsim.agents.danger.features import MIRRORED, FeatureExtractor
 from wcsim.agents.danger.network import spec_of
-from wcsim.agents.danger.street_map import SIDE, SLICES
+from wcsim.agents.danger.street_map import MIRRORED, SIDE, SLICES, FeatureExtractor
 from wcsim.supervisor.actions import action_set
 
 ACTIONS = action_set("square81")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from tests.agents.policies.test_baselines import box, looking_at
-from wcsim.agents.danger.features import VECTOR, FeatureExtractor
 from wcsim.agents.danger.street_map import (
     AGE,
     BEHIND_M,
@@ -17,6 +16,8 @@ from wcsim.agents.danger.street_map import (
     SIDE,
     SLICES,
     TRAIL,
+    VECTOR,
+    FeatureExtractor,
     sweep,
 )
 from wcsim.config import CameraConfig, RunConfig

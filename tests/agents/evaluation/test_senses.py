@@ -6,11 +6,11 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import Held, block_of, config, order_of, suite_in
 from tests.support.one_process import in_this_process
-from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.evaluation.suite.named_policy import sensing
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.policies.baselines import baseline
+from wcsim.agents.policy_api import senses_of, with_senses
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 

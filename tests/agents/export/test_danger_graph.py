@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from wcsim.agents.danger.features import FeatureExtractor
 from wcsim.agents.danger.network import DangerNet, DangerSpec
 from wcsim.agents.danger.policy import DangerPolicy, inputs
 from wcsim.agents.danger.rule import choose, next_recent, within
-from wcsim.agents.export.danger_graph import DangerGraph, Drive
+from wcsim.agents.danger.street_map import FeatureExtractor
+from wcsim.agents.export.policy_graphs import DangerGraph, Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core.joystick import driven, limits_of, shaped_rows

@@ -12,11 +12,11 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, memory_of, toy_camera
 from wcsim.agents.learning.build import build_model
+from wcsim.agents.learning.checkpoint import replay_arrays, restore_replay
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, _teacher_actions, aid_loss, relabelled
 from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.safe_actions import AdviceBatch
-from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set

@@ -14,9 +14,8 @@ from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touches_after
 from wcsim.agents.policies.dynamic_window.braking import caution
-from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S
+from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S, StepMap
 from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
-from wcsim.agents.policies.elevation_map import StepMap
 from wcsim.agents.policy_api import is_baseline
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.core.joystick import limits_of

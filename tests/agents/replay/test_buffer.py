@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 from tests.agents.toy import memory_of
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.replay import frame_store, state
+from wcsim.agents.learning import checkpoint
+from wcsim.agents.learning.checkpoint import replay_arrays, restore_replay
+from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import _PackedFrames, _RawFrames
-from wcsim.agents.replay.state import replay_arrays, restore_replay
 from wcsim.errors import PolicyError
 
 H, W = 2, 3
@@ -186,7 +187,7 @@ def test_large_frames_are_packed_and_come_back(smooth):
     rows, seats = np.array([4, 0, 3]), np.array([1, 0, 1])
     assert np.array_equal(store.read(rows, seats), frames[rows, seats])
     assert max(len(blob) for row in store._blobs for blob in row) < 20_000
-    assert np.array_equal(state._unpack(state._pack(frames[:, 0]), 50_000), frames[:, 0])
+    assert np.array_equal(checkpoint._unpack(checkpoint._pack(frames[:, 0]), 50_000), frames[:, 0])
 
 
 @pytest.mark.parametrize("steps", [30, 500])

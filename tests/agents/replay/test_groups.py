@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill, number_of, stack
 from tests.agents.toy import memory_of
+from wcsim.agents.learning.checkpoint import check_fit, replay_arrays, restore_replay
 from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 
 PLANS = st.integers(1, 3).flatmap(
     lambda seats: st.lists(

@@ -20,14 +20,13 @@ from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, 
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.open_policy import open_policy, window_of
 from wcsim.agents.learning.build import build_model, with_window
-from wcsim.agents.learning.checkpoint import save_checkpoint
+from wcsim.agents.learning.checkpoint import check_fit, replay_arrays, restore_replay, save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.learning.train import train
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import WindowStore
-from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import config_of, open_run, policy_path
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, resolve

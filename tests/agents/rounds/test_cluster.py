@@ -140,7 +140,7 @@ def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoi
 
 def test_a_worker_that_is_stopped_alone_is_killed(by_processes, corner, tmp_path, monkeypatch):
     """Its segment is driven again."""
-    monkeypatch.setattr("wcsim.agents.rounds.workers.LEAST_LATE_S", 20.0)
+    monkeypatch.setattr("wcsim.agents.rounds.collect_data.LEAST_LATE_S", 20.0)
     with RayNode(tmp_path / "head", cpus=2) as head:
         hit: list[int] = []
 

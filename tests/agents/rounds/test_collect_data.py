@@ -10,13 +10,11 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import a_segment, small_config
-from wcsim.agents.collecting.data_folder import _write_segment, read_manifest, segment_path
-from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.data_folder import SegmentKey, _write_segment, read_manifest, segment_path
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.saved import save_danger
-from wcsim.agents.rounds.collect_data import DataOrder, collect_data
-from wcsim.agents.rounds.workers import SegmentDrivers
+from wcsim.agents.rounds.collect_data import DataOrder, SegmentDrivers, collect_data
 from wcsim.config.run_file import DangerRule
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, PolicyError

@@ -17,14 +17,13 @@ from safetensors.torch import load_file, save_file
 from tests.agents.danger.sights import a_segment, lectures, small_config
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import _write_segment, segment_path, write_manifest
-from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.data_folder import SegmentKey, _write_segment, segment_path, write_manifest
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
+from wcsim.agents.rounds.collect_data import SegmentDrivers
 from wcsim.agents.rounds.round_log import read_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, save_round, train_danger
-from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning

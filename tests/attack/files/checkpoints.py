@@ -22,11 +22,11 @@ from wcsim.agents.learning.checkpoint import (
     _model_arrays,
     _restored_generator,
     generator_state,
+    replay_arrays,
     save_checkpoint,
 )
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
-from wcsim.agents.replay.state import replay_arrays
 from wcsim.agents.runs.checkpoint import STATE, checkpoints, tag
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.errors import PolicyError

@@ -15,8 +15,7 @@ import pytest
 
 from tests.cli.conftest import QUICK, files_in
 from tests.support.events import read_events
-from wcsim.agents.clients.clients_folder import create_clients_folder, open_clients_folder
-from wcsim.agents.clients.group_run import GroupRun
+from wcsim.agents.clients.group_run import GroupRun, create_clients_folder, open_clients_folder
 from wcsim.agents.clients.paid_times import read_paid_times
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS

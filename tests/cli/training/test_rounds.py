@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.collecting.segment import SegmentKey
+from wcsim.agents.collecting.data_folder import SegmentKey
 from wcsim.agents.rounds.train_rounds import RoundProgress, RoundTeller
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept

@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.clients.clients_folder import create_clients_folder
+from wcsim.agents.clients.group_run import create_clients_folder
 from wcsim.agents.learning.metrics import COLUMNS, STEP_COLUMNS, MetricsFile
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.runs.run_folder import create_run, make_manifest

@@ -20,7 +20,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
-from wcsim.agents.clients.clients_folder import has_work
+from wcsim.agents.clients.group_run import has_work
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.learning.build import with_window
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress

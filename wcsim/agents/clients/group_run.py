@@ -1,26 +1,252 @@
-"""Several clients in one world as they are going to be, and the orders that their processes and their world get."""
+"""The run of several clients in one world: its folder, and the orders that its processes get.
+
+- manifest.json: what the run was made with, its clients, and its status
+- config.json: the configuration of the world
+- configs/NAME.json: that of each client
+- journal: everything that happened to the world
+- ledgers/NAME.ledger: every frame that a client has seen
+- events.jsonl, logs/: events and messages of the processes
+- NAME/: a run folder of its own for each client, see `agents/runs/run_folder.py`
+- selection/: choice.json says who learns the second phase (`learn.select_by`), beside the test that chose, if one did
+"""
 
 from __future__ import annotations
 
+import os
+import re
+import secrets
 import sys
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from wcsim.agents.clients.clients_folder import ClientsFolder
-from wcsim.config import RunConfig
-from wcsim.core import seeding
+from wcsim.agents.runs.run_folder import (
+    CONFIG,
+    MANIFEST,
+    METRICS,
+    Manifest,
+    Status,
+    how_to_resume,
+    manifest_of,
+    read_json,
+)
+from wcsim.config import RunConfig, parse
+from wcsim.core import files, seeding
+from wcsim.core.reading import FileKind, read_text
+from wcsim.errors import ConfigError, PolicyError, WcsimError
+from wcsim.log.parts import part_files
+from wcsim.log.reader import iter_inputs
+from wcsim.log.records import Ticked
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientPlan
+from wcsim.server.ledger import iter_ledger
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules, rejoin_within
 from wcsim.server.specs import ClientSpec, Recovery, RunInfo, SeatRequest, WorldSpec, seat_spec, to_line
 from wcsim.server.transport.world_folder import endpoint_in
 from wcsim.towns.making.asked_town import made_seed
 from wcsim.towns.scenario.town import find_town
+from wcsim.types import CLIENT_NAME
 from wcsim.users.profiles import recordings
 
+_FILES, _FILES_TO_COME = "files_sha256", "files_to_come_sha256"
+_NAME = re.compile(CLIENT_NAME)
+_CLAIM = re.compile(r"[0-9a-f]{32}")
+LEDGERS, LOGS, CONFIGS = "ledgers", "logs", "configs"
+SELECTION, CHOICE = "selection", "choice.json"
+KPI1 = "kpi1"  # the value of `learn.select_by` that compares by KPI 1 of the first phase, and its name in the choice
 GATHER_S = 600.0  # the first tick waits so long for all clients, whose learners take their time to load
 RECONNECT_S = 330.0  # longer than a world may take to load again
 CLIENT_ARGV = (sys.executable, "-m", "wcsim.agents.clients.client_process")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientsFolder:
+    """An existing run of several clients."""
+
+    path: Path
+    config: RunConfig  # of the world
+    manifest: Manifest
+    clients: tuple[str, ...]  # in seat order
+
+    def ledger(self, name: str) -> Path:
+        """Where a client's ledger is."""
+        return self.path / LEDGERS / f"{name}.ledger"
+
+    def claim(self, name: str) -> str:
+        """The secret by which a client is known again, also by a world that was made again from its journal."""
+        path = self.path / LEDGERS / f"{name}.claim"
+        if not os.path.lexists(path):
+            files.write_bytes(path, secrets.token_hex(16).encode(), mode=0o600)
+        claim = read_text(path, FileKind(what="a client's claim", limit_bytes=1 << 10, error=PolicyError))
+        if not _CLAIM.fullmatch(claim):
+            raise PolicyError(f"{path}: is damaged; remove it, and the client joins as a new one")
+        return claim
+
+    def log(self, name: str) -> Path:
+        """Where a client's log is."""
+        return self.path / LOGS / f"{name}.log"
+
+    def done(self, name: str, steps: int) -> bool:
+        """Whether a client has learned for so many steps in all."""
+        return self._own_manifest(name).get("status") == "done" and self.steps(name) >= steps
+
+    def steps(self, name: str) -> int:
+        """Steps that a client has learned for, as far as its own run has them."""
+        done = self._own_manifest(name).get("steps", 0)
+        return done if isinstance(done, int) else 0
+
+    def _own_manifest(self, name: str) -> dict[str, Any]:
+        folder = self.path / name
+        return read_json(folder, MANIFEST) if (folder / MANIFEST).is_file() else {}
+
+    def fruitless(self) -> bool:
+        """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""
+        stepped = any(_stepped(self.ledger(name)) for name in self.clients)
+        return not (stepped or _ticked(self.path / JOURNAL) or any(has_work(self.path / name) for name in self.clients))
+
+    def client_config(self, name: str) -> RunConfig:
+        """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
+        folder, file = self.path / CONFIGS, f"{name}.json"
+        if not (folder / file).is_file():  # a run of an older version
+            folder, file = self.path / name, CONFIG
+        try:
+            return parse(RunConfig, read_json(folder, file), str(folder / file))
+        except ConfigError as error:
+            raise PolicyError(str(error)) from None
+
+    def truncated_parts(self) -> list[Path]:
+        """What was cut off the ends of journal and ledgers, and is still there."""
+        return sorted([*self.path.glob(f"{JOURNAL}.torn*"), *(self.path / LEDGERS).glob("*.ledger.torn*")])
+
+    def with_status(self, status: Status, steps: int) -> ClientsFolder:
+        """Write a new status into the manifest."""
+        return _written(replace(self, manifest=replace(self.manifest, status=status, steps=steps)))
+
+
+def create_clients_folder(
+    path: Path, config: RunConfig, manifest: Manifest, clients: Mapping[str, RunConfig]
+) -> ClientsFolder:
+    """Make a new folder. Raises PolicyError when it exists and is not empty, DiskFullError.
+
+    Args:
+        path: Where.
+        config: Of the world.
+        manifest: What it is made with.
+        clients: The configuration of each, in seat order.
+    """
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        told = f"choose another --out, or continue that run: {how_to_resume(path)}"
+        raise PolicyError(f"{path} exists and is not empty; {told}")
+    path.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
+    for name, text in _texts(clients).items():
+        files.write_bytes(path / name, text.encode())
+    return _written(ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients)))
+
+
+def rewrite_client_configs(folder: ClientsFolder, clients: Mapping[str, RunConfig]) -> None:
+    """Write other configurations of clients over theirs.
+
+    Killed on the way, it leaves a run that can be opened, with some of them written; do it again, or write a status.
+
+    Args:
+        folder: The run.
+        clients: The configuration of each.
+
+    Raises:
+        DiskFullError: There is no room.
+    """
+    texts = _texts(clients)
+    _written(folder, {name: files.sha256_text(text) for name, text in texts.items()})
+    for name, text in texts.items():
+        files.write_bytes(folder.path / name, text.encode())
+
+
+def _texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
+    """What the files with the clients' configurations hold, by their paths in the run folder."""
+    return {f"{CONFIGS}/{name}.json": config.model_dump_json(indent=2) for name, config in clients.items()}
+
+
+def open_clients_folder(path: Path) -> ClientsFolder:
+    """Open an existing folder. Raises PolicyError when it is none."""
+    data = read_json(path, MANIFEST)
+    _check_sealed(path, data)
+    clients = data.pop("clients", None)
+    if not isinstance(clients, list) or not all(isinstance(name, str) and _NAME.fullmatch(name) for name in clients):
+        raise PolicyError(f"{path} is a run of one network; expected one of wcsim train-clients")
+    try:
+        config = parse(RunConfig, read_json(path, CONFIG), str(path / CONFIG))
+    except ConfigError as error:
+        raise PolicyError(str(error)) from None
+    manifest = manifest_of(data, path)
+    return ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients))
+
+
+def read_choice(path: Path, clients: Collection[str]) -> str:
+    """The client of a run that was chosen to go on; "" where none was. Raises PolicyError when the file is damaged."""
+    if not (path / SELECTION / CHOICE).is_file():
+        return ""
+    best = read_json(path / SELECTION, CHOICE).get("best")
+    if not isinstance(best, str) or best not in clients:
+        raise PolicyError(f"{path / SELECTION / CHOICE}: names no client of this run; remove it to compare again")
+    return best
+
+
+def _written(folder: ClientsFolder, to_come: Mapping[str, str] | None = None) -> ClientsFolder:
+    """Write the manifest, with hashes of what cannot change while the run is made, and one over itself.
+
+    `to_come` are hashes of files that are about to be written, and may already be in place when the run is opened.
+    """
+    configs = [CONFIG, *(f"{CONFIGS}/{name}.json" for name in folder.clients)]
+    hashes = {name: files.sha256(folder.path / name) for name in configs if (folder.path / name).is_file()}
+    data = {**asdict(folder.manifest), "clients": list(folder.clients), _FILES: hashes}
+    if to_come:
+        data[_FILES_TO_COME] = dict(to_come)
+    files.write_sealed_json(folder.path / MANIFEST, data)
+    return folder
+
+
+def _check_sealed(path: Path, data: dict[str, Any]) -> None:
+    """Take seal and hashes out of a manifest; one of an older version has none.
+
+    Raises:
+        PolicyError: The manifest, or a file that it has the hash of, is not as it was written.
+    """
+    sealed = files.take_seal(data, str(path / MANIFEST), "; restore it")
+    hashes, to_come = data.pop(_FILES, {}), data.pop(_FILES_TO_COME, {})
+    for name, digest in hashes.items() if sealed else ():
+        if not (path / name).is_file() or files.sha256(path / name) not in (digest, to_come.get(name)):
+            raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
+
+
+def _ticked(journal: Path) -> bool:
+    """Whether the world of a journal has done a tick, or may have: one that cannot be read counts as work too."""
+    if not part_files(journal):
+        return False
+    try:
+        return any(isinstance(record, Ticked) for record in iter_inputs(journal))
+    except WcsimError:
+        return True
+
+
+def _stepped(ledger: Path) -> bool:
+    """Whether a client has done a step, or may have; the frame that its join gave it is none."""
+    if not ledger.exists():
+        return False
+    try:
+        return any(entry.stepped for entry in iter_ledger(ledger))
+    except WcsimError:
+        return True
+
+
+def has_work(run: Path) -> bool:
+    """Whether a client's folder holds an episode, a step, a checkpoint or a policy."""
+    metrics = run / METRICS
+    episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+    steps = read_json(run, MANIFEST).get("steps", 0) if (run / MANIFEST).is_file() else 0
+    return episodes > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.collecting.segment import SegmentKey
-from wcsim.agents.envs.senses import with_senses
-from wcsim.agents.policy_api import MOTION_SENSES
+from wcsim.agents.collecting.data_folder import SegmentKey
+from wcsim.agents.policy_api import MOTION_SENSES, with_senses
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.core.reading import escaped

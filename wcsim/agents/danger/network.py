@@ -17,8 +17,7 @@ from gymnasium import spaces
 from torch import nn
 from torch.nn import functional
 
-from wcsim.agents.danger.features import VECTOR
-from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES
+from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES, VECTOR
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config import RunConfig
 

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 from wcsim.agents.danger.dataset import Inputs, to_tensors
-from wcsim.agents.danger.features import FeatureExtractor, Features
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import LEVELS, choose, next_recent, within
+from wcsim.agents.danger.street_map import FeatureExtractor, Features
 from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, NotFinite, Observation, require_level
 from wcsim.config import RunConfig

@@ -16,17 +16,23 @@ import torch
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.envs.frame_window import FrameWindow, newest
-from wcsim.agents.envs.senses import senses_of, with_senses
-from wcsim.agents.export.danger_graph import DangerGraph
-from wcsim.agents.export.export_folder import LOOP, REFERENCE, loop_place
+from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, loop_place, settings_apart
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint
 from wcsim.agents.export.guard import MEANING, GuardRule
-from wcsim.agents.export.shown_settings import as_words, settings_apart
-from wcsim.agents.export.value_graph import ValueGraph
+from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
 from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE, open_session
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation, Policy
+from wcsim.agents.policy_api import (
+    CLASS_KEY,
+    DEPTH_KEY,
+    IMU_KEY,
+    JOYSTICK_KEY,
+    Observation,
+    Policy,
+    senses_of,
+    with_senses,
+)
 from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
 from wcsim.core import files

@@ -13,18 +13,25 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 import torch
+import zstandard
 
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.state import check_fit, replay_arrays, restore_replay
+from wcsim.agents.replay.frame_store import LEVEL
+from wcsim.agents.replay.groups import Groups
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
 from wcsim.config import parse
 from wcsim.config.run_file import SeqFile, SittingFile
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
+from wcsim.types import U8
 
 _MODEL: Final = "model.safetensors"
+_PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
+_SLICE = 512  # steps read at once
+_CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 
 def save_checkpoint(
@@ -175,3 +182,176 @@ def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch
             raise PolicyError(f"{_MODEL}: {key} has the shape {value.shape}; it is of another network")
         slots.setdefault(number, {})[name] = torch.from_numpy(value.reshape(()) if name == "step" else value)
     return slots
+
+
+def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
+    """Everything in the memory, oldest step first; images are compressed, which takes minutes for a large one.
+
+    `alive` is called now and then.
+    """
+    first, size = replay.total - replay.size(), replay.size()
+    index = first + np.arange(size)
+    rows = index % replay.buffer_size
+    blobs: list[bytes] = []
+    for seat in range(replay.n_envs):
+        for k in range(0, size, _SLICE):
+            blobs += _pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
+            alive()
+    ends = sorted(replay.after_end)
+    end_images = [replay.observation_after_end(*key)[0] for key in ends]
+    arrays: Arrays = {name: getattr(replay, name)[rows] for name in _PER_STEP}
+    if replay.advice is not None:
+        arrays.update(replay.advice.arrays(rows))
+    arrays.update(_group_arrays(replay))
+    arrays["total"] = np.array([replay.total, size], dtype=np.int64)
+    arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
+    arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
+    arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
+    empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
+    empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
+    arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
+    arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
+    arrays["end_images"] = np.stack(end_images) if ends else empty_image
+    arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
+    arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
+    return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
+
+
+def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
+    """Where the window of a step does not follow from the stored steps: (absolute index, seat)."""
+    first = replay.total - replay.size()
+    cut = range(first, min(first + replay.layout.window - 1, replay.total))  # frames of steps that are forgotten
+    return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
+
+
+def _group_arrays(replay: FrameReplay) -> Arrays:
+    """The states that were stored for groups."""
+    groups = replay.groups
+    if groups is None:
+        return {}
+    states = np.zeros((len(groups.states), groups.state_size), dtype=np.float32)
+    for row, state in zip(states, groups.states.values(), strict=True):
+        row[:] = state
+    return {
+        "state_at": np.array(list(groups.states), dtype=np.int64).reshape(-1, 2),
+        "states": states,
+    }
+
+
+def check_fit(replay: FrameReplay, arrays: Arrays) -> None:
+    """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
+    size = _stored_steps(replay, arrays)
+    arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
+    arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
+    for name, (shape, kind) in _expected(replay, arrays, size).items():
+        if arrays[name].shape != shape or arrays[name].dtype != kind:
+            got = arrays[name].dtype, arrays[name].shape
+            raise ValueError(f"replay: {name} is {got[0]} {got[1]}; expected {np.dtype(kind)} {shape}")
+    frames, lengths = arrays["frames"], arrays["blob_bytes"]
+    if len(arrays["next_images"]) not in (0, replay.n_envs) or frames.ndim != 1 or lengths.ndim != 1:
+        raise ValueError("replay: its images do not go together")
+    if (lengths < 0).any() or int(lengths.sum()) != len(frames):
+        raise ValueError("replay: its frames have other lengths than it says")
+
+
+def _stored_steps(replay: FrameReplay, arrays: Arrays) -> int:
+    counts = arrays["total"]
+    if counts.dtype != np.int64 or counts.shape != (2,):
+        raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
+    total, size = (int(value) for value in counts)
+    if not 0 <= size <= total or size != min(total, replay.buffer_size):
+        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
+    return size
+
+
+def _expected(replay: FrameReplay, arrays: Arrays, size: int) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
+    """Shape and type of each array, with as many ends, windows and frames as there are."""
+    layout = replay.layout
+    ends, whole, coming = (len(arrays[name]) for name in ("end_at", "whole_images", "next_images"))
+    return {
+        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in _PER_STEP},
+        "end_at": ((ends, 2), np.int64),
+        "end_images": ((ends, layout.image_bytes), np.uint8),
+        "end_vectors": ((ends, layout.vector_size), np.float32),
+        "whole_at": ((whole, 2), np.int64),
+        "whole_images": ((whole, layout.image_bytes), np.uint8),
+        "next_images": ((coming, layout.image_bytes), np.uint8),
+        "next_vectors": ((coming, layout.vector_size), np.float32),
+        "frames": (arrays["frames"].shape, np.uint8),
+        "blob_bytes": (arrays["blob_bytes"].shape, np.int64),
+        **({} if replay.groups is None else _expected_groups(replay.groups, arrays)),
+    }
+
+
+def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
+    states = len(arrays["state_at"])
+    return {
+        "state_at": ((states, 2), np.int64),
+        "states": ((states, groups.state_size), np.float32),
+    }
+
+
+def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
+    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`check_fit`).
+
+    A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
+    `alive` is called now and then.
+
+    Raises:
+        ValueError: Their frames are not those of their steps; the memory has to be reset then.
+    """
+    total, size = (int(value) for value in arrays["total"])
+    replay.reset()
+    index = total - size + np.arange(size)
+    rows = index % replay.buffer_size
+    for name in _PER_STEP:
+        getattr(replay, name)[rows] = arrays[name]
+    if replay.advice is not None:
+        replay.advice.restore(arrays, index)
+    if replay.groups is not None:
+        keys = map(tuple, arrays["state_at"].tolist())
+        replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
+    _restore_frames(replay, arrays, index, alive)
+    for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
+        replay.windows.whole[int(step), int(seat)] = window
+    for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
+        replay.store_end(int(step), int(seat), image, vector)
+    for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
+        for seat in np.flatnonzero(replay.terminated[rows[k]]):
+            replay.crashes.append((total - size + int(k), int(seat)))
+    replay.total, replay.pos, replay.full = total, total % replay.buffer_size, size == replay.buffer_size
+    if len(arrays["next_images"]):
+        replay.expected = (arrays["next_images"], arrays["next_vectors"])
+
+
+def _restore_frames(
+    replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.int64], alive: Callable[[], object]
+) -> None:
+    ends = np.cumsum(arrays["blob_bytes"])
+    data = arrays["frames"].tobytes()
+    blobs = [data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)]
+    each = len(blobs) // replay.n_envs  # one seat after the other
+    at = 0
+    for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
+        frames = np.stack([_unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
+        for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
+            fresh = replay.episode_step[step % replay.buffer_size] == 0
+            replay.windows.write_newest(int(step), frame, fresh)
+        at += len(frames)
+        alive()
+    if at != len(index):
+        raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")
+
+
+def _pack(frames: U8) -> list[bytes]:
+    """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
+    packer = zstandard.ZstdCompressor(level=LEVEL)
+    return [packer.compress(frames[k : k + _CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), _CHUNK_FRAMES)]
+
+
+def _unpack(blobs: list[bytes], size: int) -> U8:
+    """What `_pack` packed, (K, size)."""
+    unpacker = zstandard.ZstdDecompressor()
+    limit = _CHUNK_FRAMES * size
+    parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
+    return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)

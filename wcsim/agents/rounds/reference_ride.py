@@ -9,8 +9,7 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import SeatDriver
-from wcsim.agents.envs.senses import senses_of, with_senses
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy
+from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, senses_of, with_senses
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig

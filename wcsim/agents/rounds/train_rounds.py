@@ -19,21 +19,22 @@ import torch
 from wcsim.agents.collecting.data_folder import (
     DATA,
     SEGMENTS,
+    Segment,
+    SegmentKey,
     in_order,
     read_manifest,
     read_segment,
     require_same_settings,
     write_manifest,
 )
-from wcsim.agents.collecting.segment import Segment, SegmentKey
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.networks.device import torch_settings
+from wcsim.agents.rounds.collect_data import SegmentDrivers
 from wcsim.agents.rounds.round_log import note_round
-from wcsim.agents.rounds.workers import SegmentDrivers
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, with_whole_data
 from wcsim.agents.runs.weights import digest_of

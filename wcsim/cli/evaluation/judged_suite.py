@@ -147,7 +147,7 @@ def _require_new(order: SuiteOrder, options: DriveOptions) -> None:
 
 def require_usable(order: SuiteOrder, options: DriveOptions) -> None:
     """Say what is to be driven; what can be used in no episode is refused before any. Raises WcsimError."""
-    from wcsim.agents.evaluation.suite.list_rules import told_of_rules
+    from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import require_usable as require_open
 
     told, suite = stderr_console(), order.suite

@@ -66,8 +66,8 @@ def make_list(words: list[str]) -> int:
     _require_name("--suite-file", options.suite_file.stem, MOST_SET)
     import tempfile
 
-    from wcsim.agents.evaluation.making.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
+    from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
 
     told = stderr_console()

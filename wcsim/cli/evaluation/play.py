@@ -50,7 +50,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     index, seat = _place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
         raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
-    from wcsim.agents.evaluation.suite.list_rules import settings_in_list
+    from wcsim.agents.evaluation.suite.named_policy import settings_in_list
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
     from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses

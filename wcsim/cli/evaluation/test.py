@@ -93,9 +93,9 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
     _require_policies(options)
 
-    from wcsim.agents.evaluation.making.town_list import town_list  # the simulators are loaded here: not for a refusal
     from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
-    from wcsim.agents.evaluation.suite.list_rules import settings_in_list
+    from wcsim.agents.evaluation.suite.make import town_list  # the simulators are loaded here: not for a refusal
+    from wcsim.agents.evaluation.suite.named_policy import settings_in_list
 
     config = settings_in_list(UNAIDED, options.preset, options.set)
     for town in towns.values() if overrides else ():

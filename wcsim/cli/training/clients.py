@@ -12,13 +12,16 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.agents.clients.clients_folder import (
+from wcsim.agents.clients.group_run import (
     ClientsFolder,
+    GroupRun,
+    WorldTerms,
+    client_plan,
     create_clients_folder,
     open_clients_folder,
     rewrite_client_configs,
+    world_order,
 )
-from wcsim.agents.clients.group_run import GroupRun, WorldTerms, client_plan, world_order
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
 from wcsim.agents.runs.run_folder import MANIFEST, Status, extend, how_to_resume, make_manifest, open_run
 from wcsim.cli.shared.common import Bounds, Worlds, check_folder, write_json

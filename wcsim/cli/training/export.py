@@ -165,7 +165,7 @@ class Recorded:
 
 def _ride(options: Options) -> tuple[RunConfig, list[Observation], Recorded | None]:
     """The settings, the reference steps, and what was chosen in a recording of them."""
-    from wcsim.agents.export.shown_settings import require_shown
+    from wcsim.agents.export.export_folder import require_shown
     from wcsim.agents.rounds.recorded_ride import recorded_ride, recorded_with
     from wcsim.agents.rounds.reference_ride import reference_ride
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 from rich import box
 from rich.table import Table
 
-from wcsim.agents.clients.clients_folder import CHOICE, KPI1, SELECTION, read_choice
-from wcsim.agents.clients.group_run import Client, GroupRun
+from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, GroupRun, read_choice
 from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.networks.names import is_own
 from wcsim.agents.runs.run_folder import how_to_resume
@@ -149,7 +148,7 @@ def _followed(run: GroupRun) -> list[Judged]:
 
 
 def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
-    from wcsim.agents.evaluation.suite.list_rules import told_of_rules
+    from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
     from wcsim.agents.policy_api import UNAIDED
 

@@ -12,7 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from wcsim.agents.clients.clients_folder import ClientsFolder
+from wcsim.agents.clients.group_run import ClientsFolder
 from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.log.parts import part_files

@@ -12,8 +12,7 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.agents.clients.clients_folder import open_clients_folder
-from wcsim.agents.clients.group_run import Client, GroupRun
+from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, extend, open_run, read_json
 from wcsim.cli.shared.common import Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.clients.clients_folder import CHOICE, KPI1, SELECTION, read_choice
+from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_choice
 from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
 from wcsim.agents.evaluation.suite.result_files import RESULT, read_result
 from wcsim.agents.learning.metrics import KPI1_STEPS

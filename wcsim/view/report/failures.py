@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
-from wcsim.agents.evaluation.suite.named_policy import is_own_class
+from wcsim.agents.evaluation.suite.named_policy import is_own_class, settings_in_list
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from tests.support.worlds import QUICK
-from wcsim.agents.evaluation.making.draw import Wanted, free_blocks, place_of
+from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks, place_of
 from wcsim.agents.evaluation.suite.drive import BlockOrder
 from wcsim.agents.evaluation.suite.list_file import Suite, suite_of, write_list
 from wcsim.config import RunConfig, resolve

@@ -6,8 +6,7 @@ import pytest
 
 from wcsim.agents.evaluation.suite import run as driving
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list, told_of_rules
-from wcsim.agents.evaluation.suite.named_policy import identity_of, settings_of
+from wcsim.agents.evaluation.suite.named_policy import identity_of, settings_in_list, settings_of, told_of_rules
 from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest

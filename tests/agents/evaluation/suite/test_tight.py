@@ -3,22 +3,22 @@
 import pytest
 
 from tests.agents.evaluation.suite.lists import Held, config
-from wcsim.agents.evaluation.suite import tight
-from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block
+from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, in_scene, open_tight
+from wcsim.agents.evaluation.suite.make import tight_blocks
 from wcsim.agents.policies.baselines import baseline
 from wcsim.errors import TownError
 
 
 @pytest.fixture(scope="module")
 def block():
-    (found,) = [item for item in tight.tight_blocks([3]) if item.town == "reversing-off-kerb"]
+    (found,) = [item for item in tight_blocks([3]) if item.town == "reversing-off-kerb"]
     return found
 
 
 def driven(block, work, make):
-    town = tight.open_tight(block, work)
+    town = open_tight(block, work)
     order = BlockOrder(index=0, block=block, town=town, config=config(), judged=True)
-    (record,) = drive_block(tight.in_scene(order, work), make)
+    (record,) = drive_block(in_scene(order, work), make)
     return record
 
 
@@ -33,4 +33,4 @@ def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block
 
 def test_a_scene_that_is_another_than_the_lists_is_refused(block, tmp_path):
     with pytest.raises(TownError, match="another version"):
-        tight.open_tight(block.model_copy(update={"scene_sha256": "0" * 64}), tmp_path)
+        open_tight(block.model_copy(update={"scene_sha256": "0" * 64}), tmp_path)

@@ -7,15 +7,18 @@ import pytest
 
 from wcsim.agents.policies.dynamic_window.braking import _backs_blindly
 from wcsim.agents.policies.dynamic_window.street_memory import (
+    CELL_M,
+    COLUMNS,
     FORGET_M,
     KEEP_BRIEFLY_S,
     KEEP_WAY_M,
+    REACH_M,
+    ROWS,
     StreetMemory,
     is_ground,
     is_known,
 )
 from wcsim.agents.policies.dynamic_window.surroundings import _carry_on
-from wcsim.agents.policies.elevation_map import CELL_M, COLUMNS, REACH_M, ROWS
 from wcsim.config import ChairConfig
 from wcsim.core.joystick import limits_of
 

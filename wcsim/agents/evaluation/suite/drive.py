@@ -6,7 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Protocol
@@ -30,11 +30,13 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
-from wcsim.errors import PolicyError, WcsimError
+from wcsim.errors import PolicyError, TownError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.kpi import KpiMeter
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
+from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest, scene_of
+from wcsim.towns.scene_folders.families import write_scene
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 
 LATE_S: Final = 10.0  # of processor time: a policy that needs longer for an answer has failed
@@ -42,6 +44,7 @@ STARVED: Final = 5.0  # so much longer by the wall clock, for a policy that wait
 FIRST_SHARE: Final = 6.0  # so much longer it has for the first one of an episode: it may load and compile
 
 MakePolicy = Callable[[], Policy]
+SCENE, SCENE_TOWN = "scene", "town"  # folders of a block in a generated scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -294,3 +297,22 @@ def refused(index: int, block: BlockFile, reason: str) -> tuple[EpisodeRecord, .
         )
         for seat, episode in enumerate(block.episodes)
     )
+
+
+def open_tight(block: BlockFile, work: Path) -> Town:
+    """Write and build a block's scene in `work`. Raises TownError when it is another than the list's."""
+    folder = write_scene(block.town, block.seed, work / SCENE)
+    got = scene_digest(folder)
+    if got != block.scene_sha256:
+        raise TownError(
+            f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
+            "the list says: the list was made by another version of wcsim"
+        )
+    return build_scene(folder, work / SCENE_TOWN)[0]
+
+
+def in_scene(order: BlockOrder, work: Path) -> BlockOrder:
+    """The order with the settings, the seed and the recorded joystick of the scene that `open_tight` wrote."""
+    folder = work / SCENE
+    scene = scene_of(folder)
+    return replace(order, config=scene_config(scene, order.config), recordings=folder, world_seed=scene.seed)

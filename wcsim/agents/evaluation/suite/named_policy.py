@@ -1,18 +1,23 @@
-"""Whatever may be named as a policy: a baseline, a run, a class, an ONNX folder, a process on a socket."""
+"""Whatever may be named as a policy: a baseline, a run, a class, an ONNX folder, a process on a socket.
+
+All policies of a list drive the same chair in the same world, and the same things are a crash. A run brings what its
+network senses and does (cameras, sensors, `[imu]`, `[env]`, how it learned). Its street, chair, crashes and ranges stay
+behind: with them `saved`, `lost` and the score would compare drives that were not judged alike.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy, is_served
-from wcsim.agents.policy_api import VETO, Policy, is_baseline, without_veto
+from wcsim.agents.policy_api import VETO, Policy, is_baseline, senses_of, with_senses, without_veto
 from wcsim.agents.runs.policy_file import SHIPPED
 from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
 from wcsim.config import RunConfig, resolve
@@ -22,6 +27,9 @@ from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import is_file, is_folder
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
+
+_RULES: Final = ("world", "chair", "reward", "vary")  # sections
+_PACE: Final = ("draw_threads", "epoch_ticks", "epoch_growth_mb")  # of `world`: they change no result
 
 
 def identity_of(name: str, preset: str) -> list[Any]:
@@ -151,3 +159,40 @@ def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfi
 def file_digest(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def settings_in_list(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
+    """A policy's own senses and actions under the preset's rules, with the list's settings laid over both.
+
+    Raises:
+        PolicyError: There is no such policy.
+        ConfigError: The settings cannot be used.
+    """
+    own, rules = settings_of(policy, preset, ()), resolve(preset)
+    return resolve(own.model_copy(update={name: getattr(rules, name) for name in _RULES}), settings)
+
+
+def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
+    """A line for each policy that was trained under other rules than the list's. Raises as `settings_in_list` does."""
+    for policy in policies:
+        if is_plain(policy) and not is_onnx(policy):
+            continue
+        learned, tested = settings_of(policy, preset, settings), settings_in_list(policy, preset, settings)
+        other = list(_others(learned, tested))
+        if other:
+            was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)
+            now = ", ".join(f"{name}={_text(value)}" for name, _, value in other)
+            yield f"{policy} was trained with {was}; all policies of a list are tested with {now}"
+
+
+def _others(learned: RunConfig, tested: RunConfig) -> Iterator[tuple[str, Any, Any]]:
+    for name in _RULES:
+        one, two = getattr(learned, name), getattr(tested, name)
+        for key in type(one).model_fields:
+            was, now = getattr(one, key), getattr(two, key)
+            if was != now and key not in _PACE:
+                yield f"{name}.{key}", was, now
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -11,9 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
+from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, in_scene, open_tight, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, profiles_of, require_towns, towns_of
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import (
     file_digest,
     identity_of,
@@ -22,10 +21,10 @@ from wcsim.agents.evaluation.suite.named_policy import (
     open_named,
     own_files,
     sensing,
+    settings_in_list,
 )
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
-from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.policy_api import Policy, is_baseline, without_veto
 from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel

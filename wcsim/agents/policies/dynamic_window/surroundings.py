@@ -15,9 +15,8 @@ from wcsim.agents.policies.depth_check import depth_metres, viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import after
 from wcsim.agents.policies.dynamic_window.clusters import beside_movers, find_clusters, kinds
 from wcsim.agents.policies.dynamic_window.ego_motion import EgoMotion, in_body, in_odometric
-from wcsim.agents.policies.dynamic_window.street_memory import StreetMemory, is_ground
+from wcsim.agents.policies.dynamic_window.street_memory import CELL_M, REACH_M, StepMap, StreetMemory, is_ground
 from wcsim.agents.policies.dynamic_window.tracker import Mover, Tracker
-from wcsim.agents.policies.elevation_map import CELL_M, REACH_M, StepMap
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.core.jit import exact_kernel

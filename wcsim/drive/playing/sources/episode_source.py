@@ -11,8 +11,7 @@ from typing import Final
 import msgspec
 
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
-from wcsim.agents.evaluation.suite.named_policy import is_own_class
+from wcsim.agents.evaluation.suite.named_policy import is_own_class, settings_in_list
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses

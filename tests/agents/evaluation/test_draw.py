@@ -3,7 +3,7 @@
 import math
 
 from tests.agents.evaluation.suite.lists import config
-from wcsim.agents.evaluation.making.draw import Wanted, crossing_blocks, free_blocks, place_of, reference_time_s
+from wcsim.agents.evaluation.suite.draw import Wanted, crossing_blocks, free_blocks, place_of, reference_time_s
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import WayKind

@@ -1,4 +1,4 @@
-"""Makes a list of test episodes for any towns: free ways, attempts at crossings, and starts that end in a crash.
+"""Makes lists of test episodes: free ways, attempts at crossings, hazards and tight places, or drawn ones.
 
 A hazard is an episode in which the user alone crashes by the chair's own fault. It is found by driving: the free ways
 are driven by the user alone, those that crash are driven once more without the others of their block, and who crashes
@@ -7,24 +7,30 @@ again is taken over by the policy 10 s before.
 
 from __future__ import annotations
 
+import re
+import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.making.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.suite.drive import SCENE, SCENE_TOWN
 from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
-from wcsim.agents.evaluation.suite.tight import tight_blocks
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
 from wcsim.core import seeding
+from wcsim.core.constants import RECORDED
 from wcsim.core.reading import counted
 from wcsim.errors import TownError
 from wcsim.towns.scenario.town import Town, by_name, content_hash, find_town
+from wcsim.towns.scene_folders.build import build_scene, scene_digest, seat_specs
+from wcsim.towns.scene_folders.families import FAMILIES, write_scene
 from wcsim.towns.street import load_street
 
 BAD_START_S: Final = 3.0  # who is hit before this was put where somebody came along
@@ -36,8 +42,10 @@ SETTINGS: Final = ("cameras.0.noise=typical", "world.action_delay_ticks=2", "env
 _MORE: Final = "search more routes (--more-ways 6), or leave hazards out (--hazards 0)"
 CARELESS_STREET: Final = "world.attention_share=0.7"
 USUAL_STREET: Final = "world.attention_share=0.95"
+_TICK_S: Final = 0.1  # of a generated scene
 
 Told = Callable[[str, float], object]  # a line, and the share of its part of the work that is done
+_NAMED = 60  # characters of a user, in the name of a part
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,3 +223,83 @@ def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> 
             "reference_s": round(lasts_s * (before_m + way_m) / way_m, 2) if way_m > 0.0 else episode.reference_s,
         }
     )
+
+
+def tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
+    """A block for each family of scenes and each seed."""
+    return [_block(family, seed) for family in FAMILIES for seed in seeds]
+
+
+def _block(family: str, seed: int) -> BlockFile:
+    with tempfile.TemporaryDirectory(prefix="wcsim-scene-") as work:
+        folder = write_scene(family, seed, Path(work) / SCENE)
+        town, scene = build_scene(folder, Path(work) / SCENE_TOWN)
+        (spec,) = seat_specs(folder, scene, town.file.origin_m)
+        start = spec.start
+        if start is None:
+            raise TownError(f"scene {family} {seed} has no start; expected one")
+        user = spec.profile
+        if user.startswith(RECORDED):
+            user = f"{RECORDED}{Path(user.removeprefix(RECORDED)).name}"
+        return BlockFile(
+            part="tight",
+            town=family,
+            scene_sha256=scene_digest(folder),
+            seed=seed,
+            episodes=(
+                EpisodeFile(
+                    start_m=(round(start.p_W_m[0], 4), round(start.p_W_m[1], 4)),
+                    heading_rad=round(start.yaw_rad, 6),
+                    goal_m=(round(start.goal_W_m[0], 4), round(start.goal_W_m[1], 4)),
+                    profile=user,
+                    max_steps=round(scene.duration_s / _TICK_S),
+                    route_m=0.0,  # what counts is to come through
+                    reference_s=scene.duration_s,
+                ),
+            ),
+        )
+
+
+def town_list(
+    towns: Sequence[Town],
+    profiles: Sequence[str],
+    episodes: int,
+    max_steps: int,
+    seed: int,
+    settings: tuple[str, ...] = (),
+) -> SuiteFile:
+    """As many episodes for each town and user; a part of the list is one user in one town.
+
+    An episode goes on from goal to goal until a crash or its last step. The first one's world has the seed itself.
+    """
+    listed = [listed_as(town, None) for town in towns]
+    blocks = []
+    for (town, name), (place, profile) in product(zip(towns, listed, strict=True), enumerate(profiles)):
+        user = re.sub(r"[^A-Za-z0-9.-]+", " ", profile).strip()[-_NAMED:].strip()
+        again = f" {place + 1}" if len(profiles) > 1 and user != profile else ""  # two files may be called alike
+        for number in range(episodes):
+            drawn = EpisodeFile(
+                start_m=None,
+                heading_rad=0.0,
+                goal_m=None,
+                profile=profile,
+                max_steps=max_steps,
+                route_m=0.0,  # what counts is to come through
+                reference_s=float(max_steps),
+            )
+            blocks.append(
+                BlockFile(
+                    part=f"{_word(town.name)}, {user} user{again}",
+                    town=name,
+                    seed=seeding.derive(seed, "episode", number) if number else seed % (1 << 31),
+                    episodes=(drawn,),
+                )
+            )
+    named = tuple(TownOfSuite(name=name, sha256=content_hash(town)) for town, name in zip(towns, listed, strict=True))
+    suite = "-".join(_word(town.name).lower() for town in towns)[:_NAMED].strip("-")
+    return SuiteFile(suite=suite, set=f"seed-{seed}", settings=settings, towns=named, forks=0, blocks=tuple(blocks))
+
+
+def _word(name: str) -> str:
+    """A town's name as a list may have it."""
+    return re.sub(r"[^A-Za-z0-9-]+", "-", name).strip("-") or "town"

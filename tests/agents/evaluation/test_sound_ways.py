@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wcsim.agents.evaluation.making.sound_ways import is_sound
+from wcsim.agents.evaluation.suite.draw import is_sound
 from wcsim.types import ClassId, Outline, Route, WalkEdge, WalkGraph, WayKind
 
 OUTLINE = Outline(length_m=1.1, width_m=0.6, height_m=1.4, middle_x_m=0.3)

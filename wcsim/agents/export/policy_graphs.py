@@ -1,8 +1,9 @@
-"""The whole way from camera frames to an action as one network, for export: what it remembers goes in and comes out.
+"""One tick of a policy as a torch module for export: what it remembers goes in and comes out, pictures go in once.
 
-It makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the two together
-(`tests/agents/export/test_danger_graph.py`).
+`DangerGraph` makes the street map as `danger/street_map.py` does, with the tensors that ONNX knows; a test holds the
+two together (`tests/agents/export/test_danger_graph.py`).
 Each operation costs a machine more than the numbers in it, so there are as few as can be.
+`ValueGraph` has the state of a network that carries one, else the earlier pictures of its window.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import numpy as np
 import torch
 from torch import nn
 
-from wcsim.agents.danger.features import COMMANDS, FULL_MOTION, TILT, TURNS
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,
+    COMMANDS,
     EACH_SLICE,
+    FULL_MOTION,
     HALF_M,
     HEAD_M,
     HOLD_S,
@@ -33,11 +35,15 @@ from wcsim.agents.danger.street_map import (
     SLICES,
     SPAN_M,
     STEP_S,
+    TILT,
     TRAIL_TICKS,
+    TURNS,
     hull_and_wheels,
     kinds_of_ground,
     movers,
 )
+from wcsim.agents.networks.encoder import image_size
+from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.policies.alarm import CALM, NEWEST
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.ego_motion import (
@@ -48,6 +54,7 @@ from wcsim.agents.policies.dynamic_window.ego_motion import (
     TURN_FULL_SCALE,
 )
 from wcsim.agents.policies.dynamic_window.surroundings import box_of, stride_px
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.joystick import (
@@ -437,3 +444,48 @@ def _cells_B() -> np.ndarray:
     x = (SIDE - rows - 0.5) * CELL_M - BEHIND_M
     y = HALF_M - (columns + 0.5) * CELL_M
     return np.stack([x.reshape(-1), y.reshape(-1)], 1).astype(np.float32)
+
+
+class ValueGraph(nn.Module):
+    """One tick of a network of Q-learning; every state is zero at the start of an episode.
+
+    Args:
+        net: Its weights.
+        window: Images that it looks at; 1 if it carries a state.
+    """
+
+    outputs: Final = ("values",)
+    checked: Final = "values"
+    border_share: Final = 0.0
+
+    def __init__(self, net: QNet, window: int) -> None:
+        """Raises PolicyError for a network that sees something else than classes and depth."""
+        if net.encoder.form != "compact":
+            raise PolicyError(
+                f"a network that sees env.observation={net.encoder.form} cannot be exported; expected compact"
+            )
+        super().__init__()
+        self.net, self.window = net, window
+        self.inputs = (DEPTH_KEY, CLASS_KEY, *net.encoder.vector_keys)
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The shapes of all states."""
+        if self.net.spec.stateful:
+            return {"state_memory": (1, self.net.encoder.state_size)}
+        height_px, width_px = image_size(self.net.observation_space)
+        earlier = (1, 2, self.window - 1, height_px, width_px)  # depth and classes, each number one higher
+        return {"state_pictures": earlier} if self.window > 1 else {}
+
+    def forward(self, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Values (1, A) and the next states, of inputs and states in the order of `inputs` and `shapes`."""
+        seen, states = dict(zip(self.inputs, given, strict=False)), given[len(self.inputs) :]
+        if self.net.spec.stateful:
+            return self.net.step(seen, *states)
+        if not states:
+            return (self.net(seen),)
+        (earlier,) = states
+        newest = torch.stack([seen[DEPTH_KEY], seen[CLASS_KEY]], 1).to(torch.float32) + 1.0
+        # 0 is no picture yet: the first one of an episode fills the window, as in `FrameWindow`
+        pictures = torch.cat([torch.where(earlier > 0.0, earlier, newest), newest], 2)
+        depth, classes = (pictures - 1.0).unbind(1)
+        return self.net({**seen, DEPTH_KEY: depth, CLASS_KEY: classes}), pictures[:, :, 1:]

@@ -1,4 +1,9 @@
-"""Draws the episodes of a list in any town: ways along pavements, and attempts at its crossings."""
+"""Draws the episodes of a list in any town: ways along pavements, and attempts at its crossings.
+
+A way is over carriageways on crossings alone, with room to wait before each of their lights. netconvert lays walking
+areas of crowded junctions over lanes, and some refuges are shorter than a chair: what is counted there says something
+about the map and nothing about a policy.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +11,13 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.making.sound_ways import is_sound
 from wcsim.bridge.ego.start_place import is_clear
+from wcsim.bridge.reaction.commands import ROADWAY
 from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile, EpisodeFile, Part
 from wcsim.core import seeding
@@ -19,9 +25,12 @@ from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
 from wcsim.types import F64, ActorState, Outline, Route, Street, WayKind
+from wcsim.users.crossing import KERB_GAP_M, Crossing, crossings
 from wcsim.users.profiles import UserProfile
 from wcsim.users.recorded import find_user
 
+BESIDE_M: Final = 1.0  # of road in one go beside the crossings: a kerb that runs aslant
+_STEP_M: Final = 0.25
 SEATS: Final = 6  # in a block, at most
 APART_M: Final = 60.0  # the ways of a block's chairs keep so far from one another: they do not meet
 _TRIES: Final = 400
@@ -29,8 +38,31 @@ _NEAR_M, _FAR_M = 4.0, 14.0  # of an attempt's start from the crossing
 _FROM_REST_S: Final = 2.0
 _SLACK: Final = 3.0  # an episode lasts so many times its reference, and a minute for lights
 _WAITS_S: Final = 60.0
-
 XY = tuple[float, float]
+
+
+def is_sound(street: Street, route: Route, outline: Outline) -> bool:
+    """Whether a test may send a chair of this outline along a route."""
+    over = crossings(route, street.walk)
+    return _has_refuges(over, outline) and _road_beside_m(street, route, over) <= BESIDE_M
+
+
+def _has_refuges(over: Sequence[Crossing], outline: Outline) -> bool:
+    """Whether before each light that follows on another crossing there is room for a chair that waits."""
+    room_m = outline.length_m + KERB_GAP_M
+    return all(not then.tls_id or then.start_m - before.end_m > room_m for before, then in pairwise(over))
+
+
+def _road_beside_m(street: Street, route: Route, over: Sequence[Crossing]) -> float:
+    """The longest stretch of carriageway on a route, m, that is on none of its crossings."""
+    arc_m = np.arange(0.0, route.arc_m[-1], _STEP_M)
+    x_m, y_m = (np.interp(arc_m, route.arc_m, route.points_W_m[:, axis]).tolist() for axis in (0, 1))
+    longest = now = 0
+    for at_m, x, y in zip(arc_m.tolist(), x_m, y_m, strict=True):
+        crossed = any(item.start_m <= at_m <= item.end_m for item in over)
+        now = 0 if crossed or street.grid.class_here(x, y) not in ROADWAY else now + 1
+        longest = max(longest, now)
+    return longest * _STEP_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
