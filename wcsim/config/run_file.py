@@ -240,14 +240,20 @@ class RoundFile(Model):
     segments: Segments  # that it has learned from
 
 
-class GuardFile(Model):
-    """`guard` in the `meaning.json` of an exported policy: what its driver trusts."""
+class GuardRule(Model):
+    """What the driver of an exported policy trusts, and what happens when it cannot."""
 
-    oldest_s: Annotated[float, Field(gt=0.0, le=10.0)]
-    deadline_s: Annotated[float, Field(gt=0.0, le=10.0)]
-    tick_s: Annotated[float, Field(gt=0.0, le=1.0)]
-    stop_s: Annotated[float, Field(gt=0.0, le=10.0)]
-    good_ticks: Annotated[int, Field(ge=1, le=10_000)]
+    oldest_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.3  # a frame that was taken earlier is too old
+    deadline_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1  # from a frame's arrival to the answer
+    tick_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    stop_s: Annotated[float, Field(gt=0.0, le=10.0)] = 0.5  # within so long the command is zero
+    good_ticks: Annotated[int, Field(ge=1, le=10_000)] = 10  # one after the other, until the policy drives again
+
+
+class GuardFile(Model):
+    """The `guard` of the `meaning.json` of an exported policy."""
+
+    guard: Annotated[GuardRule, AfterValidator(_all_named)]
 
 
 class ShippedFile(Model):

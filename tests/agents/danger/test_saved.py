@@ -90,7 +90,7 @@ def test_somebody_elses_class_is_loaded_for_those_who_name_it_alone(tmp_path: Pa
     path.write_text(json.dumps(told))
     with pytest.raises(PolicyError, match="--network"):
         load_net(tmp_path / "p")
-    assert load_net(tmp_path / "p", told["net"]["network"])[0].spec.network == told["net"]["network"]
+    assert load_net(tmp_path / "p", told["net"]["network"])[0].spec.shape.network == told["net"]["network"]
 
 
 def test_a_policy_of_another_camera_is_refused_and_a_level_replaces_its_own(tmp_path: Path):

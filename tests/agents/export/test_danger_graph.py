@@ -12,7 +12,7 @@ from wcsim.agents.danger.rule import choose, next_recent, within
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.export.policy_graphs import DangerGraph, Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerNetFile, DangerRule
 from wcsim.core.joystick import driven, limits_of, shaped_rows
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
@@ -23,7 +23,8 @@ POINTS = torch.as_tensor(action_set("square81").points)
 
 def network(**parts: object) -> DangerNet:
     torch.manual_seed(0)
-    net = DangerNet(DangerSpec(**parts), POINTS)
+    shape = DangerNetFile(**{"width": 20, "actions": "square81", **parts})
+    net = DangerNet(DangerSpec(shape=shape, camera=CONFIG.cameras[0], classes="cityscapes"), POINTS)
     with torch.no_grad():
         for value in net.parameters():
             value.add_(0.3 * torch.randn_like(value) * value.abs().mean())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
-from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -38,7 +37,7 @@ def test_a_model_that_says_more_than_a_pipe_holds_ends_while_it_is_throttled(tmp
         throttle(process, share)
         ended.append(process.poll())
 
-    monkeypatch.setattr(footprint, "step_meter", SimpleNamespace(__file__=str(talker)))
+    monkeypatch.setattr(footprint, "_PROGRAM", str(talker))
     monkeypatch.setattr(footprint, "_throttle", watched)
     monkeypatch.setattr(footprint, "_PATIENCE_S", 60.0)
     told = footprint._told(tmp_path / "model.onnx", tmp_path / "reference.npz", ("depth",), 0.5)

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.agents.export.guard import FAULTS, GuardedPolicy, GuardRule, GuardState, GuardTick, _fault_of, guarded
+from wcsim.agents.export.guard import FAULTS, GuardedPolicy, GuardState, GuardTick, _fault_of, guarded
+from wcsim.config.run_file import GuardRule
 from wcsim.supervisor.actions import action_set
 
 EXAMPLE = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "exported_policy.py"), run_name="example")
@@ -67,7 +68,7 @@ def test_it_drives_again_after_so_many_good_ticks_and_not_before(rule, ticks):
 
 @given(RULES, MOSTLY_GOOD)
 def test_the_example_guards_alike(rule, ticks):
-    told = {key: getattr(rule, key) for key in GuardRule.__slots__}
+    told = {key: getattr(rule, key) for key in GuardRule.model_fields}
     guard = EXAMPLE["Guard"](told)
     for tick, state in zip(ticks, driven(rule, ticks)[1:], strict=True):
         sure = guard.step(tick.wanted, tick.inputs_finite and tick.outputs_finite, tick.age_s, tick.took_s)
@@ -138,7 +139,7 @@ def test_who_rests_while_nothing_is_sent_forgets_no_more_than_what_was_on_the_wa
 @given(st.lists(st.tuples(st.sampled_from([None, (0.0, 0.0), (0.25, 0.75)]), AGES), max_size=40))
 def test_the_example_forgets_alike(ticks):
     driver = EXAMPLE["Driver"].__new__(EXAMPLE["Driver"])
-    driver.meaning = {"guard": {key: getattr(RULE, key) for key in GuardRule.__slots__}, "states": {}}
+    driver.meaning = {"guard": {key: getattr(RULE, key) for key in GuardRule.model_fields}, "states": {}}
     driver.meaning["actions_xy"], driver.clock, forgot = [(0.0, 0.0), (0.25, 0.75)], lambda: 0.0, []
     driver.forget = lambda: (setattr(driver, "states", {}), forgot.append(1))
     driver.reset()

@@ -15,12 +15,12 @@ from tests.agents.export.test_guarded_policy import EXAMPLE
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
-from wcsim.agents.export.guard import MEANING, GuardedPolicy, GuardRule, guard_of
+from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
 from wcsim.agents.policies.onnx_policy import read_about
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import resolve
-from wcsim.config.run_file import DangerRule
+from wcsim.config.run_file import DangerRule, GuardRule
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 

@@ -36,17 +36,17 @@ def test_returns_are_discounted_and_scaled_as_values_are():
     watch = _ValueWatch(gamma=0.9, scale=0.05, value=1.0)
     for reward in (1.0, 0.0, -100.0):
         watch.add(reward)
-    check = watch.check(ended=True)
-    assert check.discounted == pytest.approx(0.05 * (1.0 - 0.81 * 100.0))
-    assert check.overestimate == pytest.approx(1.0 - check.discounted)
-    assert _ValueWatch(gamma=0.9, scale=1.0).check(ended=True).overestimate is None
+    row = watch.row(ended=True)
+    assert row["return_start"] == pytest.approx(0.05 * (1.0 - 0.81 * 100.0))
+    assert row["overestimate"] == pytest.approx(1.0 - row["return_start"])
+    assert _ValueWatch(gamma=0.9, scale=1.0).row(ended=True)["overestimate"] is None
 
 
 def test_an_episode_cut_short_counts_only_when_little_was_to_come():
     watch = _ValueWatch(gamma=0.9, scale=1.0, value=0.0)
     for steps in range(1, 40):
         watch.add(1.0)
-        told = watch.check(ended=False).discounted
+        told = watch.row(ended=False)["return_start"]
         assert (told is not None) == (0.9**steps <= 0.05)
 
 
@@ -79,7 +79,7 @@ def known(monkeypatch):
     monkeypatch.setitem(registry.NETWORKS, "mean-of-planes", MeanOfPlanes)
 
 
-def overestimates(path, double_q, seed):
+def overestimates(folder, double_q, seed):
     """The column of every episode of a short training on the worthless chain.
 
     Double Q-learning helps as far as the two networks err independently; here the target's values begin with noise.
@@ -94,14 +94,14 @@ def overestimates(path, double_q, seed):
     )  # fmt: skip
     torch.manual_seed(seed)
     learner.q_net_target.advantage.bias.data += torch.randn(81)  # it errs in a way of its own, and forgets that slowly
-    learner.learn(400, callback=EpisodeMetrics(logs_in(path.parent), 0.0))
-    return [float(row["overestimate"]) for row in read_metrics(path)]
+    learner.learn(400, callback=EpisodeMetrics(logs_in(folder), 0.0))
+    return [float(row["overestimate"]) for row in read_metrics(folder / "metrics.csv")]
 
 
 @pytest.mark.proof
 def test_without_double_q_values_promise_more_of_what_never_comes(tmp_path):
     later = {
-        double_q: np.mean([overestimates(tmp_path / f"{double_q}-{seed}.csv", double_q, seed)[20:] for seed in (1, 2)])
+        double_q: np.mean([overestimates(tmp_path / f"{double_q}-{seed}", double_q, seed)[20:] for seed in (1, 2)])
         for double_q in (True, False)
     }
     assert later[False] > 1.0  # of nothing
@@ -109,9 +109,8 @@ def test_without_double_q_values_promise_more_of_what_never_comes(tmp_path):
 
 
 def test_the_column_is_that_of_the_greedy_value_at_the_start(tmp_path):
-    path = tmp_path / "metrics.csv"
-    overestimates(path, True, 1)
-    rows = read_metrics(path)
+    overestimates(tmp_path, True, 1)
+    rows = read_metrics(tmp_path / "metrics.csv")
     assert {row["length"] for row in rows} == {str(LENGTH)}
     assert all(float(row["return_start"]) == 0.0 for row in rows)
     assert all(row["value_start"] == row["overestimate"] for row in rows)

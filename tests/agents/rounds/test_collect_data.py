@@ -14,10 +14,12 @@ from wcsim.agents.collecting.data_folder import SegmentKey, _write_segment, read
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.saved import save_danger
-from wcsim.agents.rounds.collect_data import DataOrder, SegmentDrivers, collect_data
+from wcsim.agents.rounds.collect_data import DataOrder, collect_data
+from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, PolicyError
+from wcsim.server.workers.machines import Machines
 from wcsim.supervisor.actions import action_set
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
@@ -28,8 +30,8 @@ class OneDies:
 
     dies = False
 
-    def __init__(self, drivers: SegmentDrivers) -> None:
-        self._folder = drivers.data
+    def __init__(self, config: RunConfig, data: Path, machines: Machines, logs: Path) -> None:
+        self._folder = data
 
     def __enter__(self) -> OneDies:
         return self
@@ -49,7 +51,7 @@ class OneDies:
 
 @pytest.fixture
 def order(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DataOrder:
-    monkeypatch.setattr(SegmentDrivers, "open", lambda drivers: OneDies(drivers))
+    monkeypatch.setattr("wcsim.agents.rounds.collect_data.SegmentCrew", OneDies)
     return DataOrder(folder=tmp_path / "data", config=small_config(), towns=(str(corner),), seed=1, segments=2)
 
 

@@ -21,7 +21,6 @@ from wcsim.agents.collecting.data_folder import SegmentKey, _write_segment, segm
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
-from wcsim.agents.rounds.collect_data import SegmentDrivers
 from wcsim.agents.rounds.round_log import read_rounds
 from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, save_round, train_danger
 from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
@@ -31,6 +30,7 @@ from wcsim.config import RunConfig
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
+from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import find_town
 
 SETTINGS = ("danger.width=8", "collect.segments=1")
@@ -39,8 +39,8 @@ SETTINGS = ("danger.width=8", "collect.segments=1")
 class NoiseCrew:
     """Whoever asks gets streets of noise, which follow from the key; a network has to be where an order says."""
 
-    def __init__(self, drivers: SegmentDrivers) -> None:
-        self._folder = drivers.data
+    def __init__(self, config: RunConfig, data: Path, machines: Machines, logs: Path) -> None:
+        self._folder = data
 
     def __enter__(self) -> NoiseCrew:
         return self
@@ -61,7 +61,7 @@ class NoiseCrew:
 
 @pytest.fixture(autouse=True)
 def noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SegmentDrivers, "open", lambda drivers: NoiseCrew(drivers))
+    monkeypatch.setattr(train_rounds, "SegmentCrew", NoiseCrew)
 
 
 def test_a_run_learns_from_the_driving_of_others_that_it_began_with_wherever_it_goes_on(

@@ -46,17 +46,6 @@ def test_a_damaged_row_is_refused(tmp_path: Path, row: str) -> None:
         read_rounds(path)
 
 
-def test_a_log_of_before_new_steps_were_counted_is_read_and_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "metrics.csv"
-    head = "round,steps,tight_share,crashes,updates,loss,wait_s_wall,learn_s_wall"
-    path.write_text(f"{head}\n0,2000,0.25,4,50,0.5,1,2\n1,4500,0.3,3,100,0.25,0,3\n2,7000,0.3,9,150,0.2,0,3\n")
-    assert [(row.steps, row.new_steps) for row in read_rounds(path)[:2]] == [(2000, 2000), (4500, 2500)]
-    note_round(path, (2, 6000, 1400, 0.3, 1, 150, 0.2, 0.0, 3.0))
-    assert [row.new_steps for row in read_rounds(path)] == [2000, 2500, 1400]
-    assert [row.crashes for row in read_rounds(path)] == [4, 3, 1]
-    assert "new_steps" in path.read_text().splitlines()[0]
-
-
 def test_another_log_is_none_of_rounds(tmp_path: Path) -> None:
     path = tmp_path / "metrics.csv"
     path.write_text("step,episode\n")

@@ -15,7 +15,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
@@ -160,12 +160,7 @@ class _StatusPipe:
         waits = self._env.waits
         self.last = ClientStatus(
             name=self._name,
-            step=now.step,
-            total_steps=now.total_steps,
-            phase=now.phase,
-            episodes=now.episodes,
-            crashes=now.crashes,
-            kpi1=now.kpi1,
+            **asdict(now),
             simulation_s=waits.simulation_s,
             barrier_s=max(0.0, waits.link_s - waits.simulation_s),
             inference_s=self._shares.inference.seconds,

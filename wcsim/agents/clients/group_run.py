@@ -31,7 +31,7 @@ from wcsim.agents.runs.run_folder import (
     manifest_of,
     read_json,
 )
-from wcsim.config import RunConfig, parse
+from wcsim.config import RunConfig, parse, resolve
 from wcsim.core import files, seeding
 from wcsim.core.reading import FileKind, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
@@ -109,8 +109,6 @@ class ClientsFolder:
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
         folder, file = self.path / CONFIGS, f"{name}.json"
-        if not (folder / file).is_file():  # a run of an older version
-            folder, file = self.path / name, CONFIG
         try:
             return parse(RunConfig, read_json(folder, file), str(folder / file))
         except ConfigError as error:
@@ -263,8 +261,7 @@ class Client:
         """The configuration that its process learns with; a rate that fades does so in the last part alone."""
         if self.until is None:
             return self.config
-        learn = self.config.learn.model_copy(update={"total_steps": self.until, "learning_rate_fade": 0.0})
-        return self.config.model_copy(update={"learn": learn})
+        return resolve(self.config, (f"learn.total_steps={self.until}", "learn.learning_rate_fade=0.0"))
 
     @property
     def steps(self) -> int:

@@ -19,7 +19,8 @@ from torch.nn import functional
 
 from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES, VECTOR
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
-from wcsim.config import RunConfig
+from wcsim.config import CameraConfig, RunConfig
+from wcsim.config.run_file import DangerNetFile
 
 _MAPS: Final = 2 * SLICES  # hull and wheels, by slice of time
 _BASE: Final = -3.0  # so rare are dangers before anything is learned
@@ -27,46 +28,34 @@ _BASE: Final = -3.0  # so rare are dangers before anything is learned
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DangerSpec:
-    """What the network is made of; plain values, kept in policy.json."""
+    """What the network is made of, and what it is shown."""
 
-    width: int = 20
-    actions: str = "square81"
-    eye: Literal["map", "picture", "both"] = "map"
-    network: str = "patch"  # of the registry, for the pictures
-    window: int = 1  # pictures that it sees
-    height_px: int = 60
-    width_px: int = 80
-    classes: Literal["cityscapes", "wcsim"] = "cityscapes"
+    shape: DangerNetFile
+    camera: CameraConfig
+    classes: Literal["cityscapes", "wcsim"]
 
     @property
     def street(self) -> bool:
         """Whether it looks at the street map."""
-        return self.eye != "picture"
+        return self.shape.eye != "picture"
 
     @property
     def pictures(self) -> int:
         """How many of the last pictures it looks at as they are."""
-        return 0 if self.eye == "map" else self.window
+        return 0 if self.shape.eye == "map" else self.shape.window
 
 
 def spec_of(config: RunConfig) -> DangerSpec:
     """The network that a run's configuration asks for. Raises PolicyError when there is no such network."""
-    danger, learn, camera = config.danger, config.learn, config.cameras[0]
-    network, window = "patch", 1
+    danger, network, window = config.danger, "patch", 1
     if danger.eye != "map":
         from wcsim.agents.networks.registry import preferred_window
 
-        network, window = learn.network, config.env.window or preferred_window(learn.network)
-    return DangerSpec(
-        width=danger.width,
-        actions=config.env.actions,
-        eye=danger.eye,
-        network=network,
-        window=window,
-        height_px=camera.height_px,
-        width_px=camera.width_px,
-        classes=config.env.classes,
-    )
+        network = config.learn.network
+        window = config.env.window or preferred_window(network)
+    width, actions, eye = danger.width, config.env.actions, danger.eye
+    shape = DangerNetFile(width=width, actions=actions, eye=eye, network=network, window=window)
+    return DangerSpec(shape=shape, camera=config.cameras[0], classes=config.env.classes)
 
 
 class DangerNet(nn.Module):
@@ -80,7 +69,7 @@ class DangerNet(nn.Module):
     def __init__(self, spec: DangerSpec, points: torch.Tensor) -> None:
         super().__init__()
         self.spec = spec
-        count, width = len(points), spec.width
+        count, width = len(points), spec.shape.width
         # They follow from the spec: a file of weights has no need of them.
         self.register_buffer("points", points.to(torch.float32), persistent=False)
         self.points: torch.Tensor
@@ -96,7 +85,7 @@ class DangerNet(nn.Module):
             )
             self.roll_out = _RollOutHead(width)
             self.context = Context(count)
-        if spec.eye != "map":
+        if spec.shape.eye != "map":
             self.pictures = _PictureHead(spec, count)
         # The order of these modules is the order of the random draws: another one gives another network for a seed.
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
@@ -197,10 +186,10 @@ class _PictureHead(nn.Module):
         super().__init__()
         from wcsim.agents.networks.encoder import ObservationEncoder  # and with it Stable-Baselines3
 
-        image = spaces.Box(0, 255, (spec.window, spec.height_px, spec.width_px), np.uint8)
+        image = spaces.Box(0, 255, (spec.shape.window, spec.camera.height_px, spec.camera.width_px), np.uint8)
         vector, none = (spaces.Box(-2.0, 2.0, (size,), np.float32) for size in (VECTOR, 0))
         space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, IMU_KEY: vector, JOYSTICK_KEY: none})
-        self.encoder = ObservationEncoder(space, spec.network, spec.classes)
+        self.encoder = ObservationEncoder(space, spec.shape.network, spec.classes)
         self.dense = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR, 64), nn.ReLU())
         self.out = _small_init(nn.Linear(64, count))
 

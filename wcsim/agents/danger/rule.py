@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.config import DangerConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool
@@ -18,16 +17,6 @@ from wcsim.types import F64, Bool
 LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
 LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
 RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
-
-
-def configured_rule(danger: DangerConfig) -> DangerRule:
-    """The rule that a run's configuration asks for."""
-    return DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
-
-
-def exploring(rule: DangerRule) -> DangerRule:
-    """The rule of who drives to learn: it answers at every tick, for it has to meet what it gets wrong."""
-    return rule.model_copy(update={"at_once": 0.0})
 
 
 def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -18,14 +17,12 @@ from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
-_ELSEWHERE = ("height_px", "width_px", "classes")  # of the network's shape, in other places of policy.json
-
 
 def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfig, manifest_sha256: str = "") -> Path:
     """See `write_policy`."""
     said = {
         "algorithm": "danger",
-        "net": {key: value for key, value in asdict(net.spec).items() if key not in _ELSEWHERE},
+        "net": net.spec.shape.model_dump(),
         "rule": rule.model_dump(),
         "camera": config.cameras[0].model_dump(mode="json"),
         "classes": config.env.classes,
@@ -48,9 +45,7 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     file = read_danger_file(folder)
     if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
         require_named(escaped(folder), file.net.network, network)
-    camera = file.camera
-    told = {**file.net.model_dump(), "height_px": camera.height_px, "width_px": camera.width_px}
-    spec = DangerSpec(**told, classes=file.classes)
+    spec = DangerSpec(shape=file.net, camera=file.camera, classes=file.classes)
     points = torch.as_tensor(action_set(file.net.actions).points)
     net = load_network(folder, file.weights_sha256, lambda: DangerNet(spec, points))
     net.train(False)

@@ -1,31 +1,36 @@
-"""What an exported model costs in a process of its own: time of a step on a whole core and on a share of it, memory.
+"""What an exported model tells in each step, and what that costs: time on a whole core and on a share of it, memory.
 
-The share of a core is made by stopping and continuing the process (SIGSTOP, SIGCONT): machines without control groups
-have no quota, and it comes to the same for who waits for an answer.
+It measures itself as a program of its own (`python footprint.py MODEL REFERENCE KEYS`), with NumPy and ONNX Runtime
+alone: what that holds in memory is what a chair's computer would hold. The share of a core is made by stopping and
+continuing the process (SIGSTOP, SIGCONT): machines without control groups have no quota, and it comes to the same for
+who waits for an answer.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import re
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
 
-from wcsim.agents.export import step_meter
 from wcsim.errors import PolicyError
 
 SHARE: Final = 0.5  # of a core, while the quota is measured
 PERIOD_S: Final = 0.01  # in which it runs for its share, and stands still for the rest
 _PATIENCE_S: Final = 300.0
+_PROGRAM: Final = __file__
+_WARM_UP: Final = 10  # steps that are not measured
+Arrays = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +60,7 @@ def footprint(model: Path, reference: Path, keys: Sequence[str]) -> Footprint:
 
 
 def _told(model: Path, reference: Path, keys: Sequence[str], share: float) -> dict[str, Any]:
-    words = [sys.executable, str(step_meter.__file__), str(model), str(reference), ",".join(keys)]
+    words = [sys.executable, _PROGRAM, str(model), str(reference), ",".join(keys)]
     # Files take whatever it says: nobody reads a pipe while the process is throttled.
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
         try:
@@ -96,3 +101,57 @@ def _throttle(process: subprocess.Popen[bytes], share: float) -> None:
             process.send_signal(signal.SIGSTOP)
             time.sleep((1.0 - share) * PERIOD_S)
             process.send_signal(signal.SIGCONT)
+
+
+def steps_of(
+    session: Any, shown: Iterable[Arrays], keys: Sequence[str], before: Sequence[Sequence[Any]] | None = None
+) -> Iterator[dict[str, Any]]:
+    """What a model tells in each step, by name.
+
+    Args:
+        session: Of ONNX Runtime.
+        shown: Observations of successive steps.
+        keys: Of its inputs.
+        before: The states that each step begins with; None for zeros, and then those that the model itself told.
+    """
+    names = [item.name for item in session.get_outputs()]
+    states = {item.name: np.zeros(item.shape, np.float32) for item in session.get_inputs() if item.name not in keys}
+    for step, seen in enumerate(shown):
+        if before is not None:
+            states = dict(zip(states, before[step], strict=True))
+        given = {key: np.ascontiguousarray(seen[key])[None] for key in keys}
+        told = dict(zip(names, session.run(None, {**given, **states}), strict=True))
+        states = {name: told[f"next_{name}"] for name in states}
+        yield told
+
+
+def _measure(model: str, reference: str, keys: Sequence[str]) -> dict[str, Any]:
+    """Wall and processor time of every step, ms, and the most memory that this process ever held, MB."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    with np.load(reference, allow_pickle=False) as held:
+        columns = {key: held[key] for key in keys}
+    ticks = len(columns[keys[0]])
+    shown = ({key: column[number % ticks] for key, column in columns.items()} for number in range(_WARM_UP + ticks))
+    wall_ms, cpu_ms = [], []
+    began, worked = time.perf_counter(), time.thread_time()
+    for _ in steps_of(session, shown, keys):
+        cpu_ms.append(1000.0 * (time.thread_time() - worked))
+        wall_ms.append(1000.0 * (time.perf_counter() - began))
+        began, worked = time.perf_counter(), time.thread_time()
+    return {"wall_ms": wall_ms[_WARM_UP:], "cpu_ms": cpu_ms[_WARM_UP:], "peak_mb": _peak_mb()}
+
+
+def _peak_mb() -> float:
+    """The most memory that this process ever held, MB, where the system tells it (Linux), else 0."""
+    status = Path("/proc/self/status")
+    found = re.search(r"VmHWM:\s+(\d+) kB", status.read_text()) if status.is_file() else None
+    return int(found[1]) / 1000.0 if found else 0.0
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(_measure(sys.argv[1], sys.argv[2], sys.argv[3].split(","))) + "\n")

@@ -20,7 +20,7 @@ import numpy as np
 
 from wcsim.agents.policy_api import JOYSTICK_KEY, NotFinite, Observation, Policy
 from wcsim.config import parse
-from wcsim.config.run_file import GuardFile
+from wcsim.config.run_file import GuardFile, GuardRule
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.supervisor.actions import ActionSet
@@ -31,17 +31,6 @@ LONGEST: Final = math.sqrt(2.0)  # of a stick, in a corner of its square
 FAULTS: Final = ("", "missing", "input", "old", "late", "output")
 """Why a tick was bad, "" for a good one: no frame, an input that is not finite, an old frame, a missed deadline, an
 output that is not finite."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GuardRule:
-    """What can be trusted, and what happens when it cannot."""
-
-    oldest_s: float = 0.3  # a frame that was taken earlier is too old
-    deadline_s: float = 0.1  # from a frame's arrival to the answer
-    tick_s: float = 0.1
-    stop_s: float = 0.5  # within so long the command is zero
-    good_ticks: int = 10  # one after the other, until the policy drives again
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,6 +190,6 @@ def guard_of(folder: Path) -> GuardRule | None:
     if not isinstance(said, dict):
         return None
     try:
-        return GuardRule(**parse(GuardFile, said, escaped(folder / MEANING)).model_dump())
+        return parse(GuardFile, {"guard": said}, escaped(folder / MEANING)).guard
     except ConfigError as error:
         raise PolicyError(str(error)) from None

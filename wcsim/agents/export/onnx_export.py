@@ -17,8 +17,8 @@ from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.envs.frame_window import FrameWindow, newest
 from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, loop_place, settings_apart
-from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint
-from wcsim.agents.export.guard import MEANING, GuardRule
+from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint, steps_of
+from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
@@ -35,6 +35,7 @@ from wcsim.agents.policy_api import (
 )
 from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
+from wcsim.config.run_file import GuardRule
 from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import ActionSet, action_set
@@ -132,18 +133,11 @@ def _run_model(
         keys: Of its inputs.
         before: The states that each step begins with; None for those that the model itself told.
     """
-    session = open_session(path)
-    names = [item.name for item in session.get_outputs()]
-    states = {item.name: np.zeros(item.shape, np.float32) for item in session.get_inputs() if item.name not in keys}
-    told: dict[str, list[Any]] = {name: [] for name in names if not name.startswith("next_")}
-    for step, seen in enumerate(ride):
-        given = {key: np.ascontiguousarray(seen[key])[None] for key in keys}
-        if before is not None:
-            states = dict(zip(states, before[step], strict=True))
-        out = dict(zip(names, session.run(None, {**given, **states}), strict=True))
-        states = {name: out[f"next_{name}"] for name in states}
-        for name, values in told.items():
-            values.append(out[name][0])
+    told: dict[str, list[Any]] = {}
+    for out in steps_of(open_session(path), ride, keys, before):
+        for name, values in out.items():
+            if not name.startswith("next_"):
+                told.setdefault(name, []).append(values[0])
     return {name: np.stack(values) for name, values in told.items()}
 
 
@@ -319,7 +313,7 @@ def meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, 
         "chair": config.chair.model_dump(mode="json"),
         "tick_s": config.world.tick_s,
         "action_delay_ticks": config.world.action_delay_ticks,
-        "guard": asdict(GuardRule(tick_s=config.world.tick_s, deadline_s=config.world.tick_s)),
+        "guard": GuardRule(tick_s=config.world.tick_s, deadline_s=config.world.tick_s).model_dump(),
         "guard_meaning": _GUARD,
     }
 

@@ -195,9 +195,10 @@ class DangerGraph(nn.Module):
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
         """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
-        if net.spec.eye != "map":
+        looks = net.spec.shape.eye
+        if looks != "map":
             raise PolicyError(
-                f"a network with danger.eye={net.spec.eye} cannot be exported; train with danger.eye=map, its default"
+                f"a network with danger.eye={looks} cannot be exported; train with danger.eye=map, its default"
             )
         camera, actions = config.cameras[0], action_set(config.env.actions)
         self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks

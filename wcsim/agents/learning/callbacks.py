@@ -31,19 +31,6 @@ GREEDY_EVERY = 5  # steps between two looks at the agent's own choice
 _TAIL: Final = 0.05  # an episode that was cut short says nothing of its return while more than this share is to come
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _ValueCheck:
-    """The value at the start of an episode beside its return; None where it is not known."""
-
-    value: float | None
-    discounted: float | None
-
-    @property
-    def overestimate(self) -> float | None:
-        """By how much the value was higher than what followed."""
-        return None if self.value is None or self.discounted is None else self.value - self.discounted
-
-
 @dataclass(slots=True)
 class _ValueWatch:
     """The discounted return of one episode as it comes in.
@@ -51,10 +38,9 @@ class _ValueWatch:
     >>> watch = _ValueWatch(gamma=0.5, scale=0.1, value=3.0)
     >>> for reward in (10.0, 20.0):
     ...     watch.add(reward)
-    >>> check = watch.check(ended=True)
-    >>> check.value, check.discounted, check.overestimate
-    (3.0, 2.0, 1.0)
-    >>> watch.check(ended=False).discounted is None
+    >>> watch.row(ended=True)
+    {'value_start': 3.0, 'return_start': 2.0, 'overestimate': 1.0}
+    >>> watch.row(ended=False)["return_start"] is None
     True
     """
 
@@ -69,10 +55,14 @@ class _ValueWatch:
         self._sum += self._weight * self.scale * reward
         self._weight *= self.gamma
 
-    def check(self, ended: bool) -> _ValueCheck:
-        """What came of it; `ended` by itself, or cut short by its limit."""
-        whole = ended or self._weight <= _TAIL
-        return _ValueCheck(value=self.value, discounted=self._sum if whole else None)
+    def row(self, ended: bool) -> dict[str, Value]:
+        """The value at the start, the return, and by how much the value was higher; None where one is not known.
+
+        The episode `ended` by itself, or was cut short by its limit.
+        """
+        value, found = self.value, self._sum if ended or self._weight <= _TAIL else None
+        over = None if value is None or found is None else value - found
+        return {"value_start": value, "return_start": found, "overestimate": over}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -259,7 +249,6 @@ class EpisodeMetrics(SeqCallback):
         self.episodes += 1
         self.crashes += int(crashed)
         plan = learner.plan
-        check = sums.values.check(ended=crashed)
         self._write(
             {
                 "step": self.num_timesteps,
@@ -272,9 +261,7 @@ class EpisodeMetrics(SeqCallback):
                 "max_abs_q": learner.max_abs_q,
                 "updates": learner._n_updates,
                 "elapsed_s_wall": time.monotonic() - self.begun_s,
-                "value_start": check.value,
-                "return_start": check.discounted,
-                "overestimate": check.overestimate,
+                **sums.values.row(ended=crashed),
             }
         )
         self.sums[seat] = _EpisodeSums()

@@ -241,8 +241,6 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
 def check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
     size = _stored_steps(replay, arrays)
-    arrays.setdefault("whole_at", np.zeros((0, 2), np.int64))  # a version before windows wrote none
-    arrays.setdefault("whole_images", np.zeros((0, replay.layout.image_bytes), np.uint8))
     for name, (shape, kind) in _expected(replay, arrays, size).items():
         if arrays[name].shape != shape or arrays[name].dtype != kind:
             got = arrays[name].dtype, arrays[name].shape

@@ -27,7 +27,6 @@ from wcsim.agents.collecting.data_folder import (
 from wcsim.agents.collecting.drive_segment import MakeLearned, collect
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import exploring
 from wcsim.agents.danger.saved import load_net, require_same_senses
 from wcsim.agents.runs.parcels import folder_parcel, plant_parcels, require_travels, town_parcel, with_plant_at
 from wcsim.config import RunConfig
@@ -49,31 +48,25 @@ ORDERS: Final = "orders.json"  # by seed, what its segments are driven with
 _ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SegmentDrivers:
-    """What a crew that drives segments is made of."""
+class SegmentCrew:
+    """Worlds that drive segments into a data folder; a context manager.
 
-    machines: Machines
-    data: Path  # folder of the data
-    logs: Path  # folder of the run, for the logs of a cluster
-    config: RunConfig
+    Args:
+        config: Of the run.
+        data: Folder of the data.
+        machines: Where they are.
+        logs: Folder of the run, for the logs of a cluster.
+    """
 
-    def open(self) -> _SegmentCrew:
+    def __init__(self, config: RunConfig, data: Path, machines: Machines, logs: Path) -> None:
         """Find the workers. Raises ConfigError when there are none, or they could not be sent what they need."""
-        if self.machines.cluster:
-            require_travels(self.config, own_code=(self.config.learn.network,))
-        return _SegmentCrew(self)
-
-
-class _SegmentCrew:
-    """Worlds that drive segments into a data folder; a context manager."""
-
-    def __init__(self, drivers: SegmentDrivers) -> None:
-        self._folder = drivers.data
-        self._crew = Crew(drivers.machines.open(drivers.logs), self._keep, least_late_s=LEAST_LATE_S)
+        if machines.cluster:
+            require_travels(config, own_code=(config.learn.network,))
+        self._folder = data
+        self._crew = Crew(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
         self._sha256: dict[str, str] = {}  # of what has come, by key
 
-    def __enter__(self) -> _SegmentCrew:
+    def __enter__(self) -> SegmentCrew:
         self._crew.__enter__()
         return self
 
@@ -169,9 +162,10 @@ def _drive_order(order: SegmentOrder, at: At) -> bytes:
 def _learned_of(folder: Path, config: RunConfig) -> MakeLearned:
     """The network of a policy folder as a driver of data; one for each chair, by the delay of its commands."""
     net, rule = load_net(folder, config.learn.network)
+    exploring = rule.model_copy(update={"at_once": 0.0})  # it answers at every tick: it has to meet what it gets wrong
 
     def make(delay_ticks: int) -> DangerPolicy:
-        return DangerPolicy(folder.name, net, config, exploring(rule), delay_ticks)
+        return DangerPolicy(folder.name, net, config, exploring, delay_ticks)
 
     return make
 
@@ -236,8 +230,7 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
         done += 1
         told(done, len(orders))
 
-    drivers = SegmentDrivers(machines=order.machines, data=order.folder, logs=order.folder, config=order.config)
-    with drivers.open() as workers:
+    with SegmentCrew(order.config, order.folder, order.machines, order.folder) as workers:
         kept |= workers.take(orders, back)
     return write_manifest(order.folder, order.config, towns, kept)
 

@@ -6,10 +6,9 @@ import csv
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from wcsim.core import files
 from wcsim.core.reading import FileKind, escaped, read_text
@@ -19,15 +18,13 @@ _COLUMNS: Final = (
     *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
     *("wait_s_wall", "learn_s_wall"),
 )
-_NEW: Final = _COLUMNS.index("new_steps")
-_OLDER: Final = (*_COLUMNS[:_NEW], *_COLUMNS[_NEW + 1 :])  # of runs that were begun before these were counted
 _KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
 _MOST: Final = 1e15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainedRound:
-    """A row of it."""
+    """A row of it, in the order of its columns."""
 
     round: int
     steps: int  # that can be learned from, of this round and those before, and of data folders
@@ -67,28 +64,18 @@ def read_rounds(path: Path) -> tuple[TrainedRound, ...]:
 
 
 def _rows(path: Path) -> list[list[str]]:
-    """The rows below the head with this version's columns; what an older one left out follows from the row before."""
+    """The rows below the head, which has this version's columns."""
     try:
         rows = list(csv.reader(io.StringIO(read_text(path, _KIND), newline="")))
     except csv.Error:  # a cell of more than 128 kB
         rows = []
-    if not rows or tuple(rows[0]) not in (_COLUMNS, _OLDER):
+    if not rows or tuple(rows[0]) != _COLUMNS:
         got = escaped(", ".join(rows[0])) if rows else "none"
         raise PolicyError(f"{escaped(path)} has columns {got}; expected those of this version: {', '.join(_COLUMNS)}")
-    head, found = tuple(rows[0]), rows[1:]
-    for number, row in enumerate(found):
-        if len(row) != len(head) or row[0] != str(number):
+    for number, row in enumerate(rows[1:]):
+        if len(row) != len(_COLUMNS) or row[0] != str(number):
             raise _damaged(path, number)
-    if head == _COLUMNS:
-        return found
-    try:
-        steps = [0, *(int(row[_NEW - 1]) for row in found)]
-    except ValueError:
-        raise _damaged(path, len(found) - 1) from None
-    return [
-        [*row[:_NEW], str(after - before), *row[_NEW:]]
-        for row, (before, after) in zip(found, pairwise(steps), strict=True)
-    ]
+    return rows[1:]
 
 
 def _damaged(path: Path, number: int) -> PolicyError:
@@ -106,15 +93,6 @@ def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:
     )
     if not usable or values[0] != number:
         raise _damaged(path, number)
-    at = dict(zip(_COLUMNS, values, strict=True))
-    return TrainedRound(
-        round=number,
-        steps=int(at["steps"]),
-        new_steps=int(at["new_steps"]),
-        tight_share=at["tight_share"],
-        crashes=int(at["crashes"]),
-        updates=int(at["updates"]),
-        loss=at["loss"],
-        wait_s=at["wait_s_wall"],
-        learn_s=at["learn_s_wall"],
-    )
+    kinds = {each.name: int if each.type == "int" else float for each in fields(TrainedRound)}
+    told: dict[str, Any] = {name: kind(value) for (name, kind), value in zip(kinds.items(), values, strict=True)}
+    return TrainedRound(**told)

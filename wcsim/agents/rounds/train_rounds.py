@@ -30,16 +30,15 @@ from wcsim.agents.collecting.data_folder import (
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.networks.device import torch_settings
-from wcsim.agents.rounds.collect_data import SegmentDrivers
+from wcsim.agents.rounds.collect_data import SegmentCrew
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
 from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, with_whole_data
 from wcsim.agents.runs.weights import digest_of
 from wcsim.config import RunConfig, parse
-from wcsim.config.run_file import LearnedFile, RoundFile
+from wcsim.config.run_file import DangerRule, LearnedFile, RoundFile
 from wcsim.core import files, seeding
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError, TownError
@@ -152,7 +151,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
         dataset.add(labelled_steps(segment, config))
     for name in in_order(segments):
         dataset.add(labelled_steps(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
-    with _drivers(rounds).open() as workers:
+    with SegmentCrew(config, folder.path / DATA, rounds.machines, folder.path) as workers:
         for number in range(first, total):
             began_s = time.monotonic()
             now = _orders(rounds, number)
@@ -221,11 +220,6 @@ def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
     return orders_of(config, rounds.towns, first, config.collect.segments, policy)
 
 
-def _drivers(rounds: Rounds) -> SegmentDrivers:
-    path = rounds.folder.path
-    return SegmentDrivers(machines=rounds.machines, data=path / DATA, logs=path, config=rounds.config)
-
-
 class RoundTeller:
     """How far a round has come, for whoever looks on.
 
@@ -254,7 +248,8 @@ class RoundTeller:
 
 
 def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
-    rule, sha256 = configured_rule(rounds.config.danger), rounds.folder.manifest_sha256()
+    danger, sha256 = rounds.config.danger, rounds.folder.manifest_sha256()
+    rule = DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
     save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.config, sha256)
 
 

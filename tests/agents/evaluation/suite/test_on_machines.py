@@ -11,10 +11,10 @@ import torch
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.agents.rounds.small_runs import run_in
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
-from wcsim.agents.danger.rule import configured_rule
 from wcsim.agents.danger.saved import save_danger
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_alone, needs_of, piece_of, run_suite, town_addresses
 from wcsim.agents.runs.run_folder import create_run, make_manifest
+from wcsim.config.run_file import DangerRule
 from wcsim.errors import ConfigError
 from wcsim.server.workers import cluster_node
 from wcsim.server.workers.machines import Machines
@@ -28,7 +28,7 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     folder = create_run(resolved.out, resolved.config, make_manifest(resolved.config, resolved.info))
     torch.manual_seed(3)
     net = DangerNet(spec_of(folder.config), torch.as_tensor(action_set("square81").points))
-    save_danger(folder.policy("final"), channels_last(net).eval(), configured_rule(folder.config.danger), folder.config)
+    save_danger(folder.policy("final"), channels_last(net).eval(), DangerRule(), folder.config)
     return str(folder.path)
 
 

@@ -51,14 +51,6 @@ Look = Callable[[tuple[WorkerNow, ...]], object]  # told every second who drives
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _NamedPolicy:
-    """A policy as somebody names it, and what its result depends on."""
-
-    name: str
-    digest: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
     """What a process drives: one block with one policy; everything in it can be sent."""
 
@@ -108,18 +100,18 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     judged = judged_blocks(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
-    asked = [_NamedPolicy(name=name, digest=policy_digest(name, order)) for name in policies]
-    for policy in asked:
+    digests = {name: policy_digest(name, order) for name in policies}
+    for policy, digest in digests.items():
         for index in range(len(file.blocks)):
-            path = _kept_path(order, index, policy.digest)
+            path = _kept_path(order, index, digest)
             if path.is_file():
-                kept[policy.name, index] = read_kept(path)
+                kept[policy, index] = read_kept(path)
             else:
-                left.append((piece_of(order, index, policy.name, towns, judged=index in judged), path))
+                left.append((piece_of(order, index, policy, towns, judged=index in judged), path))
     _drive_all(order, left, kept, done, len(file.blocks))
     return {
-        policy.name: tuple(record for index in range(len(file.blocks)) for record in kept[policy.name, index])
-        for policy in asked
+        policy: tuple(record for index in range(len(file.blocks)) for record in kept[policy, index])
+        for policy in digests
     }
 
 
