@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_folder import FOLLOW, ORACLE, RECKLESS, SAFE, Segment, SegmentKey, codes_of
-from wcsim.agents.collecting.drive_segment import DataDriver, collect
+from wcsim.agents.collecting.drive_segment import _DataDriver, collect
 from wcsim.agents.collecting.segment_places import (
     SegmentOrder,
     _drawn_settings,
@@ -124,7 +124,7 @@ class Recorder:
 def test_a_network_is_told_what_is_sent_in_its_place():
     learned = Recorder()
     settings = CollectConfig(network_share=1.0, astray_share=0.5)
-    driver = DataDriver(settings, ACTIONS, np.random.default_rng(0), learned)
+    driver = _DataDriver(settings, ACTIONS, np.random.default_rng(0), learned)
     stick = np.array([0.0, 1.0], np.float32)
     said = Verdict(danger=False, first_s=np.full(81, np.inf))
     chosen = [driver.choose({"joystick": stick}, said) for _ in range(300)]
@@ -139,7 +139,7 @@ def test_a_network_is_told_what_is_sent_in_its_place():
 
 def test_the_oracle_takes_the_nearest_action_that_ends_well():
     settings = CollectConfig(follow_share=0.0, astray_share=0.0)
-    driver = DataDriver(settings, ACTIONS, np.random.default_rng(0), None)
+    driver = _DataDriver(settings, ACTIONS, np.random.default_rng(0), None)
     first_s = np.where(ACTIONS.points[:, 1] > 0.3, 0.4, np.inf)
     choice = driver.choose({"joystick": np.array([0.0, 1.0], np.float32)}, Verdict(danger=True, first_s=first_s))
     assert ACTIONS.points[choice.action].tolist() == [0.0, 0.25] and choice.driver == ORACLE

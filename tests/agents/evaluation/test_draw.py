@@ -3,7 +3,7 @@
 import math
 
 from tests.agents.evaluation.suite.lists import config
-from wcsim.agents.evaluation.suite.draw import Wanted, crossing_blocks, free_blocks, place_of, reference_time_s
+from wcsim.agents.evaluation.suite.draw import Wanted, _reference_time_s, crossing_blocks, free_blocks, place_of
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import WayKind
@@ -46,5 +46,5 @@ def test_the_reference_grows_with_the_way_and_with_a_slower_user():
     place = manhattan()
     (block,) = free_blocks(place, FREE, 1, 5)
     way = place.router.route(block.episodes[0].start_m, block.episodes[0].goal_m)
-    quick_s, slow_s = (reference_time_s(way, who, place.config) for who in ("competent", "ataxic"))
+    quick_s, slow_s = (_reference_time_s(way, who, place.config) for who in ("competent", "ataxic"))
     assert way.arc_m[-1] / place.config.chair.v_max_mps < quick_s <= slow_s

@@ -46,7 +46,7 @@ def test_who_is_left_out_is_missing_for_the_others_who_are_driven_again(
         suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=1, tight=range(0), work=tmp_path
     )
     blocks = [block_with(9.0, 8.0), block_with(1.0, 7.0, 2.0, 3.0), block_with(1.0)]
-    left = make.settled(order, (), blocks, lambda _: None, "ways", lambda found: found.time_s >= make.BAD_START_S)
+    left = make._settled(order, (), blocks, lambda _: None, "ways", lambda found: found.time_s >= make.BAD_START_S)
     assert [[item.route_m for item in block.episodes] for block in left] == [[9.0, 8.0], [7.0]]
     assert driven == [[[9.0, 8.0], [1.0, 7.0, 2.0, 3.0], [1.0]], [[7.0, 2.0, 3.0]], [[7.0, 3.0]], [[7.0]]]
 
@@ -75,7 +75,7 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
     monkeypatch.setattr(make, "_free", lambda place, *_: free_blocks(place, wanted, 1, 3))
     monkeypatch.setattr(make, "_crossing", lambda *_: [])
-    monkeypatch.setattr(make, "settled", lambda _order, _towns, blocks, *_: list(blocks))
+    monkeypatch.setattr(make, "_settled", lambda _order, _towns, blocks, *_: list(blocks))
     order = make.MakeOrder(
         suite="x-v1", set="x", seed=0, free_blocks=1, attempts=1, hazards=0, tight=range(0), work=tmp_path
     )
@@ -84,7 +84,7 @@ def test_a_town_that_is_named_by_where_it_lies_is_found_again_by_its_list(
     ((name, town),) = towns_of(file, tmp_path).items()
     assert town.folder == corner and {block.town for block in file.blocks} == {name}
     ((helsinki, _),) = asked_towns("helsinki", tmp_path)
-    assert [make.listed_as(helsinki, None), make.listed_as(helsinki, 7)] == ["helsinki", "helsinki"]
+    assert [make._listed_as(helsinki, None), make._listed_as(helsinki, 7)] == ["helsinki", "helsinki"]
 
 
 @pytest.mark.proof

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wcsim.agents.evaluation.suite.draw import is_sound
+from wcsim.agents.evaluation.suite.draw import _is_sound
 from wcsim.types import ClassId, Outline, Route, WalkEdge, WalkGraph, WayKind
 
 OUTLINE = Outline(length_m=1.1, width_m=0.6, height_m=1.4, middle_x_m=0.3)
@@ -39,7 +39,7 @@ def sound(pieces: Sequence[tuple[str, float, float]], roads: Sequence[tuple[floa
         walk=WalkGraph(nodes_W_m=np.zeros((len(edges) + 1, 2)), edges=edges),
         grid=SimpleNamespace(class_here=class_here),
     )
-    return is_sound(street, route, OUTLINE)  # type: ignore[arg-type]
+    return _is_sound(street, route, OUTLINE)  # type: ignore[arg-type]
 
 
 PLAIN = [("-", 0.0, 10.0), ("a", 10.0, 16.0), ("-", 16.0, 30.0)]

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, memory_of, toy_camera
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.checkpoint import replay_arrays, restore_replay
+from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, _teacher_actions, aid_loss, relabelled
 from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
 from wcsim.agents.replay.buffer import FrameReplay
@@ -168,7 +168,7 @@ def test_tight_moments_get_their_share():
 def test_advice_survives_a_checkpoint():
     replay = filled(60, 25)
     again = memory(25, n_step=3, seed=5)
-    restore_replay(again, replay_arrays(replay))
+    _restore_replay(again, _replay_arrays(replay))
     one, two = replay.sample_advice(50, 0.5, 3), again.sample_advice(50, 0.5, 3)
     assert torch.equal(one.safe, two.safe)
     assert np.array_equal(numbers(one), numbers(two))

@@ -24,7 +24,7 @@ from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EverySeconds
-from wcsim.agents.learning.checkpoint import _restored_generator, generator_state, save_checkpoint
+from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator, save_checkpoint
 from wcsim.agents.learning.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -362,7 +362,7 @@ def test_generators_survive_json(seed, draws):
     rng = np.random.Generator(np.random.Philox(seed))
     rng.integers(0, 7, draws)
     rng.random(draws, dtype=np.float32)
-    twin = _restored_generator(json.loads(json.dumps(generator_state(rng))))
+    twin = _restored_generator(json.loads(json.dumps(_generator_state(rng))))
     assert np.array_equal(rng.normal(size=9), twin.normal(size=9))
     assert np.array_equal(rng.integers(0, 9, 9, dtype=np.int32), twin.integers(0, 9, 9, dtype=np.int32))
 

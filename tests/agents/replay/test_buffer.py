@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.agents.toy import memory_of
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.learning import checkpoint
-from wcsim.agents.learning.checkpoint import replay_arrays, restore_replay
+from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import _PackedFrames, _RawFrames
@@ -196,7 +196,7 @@ def test_a_restored_memory_draws_the_same(steps):
     plan = [[ENDS[g.integers(len(ENDS))], ENDS[g.integers(len(ENDS))]] for _ in range(steps)] + [["go", "crash"]]
     buffer, reference = filled(plan, seats=2, n_step=3, gamma=0.9, precrash_share=0.5)
     twin, _ = filled([["go", "go"]], seats=2, n_step=3, gamma=0.9, precrash_share=0.5)
-    restore_replay(twin, replay_arrays(buffer))
+    _restore_replay(twin, _replay_arrays(buffer))
     twin.rng = np.random.Generator(np.random.Philox(7))
     buffer.rng = np.random.Generator(np.random.Philox(7))
     mine, theirs = buffer.draw(64), twin.draw(64)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.agents.replay.test_buffer import ENDS, SPACE, Reference, check, fill, number_of, stack
 from tests.agents.toy import memory_of
-from wcsim.agents.learning.checkpoint import check_fit, replay_arrays, restore_replay
+from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay
 from wcsim.agents.replay.buffer import FrameReplay
 
 PLANS = st.integers(1, 3).flatmap(
@@ -202,13 +202,13 @@ def test_a_restored_memory_draws_the_same():
     buffer, _ = driven(plan, state_size=1)
     buffer.groups.draw(buffer, 5)
     twin = memory(2, state_size=1)
-    kept = replay_arrays(buffer)
-    check_fit(twin, kept)
-    restore_replay(twin, kept)
+    kept = _replay_arrays(buffer)
+    _check_fit(twin, kept)
+    _restore_replay(twin, kept)
     twin.rng.bit_generator.state = buffer.rng.bit_generator.state
     for _ in range(9):
         a, b = buffer.sample_groups(16), twin.sample_groups(16)
         assert all(torch.equal(getattr(a, name), getattr(b, name)) for name in ("states", "live", "actions", "returns"))
     other = memory(2, state_size=2)
     with pytest.raises(ValueError, match="states is float32"):
-        check_fit(other, kept)
+        _check_fit(other, kept)

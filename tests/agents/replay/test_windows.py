@@ -20,7 +20,7 @@ from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, 
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.open_policy import open_policy, window_of
 from wcsim.agents.learning.build import build_model, with_window
-from wcsim.agents.learning.checkpoint import check_fit, replay_arrays, restore_replay, save_checkpoint
+from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
 from wcsim.agents.learning.train import train
@@ -205,7 +205,7 @@ def test_what_is_drawn_is_what_was_added(data):
     check(buffer, streets)
     twin = replay(size * seats, seats)
     add(twin, [Street() for _ in range(seats)], ["go"] * seats)  # to be forgotten
-    restore_replay(twin, replay_arrays(buffer))
+    _restore_replay(twin, _replay_arrays(buffer))
     check(twin, streets)
     for ends in [["go"] * seats] * 5:
         for each in (buffer, twin):
@@ -235,9 +235,9 @@ def test_a_window_costs_no_more_than_its_newest_image():
 def test_a_memory_that_holds_nothing_yet_can_be_kept():
     twin = replay(400, seats=2)
     add(twin, [Street(), Street()], ["go", "go"])  # to be forgotten
-    arrays = replay_arrays(replay(400, seats=2))
-    check_fit(twin, arrays)
-    restore_replay(twin, arrays)
+    arrays = _replay_arrays(replay(400, seats=2))
+    _check_fit(twin, arrays)
+    _restore_replay(twin, arrays)
     assert (twin.total, twin.size()) == (0, 0)
     streets = [Street(), Street()]
     for _ in range(5):
@@ -258,7 +258,7 @@ def test_a_checkpoint_of_other_windows_is_refused():
     for _ in range(5):
         add(buffer, streets, ["go"])
     with pytest.raises(ValueError, match=r"end_images is uint8 \(0, 36\); expected uint8 \(0, 12\)"):
-        check_fit(replay(400, space=observation_space("compact", W, H)), replay_arrays(buffer))
+        _check_fit(replay(400, space=observation_space("compact", W, H)), _replay_arrays(buffer))
 
 
 def test_every_image_of_a_window_is_mirrored():

@@ -22,7 +22,7 @@ from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
 from wcsim.agents.rounds.round_log import read_rounds
-from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, save_round, train_danger
+from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_round, train_danger
 from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
@@ -157,7 +157,7 @@ def _checkpoint_path(folder: Path, number: int) -> Path:
     return folder / tag("round", number)
 
 
-@pytest.mark.parametrize("step", ["_save", "note_round", "save_round"])
+@pytest.mark.parametrize("step", ["_save", "note_round", "_save_round"])
 def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights(
     corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
@@ -179,14 +179,14 @@ def test_a_round_whose_files_cannot_be_written_is_done_again_to_the_same_weights
 def test_a_round_with_very_many_segments_is_kept_and_found(tmp_path: Path) -> None:
     learner = a_learner()
     segments = {f"3-{number // 4000:03d}-{number % 4000:04d}.npz.zst": "a" * 64 for number in range(12_000)}
-    save_round(tmp_path, 0, learner, segments)
+    _save_round(tmp_path, 0, learner, segments)
     assert load_round(tmp_path) == (0, segments)
 
 
 @pytest.mark.parametrize("name", ["../../3-000-0000.npz.zst", "3-000.npz.zst", "a-b-c.npz.zst"])
 def test_a_checkpoint_that_names_what_is_no_segment_is_refused(tmp_path: Path, name: str) -> None:
     learner = a_learner()
-    save_round(tmp_path, 0, learner, {})
+    _save_round(tmp_path, 0, learner, {})
     path = _checkpoint_path(tmp_path, 0) / "state.json"
     resealed(path, segments={name: "a" * 64})
     with pytest.raises(PolicyError, match=r"no segment's file|pattern"):
@@ -199,7 +199,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_ther
     learner, told = a_learner(), []
     folder = create_run(tmp_path / "run", RunConfig(), make_manifest(RunConfig(), RunInfo(seed=1, town="t")))
     for number in range(2):
-        save_round(folder.checkpoints, number, learner, {})
+        _save_round(folder.checkpoints, number, learner, {})
     (_checkpoint_path(folder.checkpoints, 1) / "weights.safetensors").write_bytes(b"torn")
     go_on(folder, _restoring(learner), told.append)
     assert "round-001" in told[0] and (folder.checkpoints / "round-001.damaged").is_dir()
@@ -214,7 +214,7 @@ def test_a_damaged_checkpoint_is_set_aside_and_said_and_without_a_sound_one_ther
 def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(tmp_path: Path, key: str) -> None:
     learner = a_learner()
     for number in range(2):
-        save_round(tmp_path, number, learner, {"3-000-0000.npz.zst": "a" * 64})
+        _save_round(tmp_path, number, learner, {"3-000-0000.npz.zst": "a" * 64})
     path = _checkpoint_path(tmp_path, 1) / "state.json"
     state = json.loads(path.read_text())
     changed = {"3-000-0000.npz.zst": "b" * 64} if key == "segments" else state[key] + 1
@@ -232,7 +232,7 @@ def test_a_checkpoint_whose_state_is_damaged_is_passed_over_for_the_one_before(t
 @pytest.mark.parametrize("name", ["weights.safetensors", "moments.safetensors"])
 def test_a_pipe_or_endless_zeros_in_place_of_arrays_are_passed_over_at_once(tmp_path: Path, name: str) -> None:
     for number in range(3):
-        save_round(tmp_path, number, a_learner(), {})
+        _save_round(tmp_path, number, a_learner(), {})
     for number, lay in ((1, os.mkfifo), (2, lambda path: path.symlink_to("/dev/zero"))):
         (_checkpoint_path(tmp_path, number) / name).unlink()
         lay(_checkpoint_path(tmp_path, number) / name)
@@ -253,7 +253,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
 ) -> None:
     learner = a_learner()
     learner.learn(lectures(small_config()), 1)
-    save_round(tmp_path, 0, learner, {})
+    _save_round(tmp_path, 0, learner, {})
     path = _checkpoint_path(tmp_path, 0) / f"{name}.safetensors"
     held = load_file(path)
     key = next(key for key, value in held.items() if value.numel() > 1)
@@ -267,7 +267,7 @@ def test_arrays_that_are_none_of_a_learner_are_refused_however_right_their_hash(
 
 @pytest.mark.parametrize("changes", [{"updates": "7"}, {"loss": True}, {"segments": []}, {"segments": {"a": 1}}])
 def test_a_state_of_other_types_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
-    save_round(tmp_path, 0, a_learner(), {})
+    _save_round(tmp_path, 0, a_learner(), {})
     resealed(_checkpoint_path(tmp_path, 0) / "state.json", **changes)
     with pytest.raises(PolicyError, match=rf"{next(iter(changes))}.*got"):
         load_round(tmp_path)

@@ -19,10 +19,10 @@ from tests.attack.files.damage import ANY, Damage, bomb, change, edited, flipped
 from tests.attack.outcomes import Case
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import (
+    _generator_state,
     _model_arrays,
+    _replay_arrays,
     _restored_generator,
-    generator_state,
-    replay_arrays,
     save_checkpoint,
 )
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -69,7 +69,7 @@ class Bench:
         self.model = build_model(config(), DummyVecEnv([street]), 7)
         self._nets = [copy.deepcopy(net.state_dict()) for net in (self.model.q_net, self.model.q_net_target)]
         self._optimizer = copy.deepcopy(self.model.policy.optimizer.state_dict())
-        self._rngs = generator_state(self.model.rng), generator_state(self.model.replay_buffer.rng)
+        self._rngs = _generator_state(self.model.rng), _generator_state(self.model.replay_buffer.rng)
         self.known: dict[int, str] = {}
         for path in checkpoints(self.sound):
             alone = work / "alone"
@@ -96,10 +96,10 @@ class Bench:
 def content(model: SeqDQN, extra: Extra) -> str:
     """A hash over everything that a checkpoint keeps of a learner."""
     digest = hashlib.blake2b(digest_size=16)
-    for arrays in (_model_arrays(model), replay_arrays(model.replay_buffer)):
+    for arrays in (_model_arrays(model), _replay_arrays(model.replay_buffer)):
         for key in sorted(arrays):
             digest.update(f"{key} {arrays[key].dtype} {arrays[key].shape}".encode() + arrays[key].tobytes())
-    rngs = generator_state(model.rng), generator_state(model.replay_buffer.rng)
+    rngs = _generator_state(model.rng), _generator_state(model.replay_buffer.rng)
     counts = model.num_timesteps, model._n_updates, model._episode_num
     digest.update(repr((rngs, counts, sorted(extra.items()))).encode())
     return digest.hexdigest()

@@ -21,7 +21,7 @@ from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick
 from wcsim.agents.collecting.data_folder import packed_segment, read_segment
 from wcsim.agents.danger.dataset import labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.rounds.train_rounds import _restoring, save_round
+from wcsim.agents.rounds.train_rounds import _restoring, _save_round
 from wcsim.agents.runs.checkpoint import STATE, number_of, restore_newest
 from wcsim.core import files
 from wcsim.core.reading import is_file
@@ -34,7 +34,7 @@ PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfil
 def families(work: Path) -> list[Family]:
     """A segment, and each file of a checkpoint."""
     learner, segment = _learner(), packed_segment(a_segment(rows=6, ends=(3,)))
-    save_round(work, 7, learner, {"3-007-0000.npz.zst": "0" * 64})
+    _save_round(work, 7, learner, {"3-007-0000.npz.zst": "0" * 64})
     kinds = [Family(name="segment", file="a.npz.zst", sound=segment, twist=_segment_twist, take=_take_segment)]
     held = {name: (work / ROUND / name).read_bytes() for name in (STATE, WEIGHTS, MOMENTS)}
     for name, data in held.items():
@@ -157,7 +157,7 @@ def _take_round(path: Path) -> bool:
     _resealed(path)
     learner = _learner()
     found = restore_newest(path.parents[1], _restoring(learner))
-    return _same(found.path, learner, lambda out: save_round(out, number_of(found.path), learner, found.value))
+    return _same(found.path, learner, lambda out: _save_round(out, number_of(found.path), learner, found.value))
 
 
 def _same(folder: Path, learner: DangerLearner, save: Callable[[Path], object]) -> bool:

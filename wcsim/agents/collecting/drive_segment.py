@@ -50,7 +50,7 @@ class Learned(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
+class _Choice:
     """What was done in one step."""
 
     action: int
@@ -58,7 +58,7 @@ class Choice:
     driver: int
 
 
-class DataDriver:
+class _DataDriver:
     """Drives one chair.
 
     Args:
@@ -84,7 +84,7 @@ class DataDriver:
         if self._learned is not None and self._driver == NETWORK:
             self._learned.reset()
 
-    def choose(self, observation: Observation, said: Verdict) -> Choice:
+    def choose(self, observation: Observation, said: Verdict) -> _Choice:
         """Answer an observation; `said` is the oracle's verdict of its moment."""
         wish = self._wish(np.asarray(observation[JOYSTICK_KEY], np.float64))
         reckless = self._held > 0 and self._reckless
@@ -97,7 +97,7 @@ class DataDriver:
             self._learned.sent(action)
         elif self._driver == ORACLE and not reckless:
             action = self._safest(wish, said.first_s)
-        return Choice(action=action, wish=wish, driver=RECKLESS if reckless else self._driver)
+        return _Choice(action=action, wish=wish, driver=RECKLESS if reckless else self._driver)
 
     def _wish(self, stick: F64) -> F64:
         """The user's stick, or with an offset that is held for a while."""
@@ -168,7 +168,7 @@ class _DrivenRow:
 
     seen: Observation
     said: Truth
-    choice: Choice
+    choice: _Choice
     step: EpisodeStep
     delay: int
 
@@ -183,15 +183,15 @@ class _Seat:
         self._config, self._make, self._rng = config, make_learned, rng
         self._actions = action_set(config.env.actions)
         self._delay = 0
-        self._choice: Choice
-        self._agent: DataDriver
+        self._choice: _Choice
+        self._agent: _DataDriver
         self.driver = SeatDriver(config, self, first)
 
     def reset(self, info: Info) -> None:
         """Draw who drives the episode that begins."""
         self._delay = delay_ticks(self._config, info["drawn"])
         learned = None if self._make is None else self._make(self._delay)
-        self._agent = DataDriver(self._config.collect, self._actions, self._rng, learned)
+        self._agent = _DataDriver(self._config.collect, self._actions, self._rng, learned)
 
     def act(self, observation: Observation, info: Info) -> int:
         """Answer what is seen now."""

@@ -78,7 +78,7 @@ def movers() -> Bool:
     return table
 
 
-class StreetMap:
+class _StreetMap:
     """The raster of one chair.
 
     Args:
@@ -244,7 +244,7 @@ class FeatureExtractor:
         spec = plant_spec(config.chair)
         self.around = StreetSense(config, self._actions, spec.outline, delay_ticks)
         around = self.around
-        self._map = StreetMap(around.rays, around.eye_B_m, around.far_m)
+        self._map = _StreetMap(around.rays, around.eye_B_m, around.far_m)
         self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
         self.forget()
 

@@ -118,7 +118,7 @@ def export_policy(
         (target / ABOUT_FILE).write_text(_about(config), encoding="utf-8")
         shutil.copyfile(loop_place(), target / LOOP)
         measured = {"sha256": files.sha256(target / MODEL_FILE), "facts": asdict(facts)}
-        files.write_json(target / MEANING, {**meaning_of(graph, config), **measured})
+        files.write_json(target / MEANING, {**_meaning_of(graph, config), **measured})
     return facts
 
 
@@ -292,7 +292,7 @@ _GUARD: Final = (
 )
 
 
-def meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
+def _meaning_of(graph: DangerGraph | ValueGraph, config: RunConfig) -> dict[str, Any]:
     """Units, scales, signs, classes, camera, chair and guard of an exported policy, as JSON values."""
     actions, sensors = action_set(config.env.actions), config.sensors.on()
     folded = config.env.classes == "cityscapes"

@@ -53,12 +53,12 @@ def save_checkpoint(
     state = {
         "n_updates": model._n_updates,
         "episodes": model._episode_num,
-        "explore_rng": generator_state(model.rng),
-        "replay_rng": generator_state(_replay(model).rng),
+        "explore_rng": _generator_state(model.rng),
+        "replay_rng": _generator_state(_replay(model).rng),
         "extra": dict(extra),
     }
     held = None if replay else newest_arrays(folder, "replay")
-    arrays = {"model": _model_arrays(model), "replay": held or replay_arrays(_replay(model), alive)}
+    arrays = {"model": _model_arrays(model), "replay": held or _replay_arrays(_replay(model), alive)}
     return save(folder, tag("step", model.num_timesteps), state, arrays, alive)
 
 
@@ -75,7 +75,7 @@ def restoring(model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Rest
     return restore
 
 
-def generator_state(rng: np.random.Generator) -> dict[str, Any]:
+def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
     """State of a Philox generator as plain values."""
     state = rng.bit_generator.state
     return {
@@ -89,7 +89,7 @@ def generator_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
-    """The generator that `generator_state` described."""
+    """The generator that `_generator_state` described."""
     bits = np.random.Philox()
     bits.state = {
         "bit_generator": "Philox",
@@ -128,7 +128,7 @@ def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, aliv
     memory = _replay(model)
     slots = _optimizer_slots(model, arrays)
     _check_same_arrays(model, arrays)
-    check_fit(memory, replay)
+    _check_fit(memory, replay)
     nets = [copy.deepcopy(net.state_dict()) for _, net in _nets(model)]
     optimizer = copy.deepcopy(model.policy.optimizer.state_dict())
     torch_rng, memory_rng = torch.get_rng_state(), memory.rng
@@ -139,7 +139,7 @@ def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, aliv
                 {k.removeprefix(head): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(head)}
             )
         model.policy.optimizer.load_state_dict({"state": slots, "param_groups": optimizer["param_groups"]})
-        restore_replay(memory, replay, alive)
+        _restore_replay(memory, replay, alive)
         memory.rng, explore_rng = (
             _restored_generator(rng.model_dump()) for rng in (state.replay_rng, state.explore_rng)
         )
@@ -184,7 +184,7 @@ def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch
     return slots
 
 
-def replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
+def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
     """Everything in the memory, oldest step first; images are compressed, which takes minutes for a large one.
 
     `alive` is called now and then.
@@ -238,7 +238,7 @@ def _group_arrays(replay: FrameReplay) -> Arrays:
     }
 
 
-def check_fit(replay: FrameReplay, arrays: Arrays) -> None:
+def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
     size = _stored_steps(replay, arrays)
     for name, (shape, kind) in _expected(replay, arrays, size).items():
@@ -289,8 +289,8 @@ def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[in
     }
 
 
-def restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
-    """Put the arrays of `replay_arrays` into an empty memory of the same size, that they fit (`check_fit`).
+def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
+    """Put the arrays of `_replay_arrays` into an empty memory of the same size, that they fit (`_check_fit`).
 
     A resumed run begins a new episode; its first step differs from the expected one, which ends the old chain.
     `alive` is called now and then.

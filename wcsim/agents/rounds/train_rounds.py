@@ -72,7 +72,7 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
     return found
 
 
-def learned_segments(run: RunFolder) -> Iterator[Segment]:
+def _learned_segments(run: RunFolder) -> Iterator[Segment]:
     """What a run learns from beside its own driving, always the same; it is noted before the first of it is read.
 
     Raises:
@@ -147,7 +147,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
     found = go_on(folder, _restoring(learner), log)
     first, segments = (0, {}) if found is None else (number_of(found.path) + 1, dict(found.value))
     dataset = Dataset(config)
-    for segment in learned_segments(folder):
+    for segment in _learned_segments(folder):
         dataset.add(labelled_steps(segment, config))
     for name in in_order(segments):
         dataset.add(labelled_steps(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
@@ -155,7 +155,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
         for number in range(first, total):
             began_s = time.monotonic()
             now = _orders(rounds, number)
-            told = RoundTeller(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
+            told = _RoundTeller(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
             came = workers.take(now, told.back, told.watch)
             if number + 1 < total:
                 workers.ask(_orders(rounds, number + 1))
@@ -172,7 +172,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
             _save(rounds, learner, tag("round", number))
             row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, learner.updates, loss)
             note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
-            save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
+            _save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
             many = len(now)
             progress(
                 RoundProgress(round=number, rounds=total, segments=many, of=many, updates=learner.updates, loss=loss)
@@ -183,7 +183,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
     return digest_of(learner.net)
 
 
-def save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
+def _save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
     """Keep a learner after a round, see `checkpoint.save`; `segments` are those that it has learned from."""
     state = {"updates": learner.updates, "loss": learner.loss, "segments": segments}
     save(folder, tag("round", number), state, learner.arrays())
@@ -201,7 +201,7 @@ def _restoring(learner: DangerLearner) -> Restore[dict[str, str]]:
     return restore
 
 
-def keep_newest(folder: RunFolder) -> bool:
+def _keep_newest(folder: RunFolder) -> bool:
     """Let the policy of the last round that is done be the run's. Whether there is one. Raises DiskFullError."""
     done = [folder.policy(tag("round", number)) for number in range(newest_number(folder.checkpoints) + 1)]
     done = [path for path in done if path.is_dir()]
@@ -220,7 +220,7 @@ def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
     return orders_of(config, rounds.towns, first, config.collect.segments, policy)
 
 
-class RoundTeller:
+class _RoundTeller:
     """How far a round has come, for whoever looks on.
 
     What a run that goes on finds of its first round is told as one: it took no time now, and the rest will.
@@ -322,7 +322,7 @@ def train_danger(
             sha256 = train_rounds(rounds, progress, stage)
         except KeyboardInterrupt:
             folder.with_status("interrupted", 0)
-            kept = "the policy of the complete rounds" if keep_newest(folder) else "the segments so far, no policy yet"
+            kept = "the policy of the complete rounds" if _keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
                 f"stopped; {folder.path} holds {kept}; continue it: {how_to_resume(folder.path)}"
             ) from None

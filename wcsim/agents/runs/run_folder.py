@@ -163,7 +163,7 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         files.write_bytes(path / PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
-    return RunFolder(path=path, config=with_kept_plant(config, path), manifest=manifest)
+    return RunFolder(path=path, config=_with_kept_plant(config, path), manifest=manifest)
 
 
 def open_run(path: Path) -> RunFolder:
@@ -174,7 +174,7 @@ def open_run(path: Path) -> RunFolder:
         raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
     manifest = manifest_of(data, path)
     try:
-        resolved = with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
+        resolved = _with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     return RunFolder(path=path, config=resolved, manifest=manifest)
@@ -194,7 +194,7 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
 
-def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
+def _with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
     """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
     if not is_file(path / PLANT):
         return config
@@ -360,7 +360,7 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> R
     other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
     if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")
-    if complete(folder.config) != complete(with_kept_plant(run.config, run.out)) or other:
+    if complete(folder.config) != complete(_with_kept_plant(run.config, run.out)) or other:
         raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
     return folder
 

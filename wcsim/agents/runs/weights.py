@@ -63,18 +63,18 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
         own: Whether it is one of wcsim's: what it asks for is known before any memory is given to it.
 
     Raises:
-        PolicyError: As `read_weights` and `checked_weights` do.
+        PolicyError: As `_read_weights` and `_checked_weights` do.
     """
     path = folder / WEIGHTS
     with torch.device("meta") if own else contextlib.nullcontext():
         net = make()
-    data = read_weights(path, sha256, net.state_dict())
+    data = _read_weights(path, sha256, net.state_dict())
     net = make() if own else net
-    net.load_state_dict(checked_weights(path, data, net.state_dict()))
+    net.load_state_dict(_checked_weights(path, data, net.state_dict()))
     return net
 
 
-def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
+def _read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
     """The bytes of a weights file whose header tells of exactly these tensors.
 
     Args:
@@ -102,7 +102,7 @@ def read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
     return data
 
 
-def checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch.Tensor]:
+def _checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch.Tensor]:
     """The tensors in the bytes of a weights file.
 
     Raises:

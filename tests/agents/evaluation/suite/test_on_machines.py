@@ -12,7 +12,7 @@ from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.agents.rounds.small_runs import run_in
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
 from wcsim.agents.danger.saved import save_danger
-from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_alone, needs_of, piece_of, run_suite, town_addresses
+from wcsim.agents.evaluation.suite.run import SuiteOrder, _drive_alone, _needs_of, piece_of, run_suite, town_addresses
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.config.run_file import DangerRule
 from wcsim.errors import ConfigError
@@ -39,15 +39,15 @@ def test_a_block_with_what_travels_gives_the_same_records(corner, run, tmp_path)
         work = tmp_path / f"node-{number}"
         piece = piece_of(order, 0, policy, towns, judged=False)
         places = {}
-        for parcel in needs_of(piece):
+        for parcel in _needs_of(piece):
             there = work / cluster_node.digest_of(parcel.folder, parcel.names) / parcel.folder.name
             there.mkdir(parents=True)
             cluster_node._unpack(cluster_node.packed(parcel), there)
             assert cluster_node.digest_of(there, parcel.names) == cluster_node.digest_of(parcel.folder, parcel.names)
             places[parcel.address] = str(there / parcel.inner)
         assert len(places) == (1 if policy == "dwa" else 2)
-        there_found = drive_alone(piece, lambda address, places=places: places.get(address, address))
-        assert there_found == drive_alone(piece, str)
+        there_found = _drive_alone(piece, lambda address, places=places: places.get(address, address))
+        assert there_found == _drive_alone(piece, str)
 
 
 def test_what_does_not_travel_is_refused_before_a_cluster_is_asked(corner, tmp_path):

@@ -16,7 +16,7 @@ from wcsim.agents.evaluation.suite.list_file import (
 )
 from wcsim.agents.evaluation.suite.named_policy import identity_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.evaluation.suite.run import SuiteOrder, judged_blocks, policy_digest, read_kept, run_suite
+from wcsim.agents.evaluation.suite.run import SuiteOrder, _judged_blocks, _policy_digest, _read_kept, run_suite
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, TownError
 
@@ -46,12 +46,12 @@ def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_
 def test_a_kept_result_that_is_none_is_refused_in_a_line(tmp_path, kept):
     (tmp_path / "a.json").write_text(kept, encoding="utf-8")
     with pytest.raises(ConfigError, match="remove it"):
-        read_kept(tmp_path / "a.json")
+        _read_kept(tmp_path / "a.json")
 
 
 def test_as_many_episodes_are_judged_as_are_asked_for_and_none_for_none():
     blocks = open_suite("dev").file.blocks
-    counts = [sum(len(blocks[at].episodes) for at in judged_blocks(blocks, wanted)) for wanted in (0, 40, 1 << 30)]
+    counts = [sum(len(blocks[at].episodes) for at in _judged_blocks(blocks, wanted)) for wanted in (0, 40, 1 << 30)]
     assert counts[0] == 0 and 20 <= counts[1] <= 60 and counts[2] == open_suite("dev").episodes
 
 
@@ -62,12 +62,12 @@ def test_what_is_kept_is_of_the_files_that_settings_and_a_network_name(corner, t
     net.write_text("class Net:\n    pass\n")
     plain = SuiteOrder(suite=suite_in(corner, block_of(corner)), out=tmp_path)
     order = replace(plain, settings=(f"chair.plant={chair}",), network="own_net_of_suites:Net")
-    seen = {policy_digest("follow", plain), policy_digest("follow", replace(order, network=""))}
-    seen |= {policy_digest("follow", order)}
+    seen = {_policy_digest("follow", plain), _policy_digest("follow", replace(order, network=""))}
+    seen |= {_policy_digest("follow", order)}
     for path in (chair, net):
         path.write_text(path.read_text() + "\n")
-        seen.add(policy_digest("follow", order))
-    assert len(seen) == 5 and policy_digest("follow", order) in seen
+        seen.add(_policy_digest("follow", order))
+    assert len(seen) == 5 and _policy_digest("follow", order) in seen
 
 
 def test_what_is_kept_is_of_the_files_that_a_list_its_users_and_a_class_name(corner, tmp_path, monkeypatch):
@@ -79,11 +79,11 @@ def test_what_is_kept_is_of_the_files_that_a_list_its_users_and_a_class_name(cor
     mine = block.episodes[0].model_copy(update={"profile": "user.toml"})
     block = block.model_copy(update={"settings": ("chair.plant=chair.toml",), "episodes": (mine,)})
     order = SuiteOrder(suite=suite_in(corner, block), out=tmp_path, settings=("chair={plant='my chair.toml'}",))
-    seen = {policy_digest("own_reader:Reads", order)}
+    seen = {_policy_digest("own_reader:Reads", order)}
     for name in ("my chair.toml", "chair.toml", "user.toml", "weights.zip"):
         (tmp_path / name).write_text("2")
-        seen.add(policy_digest("own_reader:Reads", order))
-    assert len(seen) == 5 and policy_digest("own_reader:Reads", order) in seen
+        seen.add(_policy_digest("own_reader:Reads", order))
+    assert len(seen) == 5 and _policy_digest("own_reader:Reads", order) in seen
 
 
 def test_what_is_kept_is_of_the_code_that_drives(tmp_path):

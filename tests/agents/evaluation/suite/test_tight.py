@@ -4,14 +4,14 @@ import pytest
 
 from tests.agents.evaluation.suite.lists import Held, config
 from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, in_scene, open_tight
-from wcsim.agents.evaluation.suite.make import tight_blocks
+from wcsim.agents.evaluation.suite.make import _tight_blocks
 from wcsim.agents.policies.baselines import baseline
 from wcsim.errors import TownError
 
 
 @pytest.fixture(scope="module")
 def block():
-    (found,) = [item for item in tight_blocks([3]) if item.town == "reversing-off-kerb"]
+    (found,) = [item for item in _tight_blocks([3]) if item.town == "reversing-off-kerb"]
     return found
 
 

@@ -41,7 +41,7 @@ _WAITS_S: Final = 60.0
 XY = tuple[float, float]
 
 
-def is_sound(street: Street, route: Route, outline: Outline) -> bool:
+def _is_sound(street: Street, route: Route, outline: Outline) -> bool:
     """Whether a test may send a chair of this outline along a route."""
     over = crossings(route, street.walk)
     return _has_refuges(over, outline) and _road_beside_m(street, route, over) <= BESIDE_M
@@ -112,7 +112,7 @@ def free_blocks(place: DrawPlace, wanted: Wanted, blocks: int, seed: int) -> lis
 def crossing_blocks(place: DrawPlace, wanted: Wanted, attempts: int, seed: int) -> list[BlockFile]:
     """Blocks of attempts at crossings: each crossing in turn, both ways, until there are enough.
 
-    Left out are those that no sound way leads over, see `is_sound`.
+    Left out are those that no sound way leads over, see `_is_sound`.
     Raises TownError when the town has no crossing that somebody can get to.
     """
     edges = place.street.walk.edges
@@ -181,7 +181,7 @@ def _ways(place: DrawPlace, wanted: Wanted, who: str, rng: np.random.Generator) 
         goal = place.router.random_goal(rng, start, *wanted.way_m, over)
         episode, route = _episode(place, start, yaw_rad, goal, who)
         long_enough = 0.5 * wanted.way_m[0] <= episode.route_m <= 2.0 * wanted.way_m[1]  # some go round another corner
-        if long_enough and is_sound(place.street, route, place.outline):
+        if long_enough and _is_sound(place.street, route, place.outline):
             yield episode, route
             over = float(rng.random() < wanted.crossing_share)
 
@@ -200,7 +200,7 @@ def _attempt(
         over = [int(i) for i in np.unique(route.edge_index) if place.street.walk.edges[int(i)].kind is WayKind.CROSSING]
         ahead = route.points_W_m[min(1, len(route.points_W_m) - 1)] - route.points_W_m[0]
         yaw_rad = math.atan2(ahead[1], ahead[0])
-        sound = over == [crossing] and route.arc_m[-1] < 60.0 and is_sound(place.street, route, place.outline)
+        sound = over == [crossing] and route.arc_m[-1] < 60.0 and _is_sound(place.street, route, place.outline)
         if sound and _clear(place, start, yaw_rad):
             return _episode(place, start, yaw_rad, goal, who)
     return None
@@ -228,7 +228,7 @@ def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) ->
     start = (round(start[0], 3), round(start[1], 3))
     goal = (round(goal[0], 3), round(goal[1], 3))
     route = place.router.route(start, goal)
-    reference_s = reference_time_s(route, who, place.config)
+    reference_s = _reference_time_s(route, who, place.config)
     tick_s = place.config.world.tick_s
     episode = EpisodeFile(
         start_m=start,
@@ -242,7 +242,7 @@ def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) ->
     return episode, route
 
 
-def reference_time_s(route: Route, who: str, config: RunConfig) -> float:
+def _reference_time_s(route: Route, who: str, config: RunConfig) -> float:
     """The time of a way with nothing to hinder it: at the speed that its user likes, from rest."""
     person = find_user(who)
     share = person.speed_share if isinstance(person, UserProfile) else 1.0

@@ -112,11 +112,11 @@ def seat_of(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec
         max_steps=episode.max_steps,
         truth=isinstance(policy, SeesTruth),
         truth_visible=policy.name == VISIBLE_BOUND,
-        start=start_of(episode),
+        start=_start_of(episode),
     )
 
 
-def start_of(episode: EpisodeFile) -> StartSpec | None:
+def _start_of(episode: EpisodeFile) -> StartSpec | None:
     """Where an episode begins and ends; None where its world draws that."""
     if episode.start_m is None or episode.goal_m is None:
         return None

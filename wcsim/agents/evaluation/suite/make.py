@@ -72,7 +72,7 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     """
     config = resolve("quick", SETTINGS)
     by_name(town for town, _ in towns)
-    listed = [listed_as(town, seed) for town, seed in towns]
+    listed = [_listed_as(town, seed) for town, seed in towns]
     named = tuple(
         TownOfSuite(name=name, sha256=content_hash(town), made_seed=seed)
         for name, (town, seed) in zip(listed, towns, strict=True)
@@ -83,8 +83,8 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
     crossing = [block for place in places for block in _crossing(place, order)]
     drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free routes and {len(crossing)} of attempts at crossings"
     told(f"drew {drawn}", 0.0)
-    free = settled(order, named, free, told, "free routes", _starts_well)
-    crossing = settled(order, named, crossing, told, "attempts", _starts_well)
+    free = _settled(order, named, free, told, "free routes", _starts_well)
+    crossing = _settled(order, named, crossing, told, "attempts", _starts_well)
     more = [block for place in places for block in _free(place, order, more=True)] if order.more_ways else []
     hazard = _hazards(order, named, [*free, *more], config, told) if order.hazards else []
     return SuiteFile(
@@ -93,11 +93,11 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
         settings=SETTINGS,
         towns=named,
         forks=order.forks,
-        blocks=(*free, *crossing, *hazard, *tight_blocks(order.tight)),
+        blocks=(*free, *crossing, *hazard, *_tight_blocks(order.tight)),
     )
 
 
-def listed_as(town: Town, made_seed: int | None) -> str:
+def _listed_as(town: Town, made_seed: int | None) -> str:
     """What a list calls a town, so that a test finds it again: its name where that leads to it, else where it lies."""
     if made_seed is None:
         with suppress(TownError):
@@ -142,14 +142,14 @@ def _hazards(
             episodes = taken.episodes[: left[block.town]]
             left[block.town] -= len(episodes)
             found.append(taken.model_copy(update={"episodes": episodes}))
-    settled_ones = settled(order, towns, found, told, "hazards to the end", _ends_in_time)
+    settled_ones = _settled(order, towns, found, told, "hazards to the end", _ends_in_time)
     number = sum(len(block.episodes) for block in settled_ones)
     none = f"no hazards found: no crash of the user alone happened again without the other chairs; {_MORE}"
     told(f"found {counted(number, 'hazard')}" if number else none, 0.0)
     return settled_ones
 
 
-def settled(
+def _settled(
     order: MakeOrder,
     towns: tuple[TownOfSuite, ...],
     blocks: Sequence[BlockFile],
@@ -225,7 +225,7 @@ def _handed_over(episode: EpisodeFile, record: EpisodeRecord, tick_s: float) -> 
     )
 
 
-def tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
+def _tight_blocks(seeds: Sequence[int]) -> list[BlockFile]:
     """A block for each family of scenes and each seed."""
     return [_block(family, seed) for family in FAMILIES for seed in seeds]
 
@@ -272,7 +272,7 @@ def town_list(
 
     An episode goes on from goal to goal until a crash or its last step. The first one's world has the seed itself.
     """
-    listed = [listed_as(town, None) for town in towns]
+    listed = [_listed_as(town, None) for town in towns]
     blocks = []
     for (town, name), (place, profile) in product(zip(towns, listed, strict=True), enumerate(profiles)):
         user = re.sub(r"[^A-Za-z0-9.-]+", " ", profile).strip()[-_NAMED:].strip()

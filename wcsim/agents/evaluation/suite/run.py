@@ -97,15 +97,15 @@ def run_suite(order: SuiteOrder, policies: Sequence[str], done: Done) -> dict[st
     file = order.suite.file
     require_towns(file)
     towns = town_addresses(order)
-    judged = judged_blocks(file.blocks, order.forks)
+    judged = _judged_blocks(file.blocks, order.forks)
     kept: dict[tuple[str, int], tuple[EpisodeRecord, ...]] = {}
     left: list[tuple[Piece, Path]] = []
-    digests = {name: policy_digest(name, order) for name in policies}
+    digests = {name: _policy_digest(name, order) for name in policies}
     for policy, digest in digests.items():
         for index in range(len(file.blocks)):
             path = _kept_path(order, index, digest)
             if path.is_file():
-                kept[policy, index] = read_kept(path)
+                kept[policy, index] = _read_kept(path)
             else:
                 left.append((piece_of(order, index, policy, towns, judged=index in judged), path))
     _drive_all(order, left, kept, done, len(file.blocks))
@@ -176,12 +176,12 @@ def _drive_all(
     pieces = [piece for piece, _ in asked.values()]
     waiting = set(asked)
     with Crew(_workers(order, pieces), keep, least_late_s=_LEAST_LATE_S) as crew:
-        crew.ask([Work(key=_work_key(piece), call=drive_alone, piece=piece, needs=needs_of) for piece in pieces])
+        crew.ask([Work(key=_work_key(piece), call=_drive_alone, piece=piece, needs=_needs_of) for piece in pieces])
         while waiting:
             for key in sorted(crew.come(waiting, _LOOK_S)):
                 waiting.remove(key)
                 piece, path = asked[key]
-                kept[piece.policy, piece.index] = read_kept(path)
+                kept[piece.policy, piece.index] = _read_kept(path)
                 done(piece.policy, sum(name == piece.policy for name, _ in kept), blocks)
             order.look(crew.now())
 
@@ -204,7 +204,7 @@ def _work_key(piece: Piece) -> str:
     return f"{piece.policy}/{piece.index}"
 
 
-def needs_of(piece: Piece) -> tuple[Parcel, ...]:
+def _needs_of(piece: Piece) -> tuple[Parcel, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
     towns = (town_parcel(piece.town),) if piece.block.part != TIGHT else ()
     if is_baseline(piece.policy):
@@ -215,7 +215,7 @@ def needs_of(piece: Piece) -> tuple[Parcel, ...]:
     return (*towns, policy_parcel(split_level(piece.policy)[0]))
 
 
-def drive_alone(piece: Piece, at: At) -> bytes:
+def _drive_alone(piece: Piece, at: At) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
     where = {name: policy_at(name, at) for name in (piece.policy,) if not is_baseline(name)}
     policy = where.get(piece.policy, piece.policy)
@@ -251,7 +251,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
         return drive_block(order, iter(drivers).__next__, watch)
 
 
-def policy_digest(name: str, order: SuiteOrder) -> str:
+def _policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
     named = own_files(_all_settings(order), order.network, _users(order))
     hooks = sources_of(order.hook, "step hook") if order.hook else {}
@@ -272,7 +272,7 @@ def _users(order: SuiteOrder) -> list[str]:
     return list(profiles_of(block for block in order.suite.file.blocks if block.part != TIGHT))
 
 
-def judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:
+def _judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:
     """The blocks whose interventions are judged: evenly spread, as many as hold so many episodes."""
     total = sum(len(block.episodes) for block in blocks)
     if episodes >= total:
@@ -287,7 +287,7 @@ def _kept_path(order: SuiteOrder, index: int, digest: str) -> Path:
     return order.out / "kept" / f"{block_key(order.suite, index, digest)}.json"
 
 
-def read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
+def _read_kept(path: Path) -> tuple[EpisodeRecord, ...]:
     """The records of a block that was driven before. Raises ConfigError."""
     data = read_json(path, _KEPT)
     try:
