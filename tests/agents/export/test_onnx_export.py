@@ -103,7 +103,7 @@ def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
 
 
 def test_what_cannot_be_exported_or_read_is_refused_in_a_line(made, tmp_path):
-    seeing = network(eye="picture", height_px=36, width_px=48)
+    seeing = network(eye="picture")
     save_danger(tmp_path / "seeing", seeing, DangerRule(), CONFIG)
     with pytest.raises(PolicyError, match=r"danger\.eye=picture cannot be exported"):
         export_policy(tmp_path / "seeing", tmp_path / "out", CONFIG, RIDE[:2])
