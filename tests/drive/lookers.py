@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from wcsim.agents.policy_api import Observation
-from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
+from wcsim.log.records import DriveTick, Note
 
 
 class Noted:
     """Keeps what it hears."""
 
     def __init__(self) -> None:
-        self.ticks: list[DrivenTick] = []
-        self.events: list[DriveEvent] = []
+        self.ticks: list[DriveTick] = []
+        self.events: list[Note] = []
         self.closed = 0
 
-    def tick(self, driven: DrivenTick) -> None:
+    def tick(self, driven: DriveTick) -> None:
         self.ticks.append(driven)
 
-    def event(self, event: DriveEvent) -> None:
+    def event(self, event: Note) -> None:
         self.events.append(event)
 
     def close(self) -> None:
         self.closed += 1
 
-    def kinds(self) -> list[EventKind]:
+    def kinds(self) -> list[str]:
         return [event.kind for event in self.events]
 
 

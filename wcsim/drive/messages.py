@@ -8,8 +8,8 @@ import msgspec
 
 from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import escaped
-from wcsim.drive.drawing.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.driven import DriverKind
+from wcsim.drive.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.recording.study_plan import StudyView
 from wcsim.errors import ProtocolError
 

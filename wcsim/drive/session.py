@@ -18,21 +18,30 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
-from wcsim.drive.driven import DriveEvent, DriveMetrics, DrivenTick, DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import start_json
+from wcsim.log.records import DriveTick, Note, start_json
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.users.hand import in_gate
 
 AT_REST = Joystick(0.0, 0.0)
-_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
+_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
 _BACK_M: Final = 5.0  # from a crash to where the next episode begins
 _NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
 _TRAIL_M: Final = 0.5  # between places of the trail
 _MOST_TRAIL: Final = 200
+_COUNTED: Final = (
+    ("crashed", "crashes"),
+    ("arrived", "arrivals"),
+    ("gave_up", "given_up"),
+    ("warning", "warnings"),
+    ("intervening", "interventions"),
+    ("overruled", "overrules"),
+)  # fields of a tick, and their counters; a request for help counts when it is heard
 ELSEWHERE: Final = "elsewhere, as no place before the crash is free"
 
 
@@ -60,9 +69,11 @@ class DriveSession(Closing):
         say: Callable[[str], object] | None = None,
     ) -> None:
         """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
-        self.metrics, self.driver = DriveMetrics(), DriverKind.PERSON
+        self.metrics, self.driver = KpiTotals(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
         self._ticks, self._episode, self._help = 0, 0, False  # `_help`: asked for since the last tick
+        self.last: DriveTick | None = None  # of this episode
+        self.unsafe: tuple[int, ...] = ()  # actions that the policy held for unsafe then; empty where it does not say
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
@@ -79,7 +90,7 @@ class DriveSession(Closing):
             self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
             self._chair = Chair(config)
             self._begin()
-            self.assistance.begin(self._client.drawn)
+            self.assistance.reset(self._client.drawn)
         except BaseException:
             self._held.close()
             raise
@@ -89,6 +100,11 @@ class DriveSession(Closing):
     def time_s(self) -> float:
         """Seconds of driving since the drive began."""
         return self._ticks * self.tick_s
+
+    @property
+    def way_m(self) -> float:
+        """How far the chair was driven, as far as that is judged."""
+        return self.metrics.speed_sum * self.tick_s
 
     @property
     def counted_s(self) -> float:
@@ -177,7 +193,7 @@ class DriveSession(Closing):
         if self._help:
             return
         self._help = True
-        self.metrics.helps += self.handed_over
+        self.metrics = self.metrics._replace(helps=self.metrics.helps + self.handed_over)
         if raises and self.handed_over:
             self.assistance.ask_for_help()
         deed = "assists the most" if self.assistance.levels else "drives the chair half as fast"
@@ -222,7 +238,7 @@ class DriveSession(Closing):
         self.say(EventKind.REBUILT)
         self._next("from the beginning")
 
-    def tick(self, wish: Wish) -> DrivenTick:
+    def tick(self, wish: Wish) -> DriveTick:
         """Drive one tick.
 
         Raises:
@@ -241,16 +257,16 @@ class DriveSession(Closing):
         user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
         let_wait(user, patient=not by_user)
         self._move(answer)
-        sticks = user.sticks.copy() if by_user else _NO_STICKS
+        sticks = user.sticks if by_user else _NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
-        self._help = False
+        self.last, self.unsafe, self._help = driven, answer.unsafe, False
         self._pass_help()
-        self._tell(driven)
+        self._tell(driven, self.actions.distance(answer.sent, (stick.x, stick.y)))
         return driven
 
     def say(self, kind: EventKind, told: str = "") -> None:
         """Write an event into the log of whoever looks on."""
-        event = DriveEvent(kind=kind, tick=self._ticks, time_s=self.time_s, told=told)
+        event = Note(kind=kind, tick=self._ticks, time_s=self.time_s, detail=told)
         for observer in self._observers:
             observer.event(event)
 
@@ -283,50 +299,41 @@ class DriveSession(Closing):
         self._ticks += 1
         self._step += 1
 
-    def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DrivenTick:
+    def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DriveTick:
         client, points = self._client, self.actions.points
         events, plant = client.events, client.plant
-        return DrivenTick(
+        return DriveTick(
             tick=self._ticks,
             time_s=self.time_s,
             episode=self._episode,
-            step=self._step,
-            driver=DriverKind.PERSON if intent is None else DriverKind.SIMULATED,
             stick=stick,
             intent=intent,
-            sticks=sticks,
+            sticks=sticks.astype(np.float32),  # a copy, of half the bytes
             action=answer.chosen,
             chosen=Joystick(*points[answer.chosen].tolist()),
             commanded=Joystick(*points[answer.sent].tolist()),
-            unsafe=answer.unsafe,
-            assisted=self.assistance.on,
-            level=self.assistance.level,
             warning=answer.warning,
             intervening=answer.intervening,
             overruled=wish.overrule,
-            help_asked=wish.help,
+            helped=wish.help,
             p_WB_m=plant.p_WB_m.copy(),
             yaw_rad=plant.yaw_rad,
             roll_rad=plant.roll_rad,
             pitch_rad=plant.pitch_rad,
             speed_mps=float(plant.v_B_mps[0]),
-            joystick_distance=self.actions.distance(answer.sent, (stick.x, stick.y)),
-            progress_m=events.progress_m,
             arrived=events.arrived,
             gave_up=events.gave_up,
             crashed=events.crashed,
-            crash_reason=events.crash_reason,
             truncated=events.truncated,
-            seed=self.place.seed,
-            town=self.place.town.name,
-            profile=self.profile,
-            policy=self.assistance.name,
         )
 
-    def _tell(self, driven: DrivenTick) -> None:
-        """Count the tick, and tell who looks on what happened in it."""
-        if driven.step > self.place.handover_step:
-            self.metrics.add(driven, self.tick_s)
+    def _tell(self, driven: DriveTick, distance: float) -> None:
+        """Count the tick, and tell who looks on what happened in it; `distance` is between stick and command."""
+        if self._step > self.place.handover_step:
+            happened = {name for field, name in _COUNTED if getattr(driven, field)}
+            self.metrics = self.metrics.plus(happened, distance, driven.speed_mps)
+            if driven.ends:  # a drive may end before the next episode begins
+                self.metrics = self.metrics.over()
         now = (driven.warning, driven.intervening, driven.overruled)
         kinds = (EventKind.WARNING, EventKind.INTERVENING, EventKind.OVERRULE)
         for kind, is_on, was in zip(kinds, now, self._said, strict=True):
@@ -373,6 +380,7 @@ class DriveSession(Closing):
         client = self.world.snapshot.clients[0]
         self._client = client if client.first is None else client.first
         self._step, self._fresh, self._ended = 0, True, False
+        self.last, self.unsafe = None, ()
         self._trail = deque([_xy(self._client.plant.p_WB_m)], _MOST_TRAIL)
         self._note_way()
 
@@ -413,7 +421,7 @@ class DriveSession(Closing):
         return "before the crash"
 
     def _next(self, why: str) -> None:
-        self.metrics.end_episode()
+        self.metrics = self.metrics.over()
         self._episode += 1
         self._begin()
         self._face_way()

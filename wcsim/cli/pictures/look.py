@@ -43,7 +43,7 @@ def run(words: list[str]) -> int:
     check_output("--out", video)
     missing = missing_folder(video)
 
-    from wcsim.drive.drawing.pictures import StillPictures  # these load the simulators, which --help must not
+    from wcsim.drive.pictures import StillPictures  # these load the simulators, which --help must not
     from wcsim.view.filming import BusiestMoment, open_stage
     from wcsim.view.pictures import write_png
 
