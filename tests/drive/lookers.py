@@ -14,11 +14,8 @@ class Noted:
         self.events: list[Note] = []
         self.closed = 0
 
-    def tick(self, driven: DriveTick) -> None:
-        self.ticks.append(driven)
-
-    def event(self, event: Note) -> None:
-        self.events.append(event)
+    def __call__(self, record: DriveTick | Note) -> None:
+        (self.ticks if isinstance(record, DriveTick) else self.events).append(record)  # type: ignore[arg-type]
 
     def close(self) -> None:
         self.closed += 1

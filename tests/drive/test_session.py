@@ -12,7 +12,7 @@ from tests.support.worlds import quick_config
 from wcsim.drive import messages as m
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
-from wcsim.drive.runner import PageNotifier
+from wcsim.drive.runner import notice_of
 from wcsim.drive.session import AT_REST, DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.errors import ConfigError, PolicyError, TownError
@@ -155,10 +155,12 @@ def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
     while not session.tick(Wish(stick=Joystick(0.5, 0.8))).crashed:
         assert session.time_s < 15.0
     monkeypatch.setattr(session.world, "start_facing", lambda *_: None)
-    said: list[m.Notice] = []
-    session.add_observer(PageNotifier(said.append))
+    said: list[m.Notice | None] = []
+    session.add_observer(lambda record: said.append(notice_of(record)))
     session.tick(Wish())
-    assert [notice.told for notice in said] == ["No place before the crash is free. You start somewhere else."]
+    assert [notice.told for notice in said if notice] == [
+        "No place before the crash is free. You start somewhere else."
+    ]
 
 
 def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:
@@ -250,8 +252,8 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
 
 
 def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSession, noted: Noted) -> None:
-    said: list[m.Notice] = []
-    session.add_observer(PageNotifier(said.append))
+    said: list[m.Notice | None] = []
+    session.add_observer(lambda record: said.append(notice_of(record)))
     session.tick(Wish(help=True))
     assert session.help_left_s == pytest.approx(9.9)
     levels = [session.assistance.level]
@@ -260,7 +262,7 @@ def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSe
         levels.append(session.assistance.level)
     assert levels == [2.0] * 99 + [1.0] and not session.help_left_s
     assert session.help_left_s == 0.0 and noted.kinds().count(EventKind.HELP_END) == 1
-    assert [each.told for each in said] == [
+    assert [each.told for each in said if each] == [
         "The user asks for help. For 10 s the policy assists the most.",
         "Help is over. The assistance is as before.",
     ]
@@ -274,10 +276,10 @@ def test_the_request_of_a_simulated_user_counts_and_is_answered_where_that_is_se
     world = config.world.model_copy(update={"help_users": answered})
     session.place = replace(session.place, config=config.model_copy(update={"world": world}))
     events = replace(session.client.events, help_asked=True)
-    session._client = replace(session.client, events=events)
+    session.client = replace(session.client, events=events)
     session.tick(Wish())
     assert session.metrics.helps == 0, "a person drives"
-    session._client = replace(session.client, events=events)
+    session.client = replace(session.client, events=events)
     session.drive_by(DriverKind.SIMULATED)
     session.tick(Wish())
     assert session.metrics.helps == 1 and bool(session.assistance.help_left) is answered

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
-from typing import Protocol
 
 from wcsim.log.records import DriveTick, Note
 
@@ -43,14 +43,8 @@ class EventKind(StrEnum):
     POLICY_FAILED = "policy-failed"
 
 
-class DriveObserver(Protocol):
-    """Observes a drive, and changes nothing."""
+DriveObserver = Callable[[DriveTick | Note], object]
+"""Observes a drive, and changes nothing: each tick that is done, and each event before the tick that it belongs to.
 
-    def tick(self, driven: DriveTick) -> None:
-        """A tick is done; its number is of the drive, from 1 on, and its arrays are copies."""
-
-    def event(self, event: Note) -> None:
-        """Something has happened, an `EventKind`; comes before the `tick` that it belongs to."""
-
-    def close(self) -> None:
-        """The drive is over."""
+Ticks are numbered over the drive, from 1 on; their arrays are copies. One that has `close` is closed with the drive.
+"""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -30,7 +29,7 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
-from wcsim.types import F32, F64, U8, ActorState, Bool, CameraFrame, Route, SignalState, Street
+from wcsim.types import F32, F64, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
@@ -428,27 +427,26 @@ class DrivePictures:
     def __init__(self, session: DriveSession) -> None:
         self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
         self._episode = -1  # that was drawn last
-        self.spent_s = 0.0
 
     def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
         """All pictures of now, see `StreetPictures.draw`."""
-        began_s = time.perf_counter()
-        plant = session.client.plant
         jumped, self._episode = session.episode != self._episode, session.episode
-        snapshot = session.world.snapshot
-        moment = Moment(
-            actors=snapshot.actors,
-            signals=snapshot.signals,
-            chairs=(chair_pose(0, plant, session.world.seats[0].chair.outline),),
-            seat=0,
-            jumped=jumped,
-            route=session.route,
-            done_m=session.done_m,
-            frame=session.client.sensors.cameras[0],
-        )
-        message = self._pictures.draw(moment, looks, dt_s)
-        self.spent_s += time.perf_counter() - began_s
-        return message
+        moment = _moment(session.world, session.client, session.route, session.done_m)
+        moment = replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
+        return self._pictures.draw(moment, looks, dt_s)
+
+
+def _moment(world: World, client: ClientSnapshot, route: Route, done_m: float) -> Moment:
+    """The street of now around the chair in the first seat, on its way."""
+    snapshot = world.snapshot
+    return Moment(
+        actors=snapshot.actors,
+        signals=snapshot.signals,
+        chairs=(chair_pose(0, client.plant, world.seats[0].chair.outline),),
+        seat=0,
+        route=route,
+        done_m=done_m,
+    )
 
 
 def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
@@ -514,13 +512,6 @@ class StillPictures:
 
     def draw(self) -> U8:
         """The picture of now, (540, 960, 3) RGB."""
-        snapshot, seat = self._world.snapshot, self._world.seats[0]
-        moment = Moment(
-            actors=snapshot.actors,
-            signals=snapshot.signals,
-            chairs=(chair_pose(0, snapshot.clients[0].plant, seat.chair.outline),),
-            seat=0,
-            route=seat.route,
-            done_m=seat.user.route_progress_m,
-        )
+        world, seat = self._world, self._world.seats[0]
+        moment = _moment(world, world.snapshot.clients[0], seat.route, seat.user.route_progress_m)
         return self._pictures.behind(moment, _LOOKS)

@@ -250,6 +250,11 @@ class DriveRunner:
     def _say(self, message: Any) -> None:
         self._pipe.send_bytes(JSON + m.spoken(message))
 
+    def _note(self, record: DriveTick | Note) -> None:
+        notice = notice_of(record)
+        if notice is not None:
+            self._say(notice)
+
     def _tell_kept(self, news: RecorderStatus) -> None:
         self._say(m.Keeping(on=news.on, file=news.file, told=news.told))
         if news.log:
@@ -373,7 +378,7 @@ class DriveRunner:
         self._pictures = None
         self._watch.require_rest()
         self.session = session = DriveSession(
-            start, (PageNotifier(self._say), *self._observers()), lambda told: self._say(m.Busy(told=told))
+            start, (self._note, *self._observers()), lambda told: self._say(m.Busy(told=told))
         )
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
@@ -484,27 +489,10 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
         bearing_deg=round(deg(session.bearing_rad)),
         crash=session.crash,
         profile=session.profile,
-        kpis=_kpis(session),
+        kpis=m.kpis_of(session.metrics, session.tick_s),
         tick_ms=round(1000.0 * clock.tick_s, 2),
         pictures_ms=round(1000.0 * clock.picture_s, 2),
         rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
-    )
-
-
-def _kpis(session: DriveSession) -> m.Kpis:
-    metrics = session.metrics
-    return m.Kpis(
-        kpi1=None if metrics.kpi1 is None else round(metrics.kpi1, 4),
-        kpi2=round(metrics.kpi2, 1),
-        way_m=round(session.way_m, 1),
-        time_s=round(session.time_s, 1),
-        crashes=metrics.crashes,
-        arrivals=metrics.arrivals,
-        given_up=metrics.given_up,
-        helps=metrics.helps,
-        overrules=metrics.overrules,
-        warnings=metrics.warnings,
-        interventions=metrics.interventions,
     )
 
 
@@ -512,33 +500,20 @@ def _xy(stick: Joystick) -> tuple[float, float]:
     return round(stick.x, 3), round(stick.y, 3)
 
 
-class PageNotifier:
-    """Sends events to the page.
-
-    Args:
-        say: Sends a notice to the page.
-    """
-
-    def __init__(self, say: Callable[[m.Notice], None]) -> None:
-        self._say = say
-
-    def tick(self, driven: DriveTick) -> None:
-        """The state says it."""
-
-    def event(self, event: Note) -> None:
-        """Those that a person wants to hear of; a crash is in the state."""
-        if event.detail == ELSEWHERE:
-            self._say(m.Notice(kind="note", told="No place before the crash is free. You start somewhere else."))
-        elif event.kind in _NOTICES:
-            kind, told = _NOTICES[event.kind]
-            self._say(m.Notice(kind=kind, told=told))
-        elif event.kind == EventKind.HELP:
-            self._say(m.Notice(kind="note", told=event.detail))
-        elif event.kind == EventKind.POLICY_FAILED:
-            self._say(m.Notice(kind="bad", told=f"The assistance failed and is off: {event.detail}"))
-
-    def close(self) -> None:
-        """Nothing is held."""
+def notice_of(record: DriveTick | Note) -> m.Notice | None:
+    """What a person wants to hear of a record, if anything; the state says the ticks, and a crash."""
+    if isinstance(record, DriveTick):
+        return None
+    if record.detail == ELSEWHERE:
+        return m.Notice(kind="note", told="No place before the crash is free. You start somewhere else.")
+    if record.kind in _NOTICES:
+        kind, told = _NOTICES[record.kind]
+        return m.Notice(kind=kind, told=told)
+    if record.kind == EventKind.HELP:
+        return m.Notice(kind="note", told=record.detail)
+    if record.kind == EventKind.POLICY_FAILED:
+        return m.Notice(kind="bad", told=f"The assistance failed and is off: {record.detail}")
+    return None
 
 
 def run_drive(pipe: Connection, order: DriveOrder) -> None:

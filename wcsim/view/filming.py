@@ -78,10 +78,9 @@ class FilmedDrive:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
             raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-        self._policy: Policy | None = None
         self._driver: SeatDriver | None = None
         self._info = Info()
-        config, spec = self._senses(driver, seed, width)
+        config, spec, self._policy = _senses(driver, seed, width)
         self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
         self._ticks, self._held = 0, ExitStack()
         try:
@@ -150,19 +149,6 @@ class FilmedDrive:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._held.__exit__(kind, error, at)
 
-    def _senses(self, driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatSpec]:
-        """Open the policy, if any; the world's settings, whose last camera is the film's, and who sits in it."""
-        camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
-        if not driver.policy:
-            config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
-            return resolve(config, driver.settings), SeatSpec(profile=driver.profile)
-        own = settings_of(driver.policy, "quick", driver.settings)
-        film = camera.model_copy(update={"name": _FILM_CAMERA})
-        own = own.model_copy(update={"cameras": (*own.cameras, film)})
-        self._policy = policy = open_named(driver.policy, own, seed, driver.network or None)
-        truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
-        return sensing(own, policy), SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible)
-
     def _open_video(self, path: Path) -> None:
         width, height = self.camera.width_px, self.camera.height_px
         self._map = MapView(self.world.street.mesh, height, _MAP_SPAN_M)
@@ -199,6 +185,20 @@ class FilmedDrive:
             seen = np.isin(frame.class_id[:, stripe], _ACTOR_CLASSES) & (frame.depth_m[:, stripe] > along - 4.0)
             count += bool(seen.any())
         return count
+
+
+def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatSpec, Policy | None]:
+    """The world's settings, whose last camera is the film's; who sits in it, and the policy, if any."""
+    camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
+    if not driver.policy:
+        config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
+        return resolve(config, driver.settings), SeatSpec(profile=driver.profile), None
+    own = settings_of(driver.policy, "quick", driver.settings)
+    film = camera.model_copy(update={"name": _FILM_CAMERA})
+    own = own.model_copy(update={"cameras": (*own.cameras, film)})
+    policy = open_named(driver.policy, own, seed, driver.network or None)
+    truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
+    return sensing(own, policy), SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
 
 
 class BusiestMoment:

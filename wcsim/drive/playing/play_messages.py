@@ -103,21 +103,6 @@ class PlayMarks(msgspec.Struct, tag_field="say", tag="marks", frozen=True, kw_on
     left_out: int  # older ones
 
 
-class PlayKpis(msgspec.Struct, frozen=True, kw_only=True):
-    """The numbers of a chair up to here; None is what is not known."""
-
-    kpi1: float | None
-    kpi2: float | None
-    ticks: int
-    way_m: float
-    crashes: int | None
-    drops: int | None
-    arrivals: int | None
-    warnings: int | None
-    interventions: int | None
-    helps: int
-
-
 class ChairLine(msgspec.Struct, frozen=True, kw_only=True):
     """A chair among others."""
 
@@ -129,7 +114,7 @@ class ChairLine(msgspec.Struct, frozen=True, kw_only=True):
     crashed: bool
     speed_mps: float
     step: int
-    kpis: PlayKpis
+    kpis: m.Kpis
 
 
 class PlayState(msgspec.Struct, tag_field="say", tag="state", frozen=True, kw_only=True):
@@ -306,24 +291,7 @@ def _line(
         crashed=Flag.CRASHED in flags,
         speed_mps=0.0 if chair is None else round(chair.speed_mps, 2),
         step=-1 if chair is None else chair.step,
-        kpis=_kpis(sums or KpiTotals(), about),
-    )
-
-
-def _kpis(sums: KpiTotals, about: FilmAbout) -> PlayKpis:
-    """What a trace does not know is None: it has neither actions nor events."""
-    knows = bool(about.actions)
-    return PlayKpis(
-        kpi1=None if sums.kpi1 is None else round(sums.kpi1, 4),
-        kpi2=round(sums.kpi2, 1) if knows else None,
-        ticks=sums.ticks,
-        way_m=round(sums.speed_sum * about.tick_s, 1),
-        crashes=sums.crashes if knows else None,
-        drops=sums.drops if knows else None,
-        arrivals=sums.arrivals if knows else None,
-        warnings=sums.warnings if about.warns else None,
-        interventions=sums.interventions if knows else None,
-        helps=sums.helps,
+        kpis=m.kpis_of(sums or KpiTotals(), about.tick_s, knows=bool(about.actions), warns=about.warns),
     )
 
 

@@ -49,25 +49,16 @@ class SessionRecorder:
         self._before, self._kept = session.ticks, 0
         self._begin()
 
-    def tick(self, driven: DriveTick) -> None:
-        """Write it."""
-        if self._header is None:
-            return
-        try:
-            recorder = self._recorder or self._open(self._header)
-            recorder.append(replace(driven, **self._place(driven.tick)))
-            self._kept += 1
-        except WcsimError as error:
-            self._stop(str(error))
-
-    def event(self, event: Note) -> None:
+    def __call__(self, record: DriveTick | Note) -> None:
         """Write it; a world's end is a file's end."""
-        if event.kind == EventKind.REBUILT:
+        if isinstance(record, DriveTick):
+            self._tick(record)
+        elif record.kind == EventKind.REBUILT:
             self._end()
-            self._before = event.tick
+            self._before = record.tick
             self._begin()
         elif self._header is not None:
-            self._note(event)
+            self._note(record)
 
     def close(self) -> None:
         """The file is whole; a second call does nothing."""
@@ -118,6 +109,16 @@ class SessionRecorder:
             RecorderStatus(on=True, file=self._file, log=f"recording to {escaped(path)}: {self._session.place.told}")
         )
         return self._recorder
+
+    def _tick(self, driven: DriveTick) -> None:
+        if self._header is None:
+            return
+        try:
+            recorder = self._recorder or self._open(self._header)
+            recorder.append(replace(driven, **self._place(driven.tick)))
+            self._kept += 1
+        except WcsimError as error:
+            self._stop(str(error))
 
     def _note(self, event: Note) -> None:
         told = event.detail
