@@ -12,7 +12,7 @@ import numpy as np
 
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import U8
-from wcsim.view.driven_film import DrivenFilm, FilmDriver
+from wcsim.view.filming import FilmDriver, FilmedDrive
 
 TOWN, SEED, POLICY, PROFILE = "helsinki", 1, "shipped", "inattentive"
 FIRST_TICK, TICKS = 578, 72  # a pedestrian stops in front of the chair, and the user pushes on
@@ -29,7 +29,7 @@ def main(folder: Path) -> Path:
     driver = FilmDriver(policy=POLICY, profile=PROFILE)
     with (
         tempfile.TemporaryDirectory() as work,
-        DrivenFilm(find_town(TOWN), SEED, WIDTH_PX, driver, Path(work) / "ride.webm") as film,
+        FilmedDrive(find_town(TOWN), SEED, WIDTH_PX, driver, Path(work) / "ride.webm") as film,
     ):
         for tick in range(FIRST_TICK + TICKS):
             frame = film.add()

@@ -19,8 +19,7 @@ from tests.view.report.results import write_result
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
-from wcsim.drive.playing.play_messages import FailedLine
-from wcsim.drive.playing.play_state import film_about
+from wcsim.drive.playing.play_messages import FailedLine, film_about
 from wcsim.server.specs import RunInfo
 from wcsim.view.report.demo_page import DemoShown, write_demo_page
 

@@ -15,7 +15,7 @@ import pytest
 from tests.cli.conftest import QUICK, files_in
 from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli import doctor
-from wcsim.drive.drawing.pictures import StillPictures
+from wcsim.drive.pictures import StillPictures
 from wcsim.physics import engine
 from wcsim.towns.scenario.town import find_town
 

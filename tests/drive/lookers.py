@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from wcsim.agents.policy_api import Observation
-from wcsim.drive.driven import DriveEvent, DrivenTick, EventKind
+from wcsim.log.records import DriveTick, Note
 
 
 class Noted:
     """Keeps what it hears."""
 
     def __init__(self) -> None:
-        self.ticks: list[DrivenTick] = []
-        self.events: list[DriveEvent] = []
+        self.ticks: list[DriveTick] = []
+        self.events: list[Note] = []
         self.closed = 0
 
-    def tick(self, driven: DrivenTick) -> None:
-        self.ticks.append(driven)
-
-    def event(self, event: DriveEvent) -> None:
-        self.events.append(event)
+    def __call__(self, record: DriveTick | Note) -> None:
+        (self.ticks if isinstance(record, DriveTick) else self.events).append(record)  # type: ignore[arg-type]
 
     def close(self) -> None:
         self.closed += 1
 
-    def kinds(self) -> list[EventKind]:
+    def kinds(self) -> list[str]:
         return [event.kind for event in self.events]
 
 

@@ -48,7 +48,7 @@ def test_a_policy_that_breaks_stops_the_chair_once_and_is_off() -> None:
 
 def test_an_action_that_is_none_is_a_failure() -> None:
     assistance = Assistance(Remembers(), ACTIONS)
-    assistance._policy.choose = lambda _: 81
+    assistance._agent.policy.choose = lambda _: 81
     assert assistance.answer(AHEAD, {}, asked=True).sent == ACTIONS.nearest((0.0, 0.0))
     assert "expected 0 to 80" in assistance.failed
 
@@ -94,7 +94,7 @@ class Fragile(Remembers):
 @pytest.mark.parametrize("where", ["begin", "reset", "set_level", "sent", "warning"])
 def test_a_policy_may_break_anywhere_and_the_person_drives_on(where: str) -> None:
     assistance = Assistance(Fragile(where), ACTIONS)
-    assistance.begin(None)
+    assistance.reset(None)
     assistance.set_level(0.5)
     answer = assistance.answer(AHEAD, {}, asked=True)
     assert (assistance.on, assistance.failed, answer.warning) == (False, f"ValueError: {where}", False)
@@ -107,7 +107,7 @@ def test_a_policy_may_break_anywhere_and_the_person_drives_on(where: str) -> Non
 def test_a_policy_that_is_tried_again_hears_the_delay_of_the_episode_of_now() -> None:
     policy = HearsDelays(None)
     assistance = Assistance(policy, ACTIONS)
-    assistance.begin(Drawn(action_delay_ticks=1))
+    assistance.reset(Drawn(action_delay_ticks=1))
     assistance.failed = "broken"
     assistance.reset(Drawn(action_delay_ticks=2))
     assistance.switch(True)

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.drive import messages as m
-from wcsim.drive.drawing.pictures import CameraKind
 from wcsim.drive.driven import DriverKind
+from wcsim.drive.pictures import CameraKind
 from wcsim.errors import ProtocolError
 
 GOOD = (

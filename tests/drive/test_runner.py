@@ -15,10 +15,9 @@ from tests.drive.lookers import Breaks, BreaksAtOnce, Noted
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner, drive_about, drive_state
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
-from wcsim.drive.view_model import drive_about, drive_state
 from wcsim.types import ClassId, Joystick
 
 SLOW_S = 40.0  # to open a street that was never built
@@ -95,10 +94,10 @@ def drive(corner: Path) -> Iterator[DriveRunner]:
 
 def test_an_episode_that_ends_asks_for_a_stick_at_rest(drive: DriveRunner, monkeypatch: pytest.MonkeyPatch) -> None:
     drive._tick(100.0)
-    assert not drive.must_rest
+    assert not drive._watch.must_rest
     monkeypatch.setattr(DriveSession, "ended", property(lambda session: True))
     drive._tick(100.1)
-    assert drive.must_rest
+    assert drive._watch.must_rest
 
 
 def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
@@ -108,8 +107,8 @@ def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
         for overrule in (True, False):
             drive._stick(m.Stick(x=0.0, y=0.0, overrule=overrule))
         drive._tick(100.0)
-        assert drive._last is not None
-        return drive._last.overruled
+        assert drive.session.last is not None
+        return drive.session.last.overruled
 
     assert press()
     monkeypatch.setattr(DriveSession, "ended", property(lambda session: True))
@@ -118,45 +117,45 @@ def test_a_press_while_a_crash_is_shown_does_not_overrule_in_the_next_episode(
 
 def test_a_policy_that_breaks_stops_time_once(drive: DriveRunner) -> None:
     assert drive.session is not None
-    drive.session.assistance._policy = Breaks(None)
+    drive.session.assistance._agent.policy = Breaks(None)
     events = Noted()
     drive.session.add_observer(events)
     for _ in range(6):
-        assert not drive.paused
+        assert not drive.clock.paused
         drive._tick(100.0)
-    assert drive.paused, "whoever sits there is to know of it"
+    assert drive.clock.paused, "whoever sits there is to know of it"
     drive._pause(m.Pause(on=False))
     for _ in range(3):
         drive._tick(100.0)
-    assert not drive.paused, "and drives on without it"
+    assert not drive.clock.paused, "and drives on without it"
     drive.session.new_place()
     drive._tick(100.0)
     assert events.kinds().count(EventKind.POLICY_FAILED) == 1
     drive.session.assist(True)
     for _ in range(6):
         drive._tick(100.0)
-    assert drive.paused, "it is tried again, and breaks again"
+    assert drive.clock.paused, "it is tried again, and breaks again"
 
 
 @pytest.mark.parametrize("where", ["act", "reset"])
 def test_a_policy_that_breaks_again_at_once_is_told_of_again(drive: DriveRunner, where: str) -> None:
     assert drive.session is not None
-    drive.session.assistance._policy = BreaksAtOnce(where)
+    drive.session.assistance._agent.policy = BreaksAtOnce(where)
     events = Noted()
     drive.session.add_observer(events)
     if where == "reset":
         drive.session.assistance.reset(None)
     drive._tick(100.0)
-    assert drive.paused
+    assert drive.clock.paused
     drive._assist(m.Assist(on=True))
     drive._pause(m.Pause(on=False))
     if where == "act":
         drive._tick(100.0)
-        assert drive.paused
+        assert drive.clock.paused
     assert events.kinds().count(EventKind.POLICY_FAILED) == 2
     drive._pause(m.Pause(on=False))
     drive._tick(100.0)
-    assert not drive.paused, "who goes on knows of it"
+    assert not drive.clock.paused, "who goes on knows of it"
 
 
 def states(server: Connection) -> list[dict[str, Any]]:
@@ -322,4 +321,4 @@ def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(dri
     for kind in (ClassId.ROAD, ClassId.SIDEWALK):
         session.world.put_chair(0, np.array(told[kind]), 0.0)
         drive._tick(100.0)
-        assert drive_state(drive, session, drive._last).on_road is (kind is ClassId.ROAD)
+        assert drive_state(session, drive.clock, "", False).on_road is (kind is ClassId.ROAD)

@@ -12,9 +12,9 @@ from tests.support.worlds import quick_config
 from wcsim.drive import messages as m
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
+from wcsim.drive.runner import notice_of
 from wcsim.drive.session import AT_REST, DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
-from wcsim.drive.view_model import PageNotifier
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.types import Joystick, StartSpec
 from wcsim.users.user import SimulatedUser
@@ -34,7 +34,7 @@ def test_a_scripted_stick_moves_the_chair_and_rest_stops_it(session: DriveSessio
     assert abs(driven[-1].speed_mps) < 0.02
     assert {each.commanded for each in driven[:20]} == {Joystick(0.0, 1.0)}
     assert [each.tick for each in driven] == list(range(1, 46))
-    assert session.metrics.way_m == pytest.approx(way_m, rel=0.2)
+    assert session.way_m == pytest.approx(way_m, rel=0.2)
     assert session.metrics.kpi1 == 0.0, "the chair did what the stick said"
     assert all(each.intent is None for each in driven), "nobody knows what a person wants"
 
@@ -51,7 +51,6 @@ def test_the_simulated_user_drives_where_it_is_asked_to(session: DriveSession, n
     session.drive_by(DriverKind.SIMULATED)
     for _ in range(30):
         session.tick(Wish())
-    assert {each.driver for each in noted.ticks} == {DriverKind.SIMULATED}
     assert any(math.hypot(each.stick.x, each.stick.y) > 0.3 for each in noted.ticks)
     assert all(each.intent is not None for each in noted.ticks)
     assert EventKind.DRIVER in noted.kinds()
@@ -75,7 +74,7 @@ def test_help_and_overruling_are_counted_and_written_down(session: DriveSession,
     assert kinds.count(EventKind.HELP) == 1
     assert kinds.count(EventKind.OVERRULE) == 2 and kinds.count(EventKind.OVERRULE_END) == 1
     assert [each.overruled for each in noted.ticks] == [False, True, True, False, True]
-    assert noted.ticks[0].help_asked and not noted.ticks[1].help_asked
+    assert noted.ticks[0].helped and not noted.ticks[1].helped
 
 
 def test_a_call_for_help_counts_when_it_is_heard(session: DriveSession, noted: Noted) -> None:
@@ -83,7 +82,7 @@ def test_a_call_for_help_counts_when_it_is_heard(session: DriveSession, noted: N
     for _ in range(2):
         session.ask_for_help()
     assert session.metrics.helps == 1 and noted.kinds().count(EventKind.HELP) == 1, "no tick may follow; once a tick"
-    assert session.tick(Wish()).help_asked and not session.tick(Wish()).help_asked
+    assert session.tick(Wish()).helped and not session.tick(Wish()).helped
     session.ask_for_help()
     assert session.metrics.helps == 2
 
@@ -93,11 +92,11 @@ def test_nothing_counts_before_the_user_hands_the_chair_over(session: DriveSessi
     for _ in range(5):
         assert not session.handed_over
         session.tick(AHEAD)
-    assert (session.counted_s, session.metrics.way_m, len(noted.ticks)) == (0.0, 0.0, 5)
+    assert (session.counted_s, session.way_m, len(noted.ticks)) == (0.0, 0.0, 5)
     for _ in range(3):
         assert session.handed_over
         session.tick(AHEAD)
-    assert session.counted_s == pytest.approx(3 * session.tick_s) and session.metrics.way_m > 0.0
+    assert session.counted_s == pytest.approx(3 * session.tick_s) and session.way_m > 0.0
     assert session.time_s == pytest.approx(8 * session.tick_s)
 
 
@@ -105,8 +104,8 @@ def test_assistance_and_level_are_switched_while_driving(session: DriveSession, 
     session.set_level(2.0)
     session.assist(False)
     session.assist(False)
-    driven = session.tick(AHEAD)
-    assert (driven.assisted, driven.level, driven.unsafe) == (False, 2.0, ())
+    session.tick(AHEAD)
+    assert (session.assistance.on, session.assistance.level, session.unsafe) == (False, 2.0, ())
     assert noted.kinds().count(EventKind.ASSISTANCE) == 1 and noted.kinds().count(EventKind.LEVEL) == 1
     with pytest.raises(PolicyError, match="expected 0 to 2"):
         session.set_level(2.5)
@@ -128,7 +127,7 @@ def test_every_beginning_faces_its_way(session: DriveSession, noted: Noted) -> N
     for begin in (*[session.new_place] * 8, lambda: session.change_user("slow"), session.again, session.face_way):
         begin()
         assert faces(session)
-    turned = [event.told for event in noted.events[before:] if event.kind is EventKind.RESPAWN and event.told]
+    turned = [event.detail for event in noted.events[before:] if event.kind == EventKind.RESPAWN and event.detail]
     assert turned and all("yaw_rad" in told for told in turned), "so that a recording does it again"
 
 
@@ -145,7 +144,7 @@ def test_after_a_crash_the_drive_goes_on_some_metres_before_it(session: DriveSes
     assert 4.9 < math.dist(crash, back_m) < 12.0
     assert np.linalg.norm(trail - back_m, axis=1).min() < 0.3, "where the chair has been"
     assert np.allclose(session.route.points_W_m[-1], goal) and faces(session)
-    assert noted.events[-1].told == "before the crash" and (session.episode, session.metrics.crashes) == (1, 1)
+    assert noted.events[-1].detail == "before the crash" and (session.episode, session.metrics.crashes) == (1, 1)
 
 
 def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
@@ -156,28 +155,30 @@ def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
     while not session.tick(Wish(stick=Joystick(0.5, 0.8))).crashed:
         assert session.time_s < 15.0
     monkeypatch.setattr(session.world, "start_facing", lambda *_: None)
-    said: list[m.Notice] = []
-    session.add_observer(PageNotifier(said.append))
+    said: list[m.Notice | None] = []
+    session.add_observer(lambda record: said.append(notice_of(record)))
     session.tick(Wish())
-    assert [notice.told for notice in said] == ["No place before the crash is free. You start somewhere else."]
+    assert [notice.told for notice in said if notice] == [
+        "No place before the crash is free. You start somewhere else."
+    ]
 
 
 def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:
-    first = session.tick(Wish()).p_WB_m
-    session.new_place()
-    second = session.tick(Wish())
-    session.change_user("slow")
-    third = session.tick(Wish())
-    session.again()
-    last = session.tick(Wish())
-    assert [second.episode, third.episode, last.episode] == [1, 2, 3]
-    assert [second.step, third.step, last.step] == [1, 1, 1]
-    assert (third.profile, session.profile) == ("slow", "slow")
-    assert np.abs(last.p_WB_m - first).max() < 0.01, "the street begins as it did"
-    assert session.metrics.episode_steps == [1, 1, 1]
+    first = session.tick(Wish())
+    for begin in (session.new_place, lambda: session.change_user("slow"), session.again):
+        begin()
+        assert session.last is None
+        session.tick(Wish())
+        assert session.metrics.steps == 1
+    last = noted.ticks[-1]
+    assert [each.episode for each in noted.ticks] == [0, 1, 2, 3] and session.last is last
+    assert session.profile == "slow"
+    assert np.abs(last.p_WB_m - first.p_WB_m).max() < 0.01, "the street begins as it did"
+    assert (session.metrics.ended, session.metrics.ended_steps) == (3, 3)
     with pytest.raises(ConfigError, match="unknown user profile"):
         session.change_user("nobody")
-    assert session.tick(Wish()).profile == "slow"
+    session.tick(Wish())
+    assert session.profile == "slow"
 
 
 def test_the_policy_hears_the_delay_of_each_episode_before_it_begins(
@@ -251,15 +252,17 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
 
 
 def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSession, noted: Noted) -> None:
-    said: list[m.Notice] = []
-    session.add_observer(PageNotifier(said.append))
+    said: list[m.Notice | None] = []
+    session.add_observer(lambda record: said.append(notice_of(record)))
     session.tick(Wish(help=True))
-    assert session.help_left_s == pytest.approx(9.9) and session.assistance.level == 2.0
-    for _ in range(100):
+    assert session.help_left_s == pytest.approx(9.9)
+    levels = [session.assistance.level]
+    for _ in range(99):
         session.tick(Wish())
-    assert [each.level for each in noted.ticks] == [2.0] * 100 + [1.0]
+        levels.append(session.assistance.level)
+    assert levels == [2.0] * 99 + [1.0] and not session.help_left_s
     assert session.help_left_s == 0.0 and noted.kinds().count(EventKind.HELP_END) == 1
-    assert [each.told for each in said] == [
+    assert [each.told for each in said if each] == [
         "The user asks for help. For 10 s the policy assists the most.",
         "Help is over. The assistance is as before.",
     ]
@@ -273,10 +276,10 @@ def test_the_request_of_a_simulated_user_counts_and_is_answered_where_that_is_se
     world = config.world.model_copy(update={"help_users": answered})
     session.place = replace(session.place, config=config.model_copy(update={"world": world}))
     events = replace(session.client.events, help_asked=True)
-    session._client = replace(session.client, events=events)
+    session.client = replace(session.client, events=events)
     session.tick(Wish())
     assert session.metrics.helps == 0, "a person drives"
-    session._client = replace(session.client, events=events)
+    session.client = replace(session.client, events=events)
     session.drive_by(DriverKind.SIMULATED)
     session.tick(Wish())
     assert session.metrics.helps == 1 and bool(session.assistance.help_left) is answered

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wcsim.config import RewardConfig
-from wcsim.supervisor.kpi import KpiMeter
+from wcsim.supervisor.kpi import KpiMeter, KpiTotals
 from wcsim.types import Contact, Events, Joystick
 
 REST = Joystick(0.0, 0.0)
@@ -166,3 +166,32 @@ def test_who_came_onto_it_at_red_is_at_fault_and_who_stood_on_a_pavement_is_not(
 def test_a_crash_says_nothing_of_how_smooth_the_drive_was():
     assert crash_after(1.0, 1.1, 1.2)[0].sums()["accel_sq_sum"] == pytest.approx(2.0)
     assert sums_of(*(step(speed_mps=speed) for speed in (1.0, 1.1, 1.2)))["accel_sq_sum"] == pytest.approx(2.0)
+
+
+def totals_after(*ticks: set[str], speed_mps: float = -1.0) -> KpiTotals:
+    totals = KpiTotals()
+    for happened in ticks:
+        totals = totals.plus(happened, 0.5, speed_mps)
+    return totals
+
+
+def test_totals_are_means_and_sums_of_all_ticks_and_of_judged_ones():
+    totals = totals_after(set(), {"crashes", "drops"}).plus(set(), 0.2, 0.0).plus(set(), None, 1.0)
+    assert totals.kpi1 == pytest.approx((0.5 + 0.5 + 0.2) / 3)
+    assert (totals.ticks, totals.judged, totals.speed_sum, totals.moving_ticks) == (4, 3, 3.0, 3)
+    assert (totals.crashes, totals.drops, KpiTotals().kpi1) == (1, 1, None)
+
+
+def test_an_episode_of_totals_counts_once_it_is_over_and_has_steps():
+    totals = totals_after(set(), set(), set())
+    assert totals.kpi2 == 3.0, "the one that is on"
+    totals = totals.over().over()
+    assert (totals.ended, totals.ended_steps, totals.steps) == (1, 3, 0)
+    assert totals.plus(set(), 0.5, 0.0).over().kpi2 == 2.0
+    assert totals.plus(set(), 0.5, 0.0, steps=0).over().ended == 1, "it ended before its handover"
+
+
+def test_stretches_count_once_in_totals():
+    on = {"warnings", "overrules", "helps"}
+    totals = totals_after(on, on, set(), on, {"interventions"}, {"interventions"})
+    assert (totals.warnings, totals.overrules, totals.interventions, totals.helps) == (2, 2, 1, 3)

@@ -8,17 +8,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
-from wcsim.agents.policy_api import (
-    HearsSent,
-    Helping,
-    Levelled,
-    Observation,
-    Policy,
-    SeesTruth,
-    TellsUnsafe,
-    Warns,
-    tell_delay,
-)
+from wcsim.agents.envs.seat_driver import PolicyAgent
+from wcsim.agents.policy_api import HearsSent, Levelled, Observation, Policy, TellsUnsafe, Warns
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import ActionSet
 from wcsim.supervisor.kpi import FOLLOWED
@@ -47,22 +38,21 @@ class Assistance:
     every tick anyway; its choice is halved then, so that the chair is slower and there is more time.
 
     Args:
-        policy: Drives; it is begun by `begin`.
+        policy: Drives; it is begun with its first episode.
         actions: The joystick positions.
         help_ticks: How long it helps after a request.
     """
 
     def __init__(self, policy: Policy, actions: ActionSet, help_ticks: int = 0) -> None:
         self._on, self.failed = True, ""  # `failed` says why a policy that broke was switched off
-        self._help = Helping(policy, help_ticks)
-        self._policy, self._actions = policy, actions
+        self._agent, self._actions = PolicyAgent(policy, help_ticks), actions
         self._drawn: Drawn | None = None  # for the episode of now
         self.own_level = self.level  # the one that the policy came with
 
     @property
     def name(self) -> str:
         """The policy's."""
-        return self._policy.name
+        return self._agent.policy.name
 
     @property
     def on(self) -> bool:
@@ -72,22 +62,22 @@ class Assistance:
     @property
     def help_left(self) -> int:
         """Ticks for which it still helps; 0 while no help is on."""
-        return self._help.left
+        return self._agent.help.left
 
     @property
     def levels(self) -> tuple[float, float] | None:
         """The level that assists least and that which assists most; None for a policy without levels."""
-        return self._policy.levels if isinstance(self._policy, Levelled) else None
+        return self._agent.policy.levels if isinstance(self._agent.policy, Levelled) else None
 
     @property
     def level(self) -> float | None:
         """The level of now; None for a policy without levels."""
-        return self._policy.level if isinstance(self._policy, Levelled) else None
+        return self._agent.policy.level if isinstance(self._agent.policy, Levelled) else None
 
     @property
     def tells_unsafe(self) -> bool:
         """Whether the policy says of every action whether it is unsafe."""
-        return isinstance(self._policy, TellsUnsafe)
+        return isinstance(self._agent.policy, TellsUnsafe)
 
     def switch(self, on: bool) -> None:
         """Let the policy have its say, or not, which ends help; one that broke is tried again."""
@@ -95,44 +85,39 @@ class Assistance:
             self.failed = ""
             self._guarded(self._anew)
         if not on:
-            self._guarded(self._help.end)
+            self._guarded(self._agent.help.end)
         self._on = on and not self.failed
 
     def ask_for_help(self) -> None:
         """Helping from now on; where help is on already, its time begins again. A policy that broke does not."""
         if not self.failed:
-            self._guarded(self._help.ask)
+            self._guarded(self._agent.help.ask)
 
     def end_tick(self) -> None:
         """A tick has been driven: the time of help runs."""
-        self._guarded(self._help.tick)
+        self._guarded(self._agent.help.tick)
 
     def set_level(self, level: float) -> None:
         """Assist so from now on; help is over. Raises PolicyError without levels, or for a level out of bounds."""
-        if not isinstance(self._policy, Levelled):
+        if not isinstance(self._agent.policy, Levelled):
             raise PolicyError(f"policy {self.name!r} has no adjustable level; expected dwa or a danger network")
         try:
-            self._help.end()
-            self._policy.set_level(level)
+            self._agent.help.end()
+            self._agent.policy.set_level(level)
         except WcsimError:
             raise
         except Exception as error:
             self._broken(error)
 
-    def begin(self, drawn: Drawn | None) -> None:
-        """A drive begins, and its first episode, for which `drawn` was drawn."""
-        self._guarded(self._policy.begin)
-        self.reset(drawn)
-
     def reset(self, drawn: Drawn | None) -> None:
-        """An episode begins; a policy that broke does not see it."""
+        """An episode begins, for which `drawn` was drawn; a policy that broke does not see it."""
         self._drawn = drawn
         if not self.failed:
             self._guarded(self._anew)
 
     def close(self) -> None:
         """Let go of the policy, where it holds something."""
-        close = getattr(self._policy, "close", None)
+        close = getattr(self._agent.policy, "close", None)
         if close is not None:
             close()
 
@@ -158,13 +143,13 @@ class Assistance:
 
     def _answered(self, seen: Observation, info: dict[str, Any], own: int, asked: bool) -> Answer:
         chosen = self._asked(seen, info)
-        if self.help_left and not isinstance(self._policy, Levelled):
+        if self.help_left and not isinstance(self._agent.policy, Levelled):
             chosen = self._actions.nearest(_HELPED * self._actions.points[chosen])
         sent = chosen if self.on and asked else own
-        if isinstance(self._policy, HearsSent):
-            self._policy.sent(sent)
+        if isinstance(self._agent.policy, HearsSent):
+            self._agent.policy.sent(sent)
         far = self._actions.distance(sent, tuple(float(part) for part in seen["joystick"]))
-        warns = isinstance(self._policy, Warns) and self._policy.warning
+        warns = isinstance(self._agent.policy, Warns) and self._agent.policy.warning
         return Answer(
             chosen=chosen if self.on else own,
             sent=sent,
@@ -174,9 +159,8 @@ class Assistance:
         )
 
     def _anew(self) -> None:
-        self._help.end()
-        tell_delay(self._policy, self._drawn)
-        self._policy.reset()
+        self._agent.help.end()
+        self._agent.reset({"drawn": self._drawn})
 
     def _guarded(self, call: Callable[[], object]) -> None:
         try:
@@ -190,18 +174,15 @@ class Assistance:
         self.failed = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
         self.failed = self.failed or type(error).__name__
         with suppress(Exception):  # what it does now is of no account
-            self._help.end()
+            self._agent.help.end()
         log.warning("policy %s failed, assistance is off: %s", self.name, self.failed)
 
     def _asked(self, seen: Observation, info: dict[str, Any]) -> int:
-        policy = self._policy
-        if isinstance(policy, SeesTruth):
-            policy.see(info["truth"])
-        index = int(policy.choose(seen) if isinstance(policy, HearsSent) else policy.act(seen))
+        index = self._agent.choose(seen, info)
         if not 0 <= index < len(self._actions):
             raise PolicyError(f"policy {self.name!r} chose action {index}; expected 0 to {len(self._actions) - 1}")
         return index
 
     def _unsafe(self) -> tuple[int, ...]:
-        policy = self._policy
+        policy = self._agent.policy
         return tuple(policy.unsafe.nonzero()[0].tolist()) if isinstance(policy, TellsUnsafe) else ()

@@ -8,10 +8,11 @@ import msgspec
 
 from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import escaped
-from wcsim.drive.drawing.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.driven import DriverKind
+from wcsim.drive.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
 from wcsim.drive.recording.study_plan import StudyView
 from wcsim.errors import ProtocolError
+from wcsim.supervisor.kpi import KpiTotals
 
 MOST_BYTES: Final = 2048  # of a page's message
 _MOST_PASSED_ON: Final = 2 * MOST_BYTES  # of the same as the server says it, with all that the page left out
@@ -250,20 +251,35 @@ class About(_Said, frozen=True):
     tick_s: float
 
 
-class Kpis(msgspec.Struct, frozen=True):
-    """The numbers of the drive."""
+class Kpis(msgspec.Struct, frozen=True, kw_only=True):
+    """The numbers of a chair up to now; None is what a film does not know."""
 
     kpi1: float | None
-    kpi2: float
+    kpi2: float | None
+    ticks: int
     way_m: float
-    time_s: float
-    crashes: int
-    arrivals: int
-    given_up: int
+    crashes: int | None
+    drops: int | None
+    arrivals: int | None
+    given_up: int | None
     helps: int
-    overrules: int
-    warnings: int
-    interventions: int
+    overrules: int | None
+    warnings: int | None
+    interventions: int | None
+
+
+def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True) -> Kpis:
+    """Totals as pages show them; a film may not know what happened, and may be of a policy that never warns."""
+    named = ("crashes", "drops", "arrivals", "given_up", "overrules", "interventions")
+    return Kpis(
+        kpi1=None if totals.kpi1 is None else round(totals.kpi1, 4),
+        kpi2=round(totals.kpi2, 1) if knows else None,
+        ticks=totals.ticks,
+        way_m=round(totals.speed_sum * tick_s, 1),
+        helps=totals.helps,
+        warnings=totals.warnings if warns else None,
+        **{name: getattr(totals, name) if knows else None for name in named},
+    )
 
 
 class DriveState(_Said, frozen=True, tag="state"):

@@ -11,22 +11,25 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
 from wcsim.core.files import numbered_names
+from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.drawing.orbit import clamped
-from wcsim.drive.drawing.pictures import DrivePictures, PageLooks
-from wcsim.drive.driven import DrivenTick, DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
+from wcsim.drive.pictures import DrivePictures, PageLooks, clamped
 from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
 from wcsim.drive.recording.study_lead import StudyHands, StudyLead
 from wcsim.drive.recording.study_plan import StepKind, StudyView
-from wcsim.drive.session import DriveSession
+from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
-from wcsim.drive.view_model import PageNotifier, drive_about, drive_state
 from wcsim.errors import ProtocolError, WcsimError
+from wcsim.log.records import DriveTick, Note
+from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
+from wcsim.users.profiles import profile_names
 
 JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
 _CRASH_S: Final = 3.0  # so long a crash is shown
@@ -35,12 +38,58 @@ _NEWEST: Final = 0.05  # share of the newest in a mean
 _SET_BY_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
 
 
+_NOTICES: Final[dict[str, tuple[str, str]]] = {
+    EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
+    EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
+    EventKind.HELP_END: ("note", "Help is over. The assistance is as before."),
+    EventKind.STEP_LIMIT: ("note", "This episode has reached its time limit. It starts again."),
+}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveOrder:
     """What is driven, and whether it is kept."""
 
     start: DriveStart
     keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
+
+
+@dataclass(slots=True, kw_only=True)
+class DriveClock:
+    """Whether time goes, and how fast; when the next tick is due, and what ticks and pictures cost. Seconds."""
+
+    paused: bool = False  # somebody stopped it
+    pace: float = 1.0  # times real time, 0 as fast as it can
+    due_s: float = 0.0
+    held_s: float = 0.0  # a crash is shown till then
+    opened_s: float = 0.0
+    ticked_s: float = 0.0  # 0 before the first tick
+    drawn_s: float = 0.0
+    tick_s: float = 0.0  # of processor time, a mean, as the next
+    picture_s: float = 0.0
+    gap_s: float = 0.0  # between ticks, a mean
+
+    @property
+    def next_s(self) -> float:
+        """When the next tick is due."""
+        return max(self.due_s, self.held_s)
+
+    def opened(self, now_s: float) -> None:
+        """A street has been opened, and its first tick is due."""
+        self.due_s = self.opened_s = now_s
+        self.held_s, self.paused = 0.0, False
+
+    def ticked(self, now_s: float, took_s: float, tick_s: float) -> None:
+        """A tick of the world's `tick_s` was driven, which began now."""
+        self.tick_s += _NEWEST * (took_s - self.tick_s)
+        self.gap_s += _NEWEST * (now_s - self.ticked_s - self.gap_s) if self.ticked_s else 0.0
+        self.ticked_s = now_s
+        self.due_s = max(self.due_s + (tick_s / self.pace if self.pace else 0.0), now_s)
+
+    def drew(self, now_s: float, took_s: float) -> None:
+        """Pictures were drawn."""
+        self.drawn_s = now_s
+        self.picture_s += _NEWEST * (took_s - self.picture_s)
 
 
 class DriveRunner:
@@ -62,21 +111,17 @@ class DriveRunner:
         observers: Callable[[], Sequence[DriveObserver]] = tuple,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._pipe, self._start, self._observers, self._clock = pipe, start, observers, clock
+        self._pipe, self._start, self._observers, self._now_s = pipe, start, observers, clock
         self._names = numbered_names(keep) if isinstance(keep, Path) else None
         self._study = keep if isinstance(keep, OpenStudy) else None
         self._lead: StudyLead | None = None
         self.session: DriveSession | None = None
         self._pictures: DrivePictures | None = None
         self._watch, self._looks = StickWatch(), PageLooks()
-        self.paused, self.pace = False, 1.0  # whether somebody stopped time, and how fast it goes; 0 as fast as it can
+        self.clock = DriveClock()
         self._ready, self._stale = False, True
         self._over = self._told_failure = self._unseen = False
         self._told_waiting = ""
-        self._due_s = self._held_s = self._drawn_s = self._opened_s = self._ticked_s = 0.0
-        self._last: DrivenTick | None = None
-        self.tick_s = self.picture_s = 0.0  # of processor time, means
-        self.gap_s = 0.0  # between ticks, a mean
         self._does: dict[type, Callable[[Any], None]] = {
             m.Stick: self._stick,
             m.Help: lambda _: self._open_session().ask_for_help(),
@@ -113,7 +158,7 @@ class DriveRunner:
             session, self.session = self.session, None
             metrics = session.metrics
             told = (
-                f"{session.place.told}: {session.time_s / 60.0:.1f} min, {metrics.way_m:.0f} m, "
+                f"{session.place.told}: {session.time_s / 60.0:.1f} min, {session.way_m:.0f} m, "
                 f"{counted(metrics.arrivals, 'arrival')}, {counted(metrics.crashes, 'crash')}; pictures took "
                 f"{100.0 * self._share():.0f} % of the CPU time"
             )
@@ -130,20 +175,15 @@ class DriveRunner:
     @property
     def waiting(self) -> str:
         """Why time stands still though nobody paused it, "" while it goes."""
-        now_s = self._clock()
-        if not self._stands_still(now_s) or now_s - self._opened_s <= STANDS_STILL_S:
+        now_s = self._now_s()
+        if not self._stands_still(now_s) or now_s - self.clock.opened_s <= STANDS_STILL_S:
             return ""
         if self._watch.silent(now_s):
             return "No page is driving. Time is paused."
         return "The driving page is in the background. Time is paused."
 
-    @property
-    def must_rest(self) -> bool:
-        """Whether the stick has to be let go of before it counts."""
-        return self._watch.must_rest
-
     def _share(self) -> float:
-        return self.picture_s / max(self.picture_s + self.tick_s, 1e-9)
+        return self.clock.picture_s / max(self.clock.picture_s + self.clock.tick_s, 1e-9)
 
     # --- one turn of the loop ---
 
@@ -153,10 +193,10 @@ class DriveRunner:
             self._hear(self._pipe.recv_bytes())
         if self._lead is not None:
             self._lead.wait()
-        now_s = self._clock()
+        now_s = self._now_s()
         if self._unseen and self._ready:  # the street is seen before its first tick, which may have kernels to compile
             self._show(now_s)
-        if self._goes() and now_s >= max(self._due_s, self._held_s):
+        if self._goes() and now_s >= self.clock.next_s:
             self._tick(now_s)
         if self._ready and self._stale:
             self._show(now_s)
@@ -165,7 +205,7 @@ class DriveRunner:
 
     def _goes(self) -> bool:
         led = self._lead is None or self._lead.drives
-        return self.session is not None and led and not self._stands_still(self._clock()) and not self.paused
+        return self.session is not None and led and not self._stands_still(self._now_s()) and not self.clock.paused
 
     def _stands_still(self, now_s: float) -> bool:
         """Whether time stops because nobody is there; a simulated user drives also for a page that was left."""
@@ -177,24 +217,20 @@ class DriveRunner:
             return 0.0
         if not self._goes():
             return _IDLE_S
-        return min(_IDLE_S, max(0.0, max(self._due_s, self._held_s) - self._clock()))
+        return min(_IDLE_S, max(0.0, self.clock.next_s - self._now_s()))
 
     def _tick(self, now_s: float) -> None:
         session, before = self._open_session(), time.process_time()
         if session.ended:  # the crash has been shown, and another episode begins
             self._watch.forget_press()
-        self._last = session.tick(self._watch.wish(now_s))
-        self.tick_s += _NEWEST * (time.process_time() - before - self.tick_s)
-        self.gap_s += _NEWEST * (now_s - self._ticked_s - self.gap_s) if self._ticked_s else 0.0
-        self._ticked_s = now_s
-        step_s = session.tick_s / self.pace if self.pace else 0.0
-        self._due_s = max(self._due_s + step_s, now_s)
+        session.tick(self._watch.wish(now_s))
+        self.clock.ticked(now_s, time.process_time() - before, session.tick_s)
         if session.crash:
-            self._held_s = now_s + _CRASH_S
+            self.clock.held_s = now_s + _CRASH_S
         if session.ended:
             self._watch.require_rest()
         failed = bool(session.assistance.failed)
-        self.paused = self.paused or (failed and not self._told_failure)  # once: who goes on knows of it
+        self.clock.paused = self.clock.paused or (failed and not self._told_failure)  # once: who goes on knows of it
         self._told_failure = failed
         self._stale = True
         self._state()
@@ -206,13 +242,18 @@ class DriveRunner:
         if session is None or pictures is None:
             return
         before = time.process_time()
-        dt_s = min(1.0, now_s - self._drawn_s) if not self.paused else 0.0
+        dt_s = min(1.0, now_s - self.clock.drawn_s) if not self.clock.paused else 0.0
         self._pipe.send_bytes(PICTURES + pictures.draw(session, self._looks, dt_s))
-        self._drawn_s, self._ready, self._stale, self._unseen = now_s, False, False, False
-        self.picture_s += _NEWEST * (time.process_time() - before - self.picture_s)
+        self._ready = self._stale = self._unseen = False
+        self.clock.drew(now_s, time.process_time() - before)
 
     def _say(self, message: Any) -> None:
         self._pipe.send_bytes(JSON + m.spoken(message))
+
+    def _note(self, record: DriveTick | Note) -> None:
+        notice = notice_of(record)
+        if notice is not None:
+            self._say(notice)
 
     def _tell_kept(self, news: RecorderStatus) -> None:
         self._say(m.Keeping(on=news.on, file=news.file, told=news.told))
@@ -221,7 +262,7 @@ class DriveRunner:
 
     def _state(self) -> None:
         if self.session is not None:
-            state = drive_state(self, self.session, self._last)
+            state = drive_state(self.session, self.clock, self.waiting, self._watch.must_rest)
             self._told_waiting = state.waiting
             self._say(state)
 
@@ -253,14 +294,14 @@ class DriveRunner:
         return self.session
 
     def _stick(self, said: m.Stick) -> None:
-        self._watch.hear(Joystick(said.x, said.y), said.overrule, self._clock(), away=said.away)
+        self._watch.hear(Joystick(said.x, said.y), said.overrule, self._now_s(), away=said.away)
 
     def _assist(self, said: m.Assist) -> None:
         """Time stops where it breaks again at once, as at its first breaking."""
         session = self._open_session()
         session.assist(said.on)
         self._told_failure = bool(session.assistance.failed)
-        self.paused = self.paused or (said.on and self._told_failure)
+        self.clock.paused = self.clock.paused or (said.on and self._told_failure)
 
     def _view(self, said: m.SetView) -> None:
         orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
@@ -274,19 +315,19 @@ class DriveRunner:
         self._over = True
 
     def _set_pace(self, said: m.Pace) -> None:
-        self.pace = said.times if said.times else 0.0
-        self._due_s = self._clock()
+        self.clock.pace = said.times if said.times else 0.0
+        self.clock.due_s = self._now_s()
 
     def _drive_by(self, said: m.DriveBy) -> None:
         self._watch.require_rest()
         self._open_session().drive_by(said.who)
 
     def _pause(self, said: m.Pause) -> None:
-        if said.on is not self.paused:
-            self.paused = said.on
+        if said.on is not self.clock.paused:
+            self.clock.paused = said.on
             self._open_session().say(EventKind.PAUSED if said.on else EventKind.GOES_ON)
             self._watch.forget_press()
-            self._due_s = self._clock()
+            self.clock.due_s = self._now_s()
 
     def _set_user(self, said: m.SetUser) -> None:
         session = self._open_session()
@@ -304,7 +345,7 @@ class DriveRunner:
             if told and self.session is not None:  # nothing is waited for any more, also where it was refused
                 self._say(drive_about(self.session))
         self._watch.require_rest()
-        self._held_s, self._last = 0.0, None
+        self.clock.held_s = 0.0
 
     def _open_other(self, said: m.Open) -> None:
         before = self.session.place.start if self.session is not None else self._start
@@ -334,17 +375,17 @@ class DriveRunner:
         """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""
         self._say(m.Busy(told="Opening the street ..."))
         self.close()
-        self._pictures, self._last = None, None
+        self._pictures = None
         self._watch.require_rest()
         self.session = session = DriveSession(
-            start, (PageNotifier(self._say), *self._observers()), lambda told: self._say(m.Busy(told=told))
+            start, (self._note, *self._observers()), lambda told: self._say(m.Busy(told=told))
         )
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
         session.face_way()
         self._pictures = DrivePictures(session)
-        self._due_s = self._opened_s = self._clock()
-        self._held_s, self.paused, self._stale, self._unseen, self._told_failure = 0.0, False, True, True, False
+        self.clock.opened(self._now_s())
+        self._stale, self._unseen, self._told_failure = True, True, False
         self._say(drive_about(session))
         self._state()
         self._log(f"{session.place.told}: ready to drive")
@@ -357,7 +398,7 @@ class DriveRunner:
             self._open(self._start)
             return
         hands = StudyHands(
-            open=self._open_part, close=self.close, show=self._show_study, say=self._log, clock=self._clock
+            open=self._open_part, close=self.close, show=self._show_study, say=self._log, clock=self._now_s
         )
         try:
             self._lead = StudyLead(self._study, hands)
@@ -393,6 +434,86 @@ class DriveRunner:
 
     def _log(self, told: str) -> None:
         self._pipe.send_bytes(LINE + told.encode())
+
+
+def drive_about(session: DriveSession) -> m.About:
+    """What is driven, and what else could be."""
+    suites = {
+        name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
+        for name in shipped()
+    }
+    assistance = session.assistance
+    return m.About(
+        place=session.place.told,
+        town=session.place.town.name,
+        seed=session.place.start.seed,
+        policy=assistance.name,
+        profile=session.profile,
+        points=[(x, y) for x, y in session.actions.points.tolist()],
+        towns=[town.name for town in list_towns()],
+        profiles=list(profile_names()),
+        suites=suites,
+        levels=assistance.levels,
+        own_level=assistance.own_level,
+        tells_unsafe=assistance.tells_unsafe,
+        tick_s=session.tick_s,
+    )
+
+
+def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: bool) -> m.DriveState:
+    """The drive as it is; see `m.DriveState`. All rests at the beginning of an episode."""
+    rest, last = Joystick(0.0, 0.0), session.last
+    return m.DriveState(
+        tick=session.ticks,
+        time_s=round(session.time_s, 3),
+        step=session.metrics.steps,
+        driver=session.driver,
+        paused=clock.paused,
+        waiting=waiting,
+        let_go=let_go,
+        alone=not session.handed_over,
+        pace=clock.pace,
+        stick=_xy(last.stick if last else rest),
+        chosen=_xy(last.chosen if last else rest),
+        commanded=_xy(last.commanded if last else rest),
+        unsafe=list(session.unsafe),
+        assisted=session.assistance.on,
+        level=session.assistance.level,
+        help_s=round(session.help_left_s, 3),
+        warning=last is not None and last.warning,
+        intervening=last is not None and last.intervening,
+        overruled=last is not None and last.overruled,
+        on_road=session.client.events.on_carriageway,
+        speed_mps=round(last.speed_mps, 3) if last else 0.0,
+        left_m=round(session.left_m, 1),
+        bearing_deg=round(deg(session.bearing_rad)),
+        crash=session.crash,
+        profile=session.profile,
+        kpis=m.kpis_of(session.metrics, session.tick_s),
+        tick_ms=round(1000.0 * clock.tick_s, 2),
+        pictures_ms=round(1000.0 * clock.picture_s, 2),
+        rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
+    )
+
+
+def _xy(stick: Joystick) -> tuple[float, float]:
+    return round(stick.x, 3), round(stick.y, 3)
+
+
+def notice_of(record: DriveTick | Note) -> m.Notice | None:
+    """What a person wants to hear of a record, if anything; the state says the ticks, and a crash."""
+    if isinstance(record, DriveTick):
+        return None
+    if record.detail == ELSEWHERE:
+        return m.Notice(kind="note", told="No place before the crash is free. You start somewhere else.")
+    if record.kind in _NOTICES:
+        kind, told = _NOTICES[record.kind]
+        return m.Notice(kind=kind, told=told)
+    if record.kind == EventKind.HELP:
+        return m.Notice(kind="note", told=record.detail)
+    if record.kind == EventKind.POLICY_FAILED:
+        return m.Notice(kind="bad", told=f"The assistance failed and is off: {record.detail}")
+    return None
 
 
 def run_drive(pipe: Connection, order: DriveOrder) -> None:

@@ -18,21 +18,30 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
-from wcsim.drive.driven import DriveEvent, DriveMetrics, DrivenTick, DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import start_json
+from wcsim.log.records import DriveTick, Note, start_json
 from wcsim.supervisor.actions import action_set
+from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.users.hand import in_gate
 
 AT_REST = Joystick(0.0, 0.0)
-_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person, whose stick is known at the ticks' beginnings alone
+_NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
 _BACK_M: Final = 5.0  # from a crash to where the next episode begins
 _NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
 _TRAIL_M: Final = 0.5  # between places of the trail
 _MOST_TRAIL: Final = 200
+_COUNTED: Final = (
+    ("crashed", "crashes"),
+    ("arrived", "arrivals"),
+    ("gave_up", "given_up"),
+    ("warning", "warnings"),
+    ("intervening", "interventions"),
+    ("overruled", "overrules"),
+)  # fields of a tick, and their counters; a request for help counts when it is heard
 ELSEWHERE: Final = "elsewhere, as no place before the crash is free"
 
 
@@ -60,9 +69,15 @@ class DriveSession(Closing):
         say: Callable[[str], object] | None = None,
     ) -> None:
         """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
-        self.metrics, self.driver = DriveMetrics(), DriverKind.PERSON
+        self.metrics, self.driver = KpiTotals(), DriverKind.PERSON
         self._observers, self._held = tuple(observers), ExitStack()
-        self._ticks, self._episode, self._help = 0, 0, False  # `_help`: asked for since the last tick
+        self.ticks = self.episode = 0  # how many there were; number of the one that is on, or ended with the last tick
+        self.client: ClientSnapshot  # the chair as it is now; after a crash as it came to lie, till the next tick
+        self.route: Route  # to the destination; after a crash that of the episode which it ended, till the next tick
+        self.done_m = 0.0  # along the route
+        self._help = False  # asked for since the last tick
+        self.last: DriveTick | None = None  # of this episode
+        self.unsafe: tuple[int, ...] = ()  # actions that the policy held for unsafe then; empty where it does not say
         self._said = (False, False, False)  # warning, intervening, overruled, of the tick before
         self._seen: Mapping[str, Any] = {}  # the observation of now, and its info
         self._info: dict[str, Any] = {}
@@ -79,7 +94,7 @@ class DriveSession(Closing):
             self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
             self._chair = Chair(config)
             self._begin()
-            self.assistance.begin(self._client.drawn)
+            self.assistance.reset(self.client.drawn)
         except BaseException:
             self._held.close()
             raise
@@ -88,7 +103,12 @@ class DriveSession(Closing):
     @property
     def time_s(self) -> float:
         """Seconds of driving since the drive began."""
-        return self._ticks * self.tick_s
+        return self.ticks * self.tick_s
+
+    @property
+    def way_m(self) -> float:
+        """How far the chair was driven, as far as that is judged."""
+        return self.metrics.speed_sum * self.tick_s
 
     @property
     def counted_s(self) -> float:
@@ -96,44 +116,19 @@ class DriveSession(Closing):
         return self.metrics.ticks * self.tick_s
 
     @property
-    def ticks(self) -> int:
-        """How many there were."""
-        return self._ticks
-
-    @property
-    def episode(self) -> int:
-        """Number of the episode that is on, or that ended with the last tick; the first is 0."""
-        return self._episode
-
-    @property
-    def client(self) -> ClientSnapshot:
-        """The chair as it is now; after a crash as it came to lie, till the next tick."""
-        return self._client
-
-    @property
-    def route(self) -> Route:
-        """The way to the destination; after a crash that of the episode which it ended, till the next tick."""
-        return self._route
-
-    @property
     def left_m(self) -> float:
         """How far it is to the destination along the route."""
-        return max(0.0, float(self._route.arc_m[-1]) - self._done_m)
-
-    @property
-    def done_m(self) -> float:
-        """How far along its route the chair has come."""
-        return self._done_m
+        return max(0.0, float(self.route.arc_m[-1]) - self.done_m)
 
     @property
     def bearing_rad(self) -> float:
         """Where the way goes on, from the chair's heading to the left; 0 straight ahead."""
-        return bearing_rad(self._route, self._done_m, self._client.plant)
+        return bearing_rad(self.route, self.done_m, self.client.plant)
 
     @property
     def crash(self) -> str:
         """What the last tick crashed into, in words, without the place; "" where it did not."""
-        return self._client.events.crash.partition(", at x ")[0] if self._ended else ""
+        return self.client.events.crash.partition(", at x ")[0] if self._ended else ""
 
     @property
     def ended(self) -> bool:
@@ -177,7 +172,7 @@ class DriveSession(Closing):
         if self._help:
             return
         self._help = True
-        self.metrics.helps += self.handed_over
+        self.metrics = self.metrics._replace(helps=self.metrics.helps + self.handed_over)
         if raises and self.handed_over:
             self.assistance.ask_for_help()
         deed = "assists the most" if self.assistance.levels else "drives the chair half as fast"
@@ -193,7 +188,7 @@ class DriveSession(Closing):
     def face_way(self) -> None:
         """Let the chair face its way before the first tick, as it does at the beginning of every later episode."""
         self._face_way()
-        self.assistance.reset(self._client.drawn)
+        self.assistance.reset(self.client.drawn)
 
     def new_place(self) -> None:
         """Begin another episode in the same street; where the start is fixed, at that."""
@@ -222,17 +217,17 @@ class DriveSession(Closing):
         self.say(EventKind.REBUILT)
         self._next("from the beginning")
 
-    def tick(self, wish: Wish) -> DrivenTick:
+    def tick(self, wish: Wish) -> DriveTick:
         """Drive one tick.
 
         Raises:
             SumoError, PhysicsError: The world is broken, and the drive with it.
         """
         if self._ended:
-            self._next(self._go_back() if self._client.events.crashed else "after the end of the last one")
+            self._next(self._go_back() if self.client.events.crashed else "after the end of the last one")
         by_user = self.driver is DriverKind.SIMULATED or not self.handed_over
         self._hear_help(wish.help, by_user)
-        stick = self._client.user if by_user else in_gate(wish.stick)
+        stick = self.client.user if by_user else in_gate(wish.stick)
         self._see(stick)
         overrule = wish.overrule and self.handed_over
         answer = self.assistance.answer(self._seen, self._info, asked=self.handed_over and not overrule)
@@ -241,31 +236,32 @@ class DriveSession(Closing):
         user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
         let_wait(user, patient=not by_user)
         self._move(answer)
-        sticks = user.sticks.copy() if by_user else _NO_STICKS
+        sticks = user.sticks if by_user else _NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
-        self._help = False
+        self.last, self.unsafe, self._help = driven, answer.unsafe, False
         self._pass_help()
-        self._tell(driven)
+        self._tell(driven, self.actions.distance(answer.sent, (stick.x, stick.y)))
         return driven
 
     def say(self, kind: EventKind, told: str = "") -> None:
         """Write an event into the log of whoever looks on."""
-        event = DriveEvent(kind=kind, tick=self._ticks, time_s=self.time_s, told=told)
-        for observer in self._observers:
-            observer.event(event)
+        event = Note(kind=kind, tick=self.ticks, time_s=self.time_s, detail=told)
+        self._send(event)
 
     def close(self) -> None:
         """End the world, and close the observers; a second call does nothing."""
         self._held.close()
         for observer in self._observers:
-            observer.close()
+            close = getattr(observer, "close", None)
+            if close is not None:
+                close()
         self._observers = ()
 
     # --- one tick ---
 
     def _see(self, stick: Joystick) -> None:
         """Look at the chair's frame of now with this stick in it; the step before is judged by it."""
-        client = replace(self._client, user=stick)
+        client = replace(self.client, user=stick)
         if self._fresh:
             self._seen, self._info = self._chair.begin(client)
             self._fresh = False
@@ -275,58 +271,49 @@ class DriveSession(Closing):
 
     def _move(self, answer: Answer) -> None:
         given = self._chair.command(answer.sent).joystick
-        (self._client,) = next(rollout(self.world, {0: lambda now: given})).after.clients
-        self._ended = self._client.first is not None
+        (self.client,) = next(rollout(self.world, {0: lambda now: given})).after.clients
+        self._ended = self.client.first is not None
         if not self._ended:
             self._note_way()
             self._note_trail()
-        self._ticks += 1
+        self.ticks += 1
         self._step += 1
 
-    def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DrivenTick:
-        client, points = self._client, self.actions.points
+    def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DriveTick:
+        client, points = self.client, self.actions.points
         events, plant = client.events, client.plant
-        return DrivenTick(
-            tick=self._ticks,
+        return DriveTick(
+            tick=self.ticks,
             time_s=self.time_s,
-            episode=self._episode,
-            step=self._step,
-            driver=DriverKind.PERSON if intent is None else DriverKind.SIMULATED,
+            episode=self.episode,
             stick=stick,
             intent=intent,
-            sticks=sticks,
+            sticks=sticks.astype(np.float32),  # a copy, of half the bytes
             action=answer.chosen,
             chosen=Joystick(*points[answer.chosen].tolist()),
             commanded=Joystick(*points[answer.sent].tolist()),
-            unsafe=answer.unsafe,
-            assisted=self.assistance.on,
-            level=self.assistance.level,
             warning=answer.warning,
             intervening=answer.intervening,
             overruled=wish.overrule,
-            help_asked=wish.help,
+            helped=wish.help,
             p_WB_m=plant.p_WB_m.copy(),
             yaw_rad=plant.yaw_rad,
             roll_rad=plant.roll_rad,
             pitch_rad=plant.pitch_rad,
             speed_mps=float(plant.v_B_mps[0]),
-            joystick_distance=self.actions.distance(answer.sent, (stick.x, stick.y)),
-            progress_m=events.progress_m,
             arrived=events.arrived,
             gave_up=events.gave_up,
             crashed=events.crashed,
-            crash_reason=events.crash_reason,
             truncated=events.truncated,
-            seed=self.place.seed,
-            town=self.place.town.name,
-            profile=self.profile,
-            policy=self.assistance.name,
         )
 
-    def _tell(self, driven: DrivenTick) -> None:
-        """Count the tick, and tell who looks on what happened in it."""
-        if driven.step > self.place.handover_step:
-            self.metrics.add(driven, self.tick_s)
+    def _tell(self, driven: DriveTick, distance: float) -> None:
+        """Count the tick, and tell who looks on what happened in it; `distance` is between stick and command."""
+        if self._step > self.place.handover_step:
+            happened = {name for field, name in _COUNTED if getattr(driven, field)}
+            self.metrics = self.metrics.plus(happened, distance, driven.speed_mps)
+            if driven.ends:  # a drive may end before the next episode begins
+                self.metrics = self.metrics.over()
         now = (driven.warning, driven.intervening, driven.overruled)
         kinds = (EventKind.WARNING, EventKind.INTERVENING, EventKind.OVERRULE)
         for kind, is_on, was in zip(kinds, now, self._said, strict=True):
@@ -343,14 +330,17 @@ class DriveSession(Closing):
             self.say(EventKind.CRASHED, self.crash)
         elif self._ended:
             self.say(EventKind.STEP_LIMIT)
+        self._send(driven)
+
+    def _send(self, record: DriveTick | Note) -> None:
         for observer in self._observers:
-            observer.tick(driven)
+            observer(record)
 
     def _hear_help(self, wished: bool, by_user: bool) -> None:
         """Hear a request in the wish, or of the simulated user while it drives."""
         if wished:
             self.ask_for_help()
-        elif by_user and self._client.events.help_asked:
+        elif by_user and self.client.events.help_asked:
             self.ask_for_help(raises=self.place.config.world.help_users)
 
     def _pass_help(self) -> None:
@@ -371,19 +361,20 @@ class DriveSession(Closing):
     def _begin(self) -> None:
         """Look at the first frame of an episode."""
         client = self.world.snapshot.clients[0]
-        self._client = client if client.first is None else client.first
+        self.client = client if client.first is None else client.first
         self._step, self._fresh, self._ended = 0, True, False
-        self._trail = deque([_xy(self._client.plant.p_WB_m)], _MOST_TRAIL)
+        self.last, self.unsafe = None, ()
+        self._trail = deque([_xy(self.client.plant.p_WB_m)], _MOST_TRAIL)
         self._note_way()
 
     def _note_way(self) -> None:
         seat = self.world.seats[0]
-        self._route, self._done_m = seat.route, seat.user.route_progress_m
+        self.route, self.done_m = seat.route, seat.user.route_progress_m
 
     def _note_trail(self) -> None:
         """Where the chair has been in this episode, but for carriageways."""
-        here = _xy(self._client.plant.p_WB_m)
-        if not self._client.events.on_carriageway and math.dist(here, self._trail[-1]) >= _TRAIL_M:
+        here = _xy(self.client.plant.p_WB_m)
+        if not self.client.events.on_carriageway and math.dist(here, self._trail[-1]) >= _TRAIL_M:
             self._trail.append(here)
 
     def _respawn(self, start: StartSpec | None = None) -> None:
@@ -396,28 +387,28 @@ class DriveSession(Closing):
         for _ in range(0 if self.place.spec.start else _START_TRIES):
             if abs(self.bearing_rad) < _FACES_RAD:
                 return
-            near = [_xy(self._client.plant.p_WB_m), *map(_xy, self._route.points_W_m[:_NEAR])]
-            self._respawn(self.world.start_facing(0, near, _xy(self._route.points_W_m[-1])))
+            near = [_xy(self.client.plant.p_WB_m), *map(_xy, self.route.points_W_m[:_NEAR])]
+            self._respawn(self.world.start_facing(0, near, _xy(self.route.points_W_m[-1])))
             self._begin()
 
     def _go_back(self) -> str:
         """After a crash: to where the chair was some metres before, on its way to the same destination; the words."""
         if self.place.spec.start:
             return "at its start"
-        crash = _xy(self._client.plant.p_WB_m)
+        crash = _xy(self.client.plant.p_WB_m)
         before = [xy for xy in reversed(self._trail) if math.dist(xy, crash) >= _BACK_M]
-        start = self.world.start_facing(0, [*before, self._trail[0]], _xy(self._route.points_W_m[-1]))
+        start = self.world.start_facing(0, [*before, self._trail[0]], _xy(self.route.points_W_m[-1]))
         if start is None:
             return ELSEWHERE
         self._respawn(start)
         return "before the crash"
 
     def _next(self, why: str) -> None:
-        self.metrics.end_episode()
-        self._episode += 1
+        self.metrics = self.metrics.over()
+        self.episode += 1
         self._begin()
         self._face_way()
-        self.assistance.reset(self._client.drawn)
+        self.assistance.reset(self.client.drawn)
         self.say(EventKind.EPISODE, why)
 
 

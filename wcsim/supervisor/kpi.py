@@ -8,8 +8,8 @@ moves and nothing is in the way, and whether it gets anywhere: routes, crossings
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Mapping, Set
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,68 @@ FREEZE_S = 3.0
 DROP = "drop"  # the crash reason of a fall off a kerb
 _STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
 _PATH_S: Final = 1.0  # a point of the path every so often
+_STRETCHES: Final = frozenset({"warnings", "interventions", "overrules"})  # of ticks, counted where they begin
+
+
+class KpiTotals(NamedTuple):
+    """Running totals of one chair over its episodes, after each tick; a film keeps those of every tick."""
+
+    ticks: int = 0
+    judged: int = 0  # ticks of which both sticks are known
+    distance_sum: float = 0.0  # of joystick distances
+    speed_sum: float = 0.0  # of ticks, in m/s
+    moving_ticks: int = 0
+    crashes: int = 0
+    drops: int = 0
+    arrivals: int = 0
+    given_up: int = 0
+    helps: int = 0
+    warnings: int = 0  # stretches of ticks, as interventions and overrules
+    interventions: int = 0
+    overrules: int = 0
+    ended: int = 0  # episodes
+    ended_steps: int = 0  # of them
+    steps: int = 0  # of the episode that is on, from a handover on; 0 once it has ended
+    on: frozenset[str] = frozenset()  # the stretches that go on
+
+    @property
+    def kpi1(self) -> float | None:
+        """Mean joystick distance, KPI 1; None where no tick is judged."""
+        return self.distance_sum / self.judged if self.judged else None
+
+    @property
+    def kpi2(self) -> float:
+        """Mean steps that an episode lived, KPI 2; of the one that is on while none has ended."""
+        return self.ended_steps / self.ended if self.ended else float(self.steps)
+
+    def begun(self, happened: Set[str]) -> Set[str]:
+        """What of this begins with the next tick: a stretch does so once."""
+        return happened - self.on
+
+    def plus(self, happened: Set[str], distance: float | None, speed_mps: float, steps: int | None = None) -> KpiTotals:
+        """With one tick more.
+
+        Args:
+            happened: Names of the counters above that it counts for.
+            distance: Of the joysticks; None where it is not judged.
+            speed_mps: Of the chair.
+            steps: Of the episode that is on, with this tick; None for one more than before.
+        """
+        counts: dict[str, Any] = {name: getattr(self, name) + 1 for name in self.begun(happened)}
+        return self._replace(
+            ticks=self.ticks + 1,
+            judged=self.judged + (distance is not None),
+            distance_sum=self.distance_sum + (distance or 0.0),
+            speed_sum=self.speed_sum + abs(speed_mps),
+            moving_ticks=self.moving_ticks + (abs(speed_mps) > STANDS_MPS),
+            steps=self.steps + 1 if steps is None else steps,
+            on=_STRETCHES & happened,
+            **counts,
+        )
+
+    def over(self) -> KpiTotals:
+        """After the episode's end, by a crash, its step limit, or because somebody began another."""
+        return self._replace(ended=self.ended + (self.steps > 0), ended_steps=self.ended_steps + self.steps, steps=0)
 
 
 class KpiMeter:

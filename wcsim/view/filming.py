@@ -1,32 +1,53 @@
-"""A chair in a town for pictures and videos: it does what its user asks for, its camera draws colours."""
+"""A chair in a town for pictures and videos: its user drives, or a policy assists; a camera draws colours."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import math
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
+import cv2
 import numpy as np
 
+from wcsim.agents.envs.episode_view import Info
+from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
+from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
+from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CameraConfig, RunConfig, WorldConfig, resolve
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town
-from wcsim.types import F32, U8, CameraFrame, ClassId, SeatSpec, Snapshot
+from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, SeatSpec, Snapshot
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import VideoWriter, captioned, side_by_side
 
 _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
 _FIELD_OF_VIEW_M = 30.0
-MAP_SPAN_M = 60.0
-FILMED_USER = "competent"  # who drives where no user is named
+_MAP_SPAN_M: Final = 60.0
 SIGHT_M = 200.0  # of pictures for people: a street ends in the distance, not where a sensor's range does
+_FILM_CAMERA: Final = "film"  # beside those of the policy, which sees nothing of it
+_PAD_SHARE: Final = 0.28  # of the picture's height
+_DARK, _RIM = (28, 32, 38), (150, 156, 164)
+ASKED_RGB, GIVEN_RGB, WARN_RGB = (90, 170, 255), (255, 170, 40), (230, 40, 40)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmDriver:
+    """Who drives a filmed chair, and for whom."""
+
+    policy: str = ""  # as `wcsim test` names it; "" for the user alone
+    profile: str = "competent"  # of the user, whose stick the policy sees
+    network: str = ""  # a custom one, module:Class, that the policy may look with
+    settings: tuple[str, ...] = ()  # section.key=value, laid over the policy's own, or over the usual ones
+
+
+_ALONE: Final = FilmDriver()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,79 +61,117 @@ class Shot:
     in_view: int  # actors in the camera's field of view, near enough to be seen
 
 
-class _FilmedDrive:
-    """A world with one chair, made to be looked at."""
+class FilmedDrive:
+    """A world with one chair, made to be looked at, and filmed where a video is asked for; a context manager.
+
+    Args:
+        town: Where.
+        seed: Of the world.
+        width: Of the camera's picture in pixels.
+        driver: Who drives.
+        video: Its file.
+    """
 
     def __init__(
-        self, town: Town, seed: int, width: int, settings: tuple[str, ...] = (), profile: str = FILMED_USER
+        self, town: Town, seed: int, width: int, driver: FilmDriver = _ALONE, video: Path | None = None
     ) -> None:
-        camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
-        config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
-        config = resolve(config, settings)
-        self.world = World(town, config, (SeatSpec(profile=profile),), seed)
-        self._camera = config.cameras[0]
-        self.tick_s = self.world.config.world.tick_s
-
-    def go_on(self) -> Snapshot:
-        """One tick."""
-        return next(rollout(self.world)).after
-
-    def busiest_moment(self, seconds: float) -> Shot:
-        """Drive for a while and keep the moment when most actors, and most of them, are in the picture."""
-        busiest = BusiestMoment(self)
-        for tick in range(max(1, round(seconds / self.tick_s))):
-            self.go_on()
-            busiest.look((tick + 1) * self.tick_s)
-        return busiest.shot
-
-    def film(self, path: Path) -> _Film:
-        """Begin a video of what comes."""
-        return _Film(self, path)
-
-    def picture(self, chart: MapView) -> tuple[CameraFrame, U8]:
-        """The camera's frame of now, and the map around the chair."""
-        return self.world.snapshot.clients[0].sensors.cameras[0], map_view(chart, self.world)
-
-    def open_map(self, size_px: int) -> MapView:
-        """A map of the town for `picture`; only videos need one."""
-        return MapView(self.world.street.mesh, size_px, MAP_SPAN_M)
-
-    def close(self) -> None:
-        """End the world; a second call does nothing."""
-        self.world.close()
+        """Raises PolicyError, TownError, or ConfigError for what cannot be."""
+        if not 64 <= width <= 1920:
+            raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
+        self._driver: SeatDriver | None = None
+        self._info = Info()
+        config, spec, self._policy = _senses(driver, seed, width)
+        self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
+        self._ticks, self._held = 0, ExitStack()
+        try:
+            self.world = self._held.enter_context(World(town, config, (spec,), seed))
+            if self._policy is not None:
+                agent = _OwnCode(PolicyAgent(self._policy), self._policy)
+                self._driver = SeatDriver(config, agent, self.world.snapshot.clients[0])
+            self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})
+            if video is not None:  # last: what failed before leaves no file
+                self._open_video(video)
+        except BaseException:
+            self._held.close()
+            raise
 
     @property
-    def camera(self) -> CameraConfig:
-        """The chair's camera."""
-        return self._camera
+    def taken_over(self) -> float:
+        """How far the stick that was driven last was from the user's, 0 to 2 and more."""
+        given, asked = self._info.get("given"), self._info.get("asked")
+        return math.dist((given.x, given.y), (asked.x, asked.y)) if given and asked else 0.0
+
+    def drive(self) -> None:
+        """Drive one tick without a picture."""
+        (client,) = next(self._steps).after.clients
+        if self._driver is not None:
+            self._info = self._driver.take(client).info
+        self._ticks += 1
+
+    def add(self) -> U8:
+        """Drive one tick and add its picture to the video, which is returned."""
+        self.drive()
+        snapshot, info, policy = self.world.snapshot, self._info, self._policy
+        speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
+        caption = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s"
+        if policy is None:
+            picture = captioned(self._colours(), f"{caption}   {len(snapshot.actors)} actors near")
+        else:
+            crash = "   CRASH" if info["events"].crashed else ""
+            picture = captioned(self._colours(), f"{policy.name}   {caption}{crash}")
+            _with_sticks(picture, info["asked"], info["given"], warning=isinstance(policy, Warns) and policy.warning)
+        frame = side_by_side(picture, map_view(self._map, self.world))
+        self._writer.write(frame)
+        return frame
 
     def shot(self, after_s: float) -> Shot:
         """What the camera sees now, so long after the beginning."""
-        snapshot = self.world.snapshot
-        frame = snapshot.clients[0].sensors.cameras[0]
-        if frame.rgb is None:
-            raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
+        frame = self._frame()
         return Shot(
-            rgb=frame.rgb.copy(),
+            rgb=self._colours().copy(),
             class_id=frame.class_id.copy(),
             depth_m=frame.depth_m.copy(),
             after_s=after_s,
-            in_view=self._in_view(snapshot),
+            in_view=self._in_view(self.world.snapshot),
         )
 
     def business(self) -> float:
         """How much of interest is in the picture now: actors, and how large they are; below 0 for hardly any."""
-        frame = self.world.snapshot.clients[0].sensors.cameras[0]
+        frame = self._frame()
         pixels = int(np.isin(frame.class_id, _ACTOR_CLASSES).sum())
         if pixels <= _IN_VIEW_PX:
             return -1.0
         return self._in_view(self.world.snapshot) + min(1.0, pixels / (0.05 * frame.class_id.size))
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._held.__exit__(kind, error, at)
+
+    def _open_video(self, path: Path) -> None:
+        width, height = self.camera.width_px, self.camera.height_px
+        self._map = MapView(self.world.street.mesh, height, _MAP_SPAN_M)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
+        self._writer = self._held.enter_context(VideoWriter(path, 1.0 / self.tick_s, (width + height, height)))
+
+    def _frame(self) -> CameraFrame:
+        return self.world.snapshot.clients[0].sensors.cameras[-1]
+
+    def _colours(self) -> U8:
+        rgb = self._frame().rgb
+        if rgb is None:
+            raise ConfigError("the film's camera draws no colours; it is made with rgb=True")
+        return rgb
+
     def _in_view(self, snapshot: Snapshot) -> int:
         """Actors within reach, inside the camera's horizontal field of view, and not behind something nearer."""
         plant = snapshot.clients[0].plant
-        frame = snapshot.clients[0].sensors.cameras[0]
-        half = np.tan(rad(self._camera.hfov_deg) / 2)
+        frame = snapshot.clients[0].sensors.cameras[-1]
+        half = np.tan(rad(self.camera.hfov_deg) / 2)
         ahead = np.array([np.cos(plant.yaw_rad), np.sin(plant.yaw_rad)])
         right = np.array([ahead[1], -ahead[0]])
         count = 0
@@ -128,13 +187,27 @@ class _FilmedDrive:
         return count
 
 
-class BusiestMoment:
-    """Keeps, while a stage goes on, the moment when most actors, and most of them, were in the picture."""
+def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatSpec, Policy | None]:
+    """The world's settings, whose last camera is the film's; who sits in it, and the policy, if any."""
+    camera = CameraConfig(width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
+    if not driver.policy:
+        config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
+        return resolve(config, driver.settings), SeatSpec(profile=driver.profile), None
+    own = settings_of(driver.policy, "quick", driver.settings)
+    film = camera.model_copy(update={"name": _FILM_CAMERA})
+    own = own.model_copy(update={"cameras": (*own.cameras, film)})
+    policy = open_named(driver.policy, own, seed, driver.network or None)
+    truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
+    return sensing(own, policy), SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
 
-    def __init__(self, stage: _FilmedDrive, fits: bool = True) -> None:
+
+class BusiestMoment:
+    """Keeps, while a drive goes on, the moment when most actors, and most of them, were in the picture."""
+
+    def __init__(self, filmed: FilmedDrive, fits: bool = True) -> None:
         """Begins with now, which stays if nothing better comes; see `look`."""
-        self._stage, self._best = stage, (fits, -1.0)
-        self.shot = stage.shot(0.0)
+        self._filmed, self._best = filmed, (fits, -1.0)
+        self.shot = filmed.shot(0.0)
 
     def look(self, after_s: float, fits: bool = True) -> bool:
         """Take this moment instead, if there is more in it, or if it is the first that fits; whether it was taken.
@@ -143,70 +216,59 @@ class BusiestMoment:
             after_s: Since the beginning.
             fits: Whether it is what the caller wants; one that is not is never taken after one that is.
         """
-        now = (fits, self._stage.business())
+        now = (fits, self._filmed.business())
         if now <= self._best:
             return False
-        self.shot, self._best = self._stage.shot(after_s), now
+        self.shot, self._best = self._filmed.shot(after_s), now
         return True
 
 
-class _Film:
-    """A video of a stage: the camera beside a map; a context manager."""
+class _OwnCode:
+    """Around an agent: what a user's own policy raises becomes a PolicyError that says where."""
 
-    def __init__(self, stage: _FilmedDrive, path: Path) -> None:
-        self._stage, self.tick_s, self._ticks = stage, stage.tick_s, 0
-        height = stage.camera.height_px
-        self._map = stage.open_map(height)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
-        self._writer = VideoWriter(path, 1.0 / stage.tick_s, (stage.camera.width_px + height, height))
+    def __init__(self, agent: Agent, policy: Policy) -> None:
+        self._agent, self._policy = agent, policy
 
-    def drive(self) -> Snapshot:
-        """Drive one tick without a picture."""
-        self._ticks += 1
-        return self._stage.go_on()
+    def reset(self, info: Info) -> None:
+        """Begin an episode."""
+        with calling(self._policy, "reset"):
+            self._agent.reset(info)
 
-    def add(self) -> None:
-        """Drive one tick and add its picture."""
-        snapshot = self.drive()
-        frame, chart = self._stage.picture(self._map)
-        if frame.rgb is None:
-            raise ConfigError("the stage's camera draws no colours; it is made with rgb=True")
-        speed = float(np.hypot(*snapshot.clients[0].plant.v_B_mps[:2]))
-        caption = f"{self._ticks * self.tick_s:.1f} s   {speed:.2f} m/s   {len(snapshot.actors)} actors near"
-        self._writer.write(side_by_side(captioned(frame.rgb, caption), chart))
-
-    def __enter__(self) -> Self:
-        self._writer.__enter__()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._writer.__exit__(kind, error, at)
+    def act(self, observation: Observation, info: Info) -> object:
+        """Ask the agent."""
+        with calling(self._policy, "act"):
+            return self._agent.act(observation, info)
 
 
-@contextmanager
-def open_stage(
-    town: Town, seed: int, width: int, settings: tuple[str, ...] = (), profile: str = FILMED_USER
-) -> Iterator[_FilmedDrive]:
-    """A stage that is closed at the end.
+def _with_sticks(image: U8, asked: Joystick, given: Joystick, *, warning: bool) -> None:
+    """Draw into an image (H, W, 3) where the user's stick is, where the executed one, and a warning."""
+    height, width = image.shape[:2]
+    side = max(24, round(_PAD_SHARE * height))
+    left, top = width - side - 6, height - side - 6
+    pad = image[top : top + side, left : left + side]
+    pad[:] = (0.3 * pad + 0.7 * np.array(_DARK)).astype(np.uint8)
+    middle, reach = side // 2, 0.42 * side
+    cv2.rectangle(pad, (0, 0), (side - 1, side - 1), WARN_RGB if warning else _RIM, 3 if warning else 1)
+    cv2.line(pad, (middle, 4), (middle, side - 5), _RIM, 1)
+    cv2.line(pad, (4, middle), (side - 5, middle), _RIM, 1)
+    for stick, colour, size in ((given, GIVEN_RGB, 0.09), (asked, ASKED_RGB, 0.05)):
+        at = (round(middle + reach * stick.x), round(middle - reach * stick.y))
+        cv2.line(pad, (middle, middle), at, colour, 2, cv2.LINE_AA)
+        cv2.circle(pad, at, max(2, round(size * side)), colour, -1, cv2.LINE_AA)
+    scale = max(0.35, width / 1200.0)
+    low = top - 3
+    for word, colour in (("user", ASKED_RGB), ("driven", GIVEN_RGB)):
+        low = _with_word(image, (left, low), word, scale, colour)
+    if warning:
+        cv2.putText(image, "WARNING", (8, height - 12), 0, 2.0 * scale, WARN_RGB, 2, cv2.LINE_AA)
 
-    Args:
-        town: Where.
-        seed: Of the world.
-        width: Of the camera's picture in pixels.
-        settings: section.key=value, laid over the usual ones.
-        profile: Of the user who drives.
 
-    Raises:
-        TownError: The town cannot be opened.
-        ConfigError: The width is out of bounds, there is no such user, or the settings cannot be.
-    """
-    if not 64 <= width <= 1920:
-        raise ConfigError(f"a picture cannot be {width} pixels wide; expected 64 to 1920")
-    stage = _FilmedDrive(town, seed, width, settings, profile)
-    try:
-        yield stage
-    finally:
-        stage.close()
+def _with_word(image: U8, place: tuple[int, int], word: str, scale: float, colour: tuple[int, int, int]) -> int:
+    """Write a word on a dark strip of its own, from its lower left corner (column, row); returns the strip's top."""
+    (wide, high), below = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    left, low = place
+    top = max(0, low - high - below - 4)
+    strip = image[top:low, left : left + wide + 6]
+    strip[:] = (0.3 * strip + 0.7 * np.array(_DARK)).astype(np.uint8)
+    cv2.putText(image, word, (left + 3, low - below - 1), cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+    return top

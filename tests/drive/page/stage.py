@@ -24,8 +24,8 @@ ABOUT = m.About(
     profiles=["competent"], suites={}, levels=(0.0, 2.0), own_level=1.0, tells_unsafe=True, tick_s=0.1,
 )  # fmt: skip
 KPIS = m.Kpis(
-    kpi1=0.0, kpi2=1.0, way_m=0.0, time_s=0.1, crashes=0, arrivals=0, given_up=0, helps=0, overrules=0, warnings=0,
-    interventions=0,
+    kpi1=0.0, kpi2=1.0, ticks=1, way_m=0.0, crashes=0, drops=0, arrivals=0, given_up=0, helps=0, overrules=0,
+    warnings=0, interventions=0,
 )  # fmt: skip
 STATE = m.DriveState(
     tick=1, time_s=0.1, step=1, driver=DriverKind.PERSON, paused=False, waiting="", let_go=False, alone=False, pace=1.0,

@@ -15,7 +15,7 @@ from tests.drive.playing.films import ABOUT as FILM
 from tests.drive.playing.films import chair, step
 from wcsim.drive import messages as m
 from wcsim.drive.playing.film_states import Flag
-from wcsim.drive.playing.play_state import Player, film_about, film_marks, film_state
+from wcsim.drive.playing.play_messages import Player, film_about, film_marks, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
 pytestmark = [

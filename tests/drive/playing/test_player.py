@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.drive.playing.play_state import FASTEST, SLOWEST, Player
+from wcsim.drive.playing.play_messages import FASTEST, SLOWEST, Player
 
 SPAN = {"first": 0, "count": 1000}
 

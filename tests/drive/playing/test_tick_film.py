@@ -6,9 +6,16 @@ import pytest
 
 from tests.drive.playing.films import ABOUT, chair, film_of, step
 from wcsim.drive.playing.film_states import Flag
-from wcsim.drive.playing.play_messages import PlayMarks, PlayState
-from wcsim.drive.playing.play_state import CRASH_TICKS, Player, film_about, film_marks, film_state
-from wcsim.drive.playing.tick_film import MOST_MARKS, ChairSums, TickFilm
+from wcsim.drive.playing.play_messages import (
+    CRASH_TICKS,
+    Player,
+    PlayMarks,
+    PlayState,
+    film_about,
+    film_marks,
+    film_state,
+)
+from wcsim.drive.playing.tick_film import MOST_MARKS, TickFilm
 from wcsim.errors import ProtocolError
 
 CRASH = Flag.CRASHED
@@ -61,9 +68,11 @@ def test_numbers_up_to_here_are_exact_after_any_jump() -> None:
 
 
 def test_what_is_not_known_counts_for_nothing() -> None:
-    sums = ChairSums().plus(chair(0, 0, stick=None), 0.1)
-    assert (sums.ticks, sums.kpi1) == (1, None)
-    assert sums.plus(chair(0, 1), 0.1).kpi1 == pytest.approx(0.25)
+    film = TickFilm(ABOUT)
+    film.add(step(0, chair(0, 0, stick=None)))
+    film.add(step(1, chair(0, 1)))
+    first, second = (state(film, at).chairs[0].kpis for at in (0, 1))
+    assert (first.ticks, first.kpi1, second.kpi1) == (1, None, 0.25)
 
 
 def test_what_was_driven_before_a_handover_is_not_judged() -> None:

@@ -185,7 +185,7 @@ def test_arrivals_end_a_part(corner: Path, tmp_path: Path, begin: Begin) -> None
     person.drive()
     person.press()
     assert person.view.arrivals_left == 1 and person.session is not None
-    person.session.metrics.arrivals = 1
+    person.session.metrics = person.session.metrics._replace(arrivals=1)
     assert person.drive() == 1
     person.answer(0, 0)
     assert participant_rows(opened(corner, tmp_path, 1, text))[1]["ended"] == "arrivals"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info
-from wcsim.agents.policy_api import Helping, Observation, Policy, SeesTruth, tell_delay
+from wcsim.agents.policy_api import HearsSent, Helping, Observation, Policy, SeesTruth, tell_delay
 from wcsim.config import RunConfig
 from wcsim.types import ClientSnapshot, Joystick
 
@@ -62,23 +62,32 @@ class PolicyAgent:
     """
 
     def __init__(self, policy: Policy, help_ticks: int = 0) -> None:
-        self._policy, self._begun = policy, False
-        self._help = Helping(policy, help_ticks)
+        self.policy, self.help = policy, Helping(policy, help_ticks)
+        self._begun = False
 
     def reset(self, info: Info) -> None:
         """Begin an episode."""
         if not self._begun:
-            self._policy.begin()
-            self._begun = True
-        tell_delay(self._policy, info["drawn"])
-        self._policy.reset()
+            self._begun = True  # first: one that fails is not begun again
+            self.policy.begin()
+        tell_delay(self.policy, info["drawn"])
+        self.policy.reset()
 
     def act(self, observation: Observation, info: Info) -> int:
         """Ask the policy."""
-        if isinstance(self._policy, SeesTruth):
-            self._policy.see(info["truth"])
+        self._show(info)
         if info["help"]:
-            self._help.ask()
-        action = self._policy.act(observation)
-        self._help.tick()
+            self.help.ask()
+        action = self.policy.act(observation)
+        self.help.tick()
         return action
+
+    def choose(self, observation: Observation, info: Info) -> int:
+        """The same, where the caller answers calls for help, and tells a `HearsSent` what was sent."""
+        self._show(info)
+        policy = self.policy
+        return int(policy.choose(observation) if isinstance(policy, HearsSent) else policy.act(observation))
+
+    def _show(self, info: Info) -> None:
+        if isinstance(self.policy, SeesTruth):
+            self.policy.see(info["truth"])

@@ -25,6 +25,7 @@ from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS, BoardLog, Metri
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
 from wcsim.server.launch.states import WAIT_NO_MORE
+from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Events
 
 GREEDY_EVERY = 5  # steps between two looks at the agent's own choice
@@ -81,12 +82,9 @@ class TrainProgress:
 class _EpisodeSums:
     """What is summed up while an episode runs."""
 
+    kpis: KpiTotals = KpiTotals()  # noqa: RUF009 - a tuple
     reward: float = 0.0
-    steps: int = 0
-    distance: float = 0.0
-    speed: float = 0.0
     progress_m: float = 0.0
-    arrivals: int = 0
     greedy: list[float] = field(default_factory=list)
     values: _ValueWatch = field(default_factory=lambda: _ValueWatch(gamma=1.0, scale=1.0))
 
@@ -94,26 +92,25 @@ class _EpisodeSums:
         """One step, by an environment's `info`."""
         self.reward += reward
         self.values.add(reward)
-        self.steps += 1
-        self.distance += float(info.get("joystick_distance", 0.0))
-        self.speed += float(info.get("speed_mps", 0.0))
         self.progress_m += float(info.get("progress_m", 0.0))
         events = info.get("events")
-        self.arrivals += int(events is not None and events.arrived)
+        happened = {"arrivals"} if events is not None and events.arrived else set()
+        distance, speed_mps = (float(info.get(name, 0.0)) for name in ("joystick_distance", "speed_mps"))
+        self.kpis = self.kpis.plus(happened, distance, speed_mps)
 
     def row(self, info: dict[str, Any], crashed: bool) -> dict[str, float | int | str | None]:
         """The row of metrics.csv for an episode that ended with this step; `cut` is 1 where its world ended it."""
-        events = info.get("events")
+        events, kpis = info.get("events"), self.kpis
         return {
             "return": self.reward,
-            "length": self.steps,
-            "kpi1": self.distance / self.steps,
+            "length": kpis.ticks,
+            "kpi1": kpis.kpi1,
             "kpi1_greedy": sum(self.greedy) / len(self.greedy) if self.greedy else None,
             "crashed": int(crashed),
             "crash_reason": "" if events is None else events.crash_reason,
-            "speed_mps": self.speed / self.steps,
+            "speed_mps": kpis.speed_sum / kpis.ticks,
             "progress_m": self.progress_m,
-            "arrivals": self.arrivals,
+            "arrivals": kpis.arrivals,
             "cut": int(info.get("reason") == WORLD_RESTARTED),
         }
 
@@ -230,7 +227,7 @@ class EpisodeMetrics(SeqCallback):
     def _look_at_starts(self) -> None:
         """The value of what the agent saw when its episode began."""
         learner, observation = self.learner, self.learner._last_obs
-        starts = [seat for seat, sums in enumerate(self.sums) if sums.steps == 0]
+        starts = [seat for seat, sums in enumerate(self.sums) if not sums.kpis.ticks]
         if not starts or not isinstance(observation, dict):
             return
         seen, _ = learner.policy.obs_to_tensor(observation)
@@ -243,7 +240,7 @@ class EpisodeMetrics(SeqCallback):
 
     def _finish(self, seat: int, info: dict[str, Any]) -> None:
         sums, learner = self.sums[seat], self.learner
-        if sums.steps == 0:  # its world ended before its first step
+        if not sums.kpis.ticks:  # its world ended before its first step
             return
         crashed = not info.get("TimeLimit.truncated", False)
         self.episodes += 1

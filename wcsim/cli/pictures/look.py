@@ -43,17 +43,16 @@ def run(words: list[str]) -> int:
     check_output("--out", video)
     missing = missing_folder(video)
 
-    from wcsim.drive.drawing.pictures import StillPictures  # these load the simulators, which --help must not
-    from wcsim.view.filming import BusiestMoment, open_stage
+    from wcsim.drive.pictures import StillPictures  # these load the simulators, which --help must not
+    from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
     from wcsim.view.pictures import write_png
 
     with (
         StageBar("filming") as bar,
-        open_stage(town, options.seed, _WIDTH_PX, options.set) as stage,
-        stage.film(video) as film,
+        FilmedDrive(town, options.seed, _WIDTH_PX, FilmDriver(settings=options.set), video) as film,
     ):
-        stills = StillPictures(stage.world)
-        busiest = BusiestMoment(stage, stills.on_way)
+        stills = StillPictures(film.world)
+        busiest = BusiestMoment(film, stills.on_way)
         seen, frames = stills.draw(), round(options.seconds / film.tick_s)
         with result_file(street) as part:
             write_png(part, seen)  # something to look at while it is filmed

@@ -44,11 +44,15 @@ def run(words: list[str]) -> int:
     check_output("--out", options.out, ".png")
     town = find_town(options.town)
 
-    from wcsim.view.filming import open_stage  # loads the simulators, which --help must not
+    # Loads the simulators, which --help must not.
+    from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
 
-    with open_stage(town, options.seed, options.width, options.set) as stage:
-        shot = stage.busiest_moment(options.seconds)
-    keep_shot(options.out, shot, f"{options.town}, seed {options.seed}")
+    with FilmedDrive(town, options.seed, options.width, FilmDriver(settings=options.set)) as film:
+        busiest = BusiestMoment(film)
+        for done in range(1, max(1, round(options.seconds / film.tick_s)) + 1):
+            film.drive()
+            busiest.look(done * film.tick_s)
+    keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
     return 0
 
 

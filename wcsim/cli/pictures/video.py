@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import tyro
 
@@ -15,7 +13,7 @@ from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_unset, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
-from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.scenario.town import find_town
 
 MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
 
@@ -61,7 +59,13 @@ def run(words: list[str]) -> int:
     require_user(options.profile)
     town = find_town(options.town)
     missing = missing_folder(options.out)
-    with StageBar("filming") as bar, _opened(options, town) as film:
+    from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
+
+    driver = FilmDriver(policy=options.policy, network=options.network, profile=options.profile, settings=options.set)
+    with (
+        StageBar("filming") as bar,
+        FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
+    ):
         before, frames = round(options.start / film.tick_s), round(options.seconds / film.tick_s)
         for done in range(1, before + frames + 1):
             if done <= before:
@@ -81,34 +85,3 @@ def run(words: list[str]) -> int:
 def _with_user(options: Options) -> Options:
     """The options with who drives where nobody is named."""
     return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))
-
-
-class _Filmed(Protocol):
-    tick_s: float
-
-    def drive(self) -> object:
-        """Drive one tick without a picture."""
-
-    def add(self) -> object:
-        """Drive one tick and add its picture."""
-
-
-@contextmanager
-def _opened(options: Options, town: Town) -> Iterator[_Filmed]:
-    """What drives and films; the simulators are loaded here, which --help must not."""
-    if options.policy:
-        from wcsim.view.driven_film import DrivenFilm, FilmDriver
-
-        driver = FilmDriver(
-            policy=options.policy, network=options.network, profile=options.profile, settings=options.set
-        )
-        with DrivenFilm(town, options.seed, options.width, driver, options.out) as driven:
-            yield driven
-        return
-    from wcsim.view.filming import open_stage
-
-    with (
-        open_stage(town, options.seed, options.width, options.set, options.profile) as stage,
-        stage.film(options.out) as film,
-    ):
-        yield film

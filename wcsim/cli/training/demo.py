@@ -134,7 +134,7 @@ def _film(demo: _Demo) -> Path:
     """The third: ten seconds of it, and the picture in which it differs most from its user."""
     import numpy as np
 
-    from wcsim.view.driven_film import DrivenFilm, FilmDriver  # loads the simulators, which --help must not
+    from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
     from wcsim.view.pictures import write_png
 
     demo.say(f"\n3/3 filming {_FILM_S:g} s of it in {demo.town.name}", "bold")
@@ -143,7 +143,7 @@ def _film(demo: _Demo) -> Path:
     best, best_m = None, -1.0
     with (
         StageBar("filming") as bar,
-        DrivenFilm(demo.town, demo.options.seed, _FILM_WIDTH_PX, driver, path) as film,
+        FilmedDrive(demo.town, demo.options.seed, _FILM_WIDTH_PX, driver, path) as film,
     ):
         frames = round(_FILM_S / film.tick_s)
         for done in range(frames):

@@ -7,7 +7,7 @@ const KPIS = [
   ["speed", "Speed", (k, s) => `${Math.abs(s.speed_mps).toFixed(2)} m/s`],
   ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
   ["left", "To go", (k, s) => `${s.left_m.toFixed(0)} m`],
-  ["time", "Time", (k) => `${Math.floor(k.time_s / 60)}:${String(Math.floor(k.time_s % 60)).padStart(2, "0")}`],
+  ["time", "Time", (_, now) => `${Math.floor(now.time_s / 60)}:${String(Math.floor(now.time_s % 60)).padStart(2, "0")}`],
   ["arrivals", "Arrivals", (k) => k.arrivals], ["crashes", "Crashes", (k) => k.crashes],
   ["warnings", "Warnings", (k) => k.warnings], ["interventions", "Interventions", (k) => k.interventions],
   ["helps", "Calls for help", (k) => k.helps], ["overrules", "Overruled", (k) => k.overrules],

@@ -15,12 +15,11 @@ import msgspec
 
 from wcsim.config import CameraConfig, parse_json
 from wcsim.drive import messages as m
-from wcsim.drive.drawing.orbit import clamped
-from wcsim.drive.drawing.pictures import PageLooks, StreetPictures
+from wcsim.drive.pictures import PageLooks, StreetPictures, clamped
 from wcsim.drive.playing import play_messages as pm
 from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, said_of
 from wcsim.drive.playing.low_priority import run_at_low_priority
-from wcsim.drive.playing.play_state import Player, film_about, film_marks, film_state
+from wcsim.drive.playing.play_messages import Player, film_about, film_marks, film_state
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
 from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
 from wcsim.drive.runner import DONE, JSON, LINE, PICTURES

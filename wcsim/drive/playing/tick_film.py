@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict, deque
+from collections.abc import Set
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +15,7 @@ import msgspec
 import numpy as np
 import zstandard
 
-from wcsim.drive.drawing.pictures import Moment
+from wcsim.drive.pictures import Moment
 from wcsim.drive.playing.film_states import (
     FilmAbout,
     FilmBody,
@@ -30,88 +31,27 @@ from wcsim.drive.playing.film_states import (
 from wcsim.errors import ProtocolError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.actions import MAX_DISTANCE
+from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Route
 
-_ON = Flag.WARNING | Flag.INTERVENING | Flag.OVERRULED
 MOST_BYTES: Final = 512 << 20
 MOST_MARKS: Final = 4000
 _BLOCK: Final = 128  # ticks that are packed together
 _OPEN: Final = 6  # blocks that are kept unpacked
 _LEVEL: Final = 3
-_MARKED: Final = (
-    (Flag.DROPPED, "drop"),
-    (Flag.CRASHED, "crash"),
-    (Flag.ARRIVED, "arrival"),
-    (Flag.GAVE_UP, "gave-up"),
-    (Flag.HELPED, "help"),
-    (Flag.WARNING, "warning"),
-    (Flag.INTERVENING, "intervention"),
-)
-_STRETCHES: Final = Flag.WARNING | Flag.INTERVENING  # marked where they begin
+_COUNTED: Final = (
+    (Flag.DROPPED, "drops", "drop"),
+    (Flag.CRASHED, "crashes", "crash"),
+    (Flag.ARRIVED, "arrivals", "arrival"),
+    (Flag.GAVE_UP, "given_up", "gave-up"),
+    (Flag.HELPED, "helps", "help"),
+    (Flag.WARNING, "warnings", "warning"),
+    (Flag.INTERVENING, "interventions", "intervention"),
+    (Flag.OVERRULED, "overrules", ""),
+)  # what counts for which total, and its mark, "" for none
 
 
-class ChairSums(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
-    """Of one chair since its film began."""
-
-    ticks: int = 0
-    judged: int = 0  # ticks of which both sticks are known
-    distance_sum: float = 0.0
-    way_m: float = 0.0
-    crashes: int = 0
-    drops: int = 0
-    arrivals: int = 0
-    given_up: int = 0
-    warnings: int = 0  # stretches of ticks, as interventions and overrules
-    interventions: int = 0
-    overrules: int = 0
-    helps: int = 0
-    ended: int = 0  # episodes
-    ended_steps: int = 0  # of them
-    steps: int = 0  # of the episode that is on, from a handover on
-    alone: int = 0  # ticks of it before that
-    on: int = 0  # flags of the tick before
-
-    @property
-    def kpi1(self) -> float | None:
-        """Mean joystick distance, None where no tick is known."""
-        return self.distance_sum / self.judged if self.judged else None
-
-    @property
-    def kpi2(self) -> float:
-        """Mean steps that an episode lived; of the one that is on while none has ended."""
-        return self.ended_steps / self.ended if self.ended else float(self.steps)
-
-    def plus(self, chair: FilmChair, tick_s: float) -> ChairSums:
-        """With one tick more; as in a test, nothing before a handover is judged."""
-        flags = Flag(chair.flags)
-        is_alone = Flag.ALONE in flags
-        alone = (0 if chair.step == 1 else self.alone) + is_alone
-        begun = flags & ~Flag(self.on)
-        ends = bool(flags & (Flag.CRASHED | Flag.TRUNCATED))
-        steps = chair.step - alone if chair.step >= 0 else self.steps + (not is_alone)
-        gap = None if is_alone else distance(chair)
-        return ChairSums(
-            ticks=self.ticks + 1,
-            judged=self.judged + (gap is not None),
-            distance_sum=self.distance_sum + (gap or 0.0),
-            way_m=self.way_m + abs(chair.speed_mps) * tick_s,
-            crashes=self.crashes + bool(flags & Flag.CRASHED),
-            drops=self.drops + bool(flags & Flag.DROPPED),
-            arrivals=self.arrivals + bool(flags & Flag.ARRIVED),
-            given_up=self.given_up + bool(flags & Flag.GAVE_UP),
-            warnings=self.warnings + bool(begun & Flag.WARNING),
-            interventions=self.interventions + bool(begun & Flag.INTERVENING),
-            overrules=self.overrules + bool(begun & Flag.OVERRULED),
-            helps=self.helps + bool(flags & Flag.HELPED),
-            ended=self.ended + (ends and steps > 0),
-            ended_steps=self.ended_steps + (steps if ends else 0),
-            steps=0 if ends else steps,
-            alone=0 if ends else alone,
-            on=int(flags & _ON),
-        )
-
-
-def distance(chair: FilmChair) -> float | None:
+def _distance(chair: FilmChair) -> float | None:
     """Between the user's stick and the chair's, KPI 1's; None where one of them is not known."""
     if chair.stick is None or chair.commanded is None:
         return None
@@ -122,7 +62,7 @@ class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
     """A frame with the sums of its chairs after it."""
 
     frame: FilmFrame
-    sums: dict[int, ChairSums]
+    sums: dict[int, KpiTotals]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +97,8 @@ class TickFilm:
         self._newest: list[_FilmTick] = []
         self._unpacked: OrderedDict[int, list[_FilmTick]] = OrderedDict()
         self._routes: OrderedDict[int, Route] = OrderedDict()
-        self._sums: dict[int, ChairSums] = {}
+        self._sums: dict[int, KpiTotals] = {}
+        self._alone: dict[int, int] = {}  # ticks of an episode before its handover, by seat
         self._decoder = msgspec.msgpack.Decoder(list[_FilmTick])
 
     def add(self, step: FilmStep) -> None:
@@ -167,9 +108,7 @@ class TickFilm:
         self._numbered += len(step.ways)
         self._signals += step.signals
         for chair in step.frame.chairs:
-            before = self._sums.get(chair.seat, ChairSums())
-            self._mark(chair, before)
-            self._sums[chair.seat] = before.plus(chair, self.about.tick_s)
+            self._count(chair)
         self._newest.append(_FilmTick(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
         self.count += 1
         if len(self._newest) == _BLOCK:
@@ -242,12 +181,22 @@ class TickFilm:
         for way in [way for way in self._ways if way < min(on, default=0)]:
             del self._ways[way]
 
-    def _mark(self, chair: FilmChair, before: ChairSums) -> None:
-        flags, was = Flag(chair.flags), Flag(before.on)
-        now = flags & ~(was & _STRETCHES)
-        now &= ~Flag.CRASHED if Flag.DROPPED in flags else now  # a fall is one mark
-        for flag, kind in _MARKED:
-            if flag in now:
+    def _count(self, chair: FilmChair) -> None:
+        """Mark and count what a chair did; as in a test, nothing before a handover is judged."""
+        flags, seat = Flag(chair.flags), chair.seat
+        before = self._sums.get(seat, KpiTotals())
+        happened = {name for flag, name, _ in _COUNTED if flag in flags}
+        self._mark(chair, before.begun(happened))
+        is_alone = Flag.ALONE in flags
+        alone = (0 if chair.step == 1 else self._alone.get(seat, 0)) + is_alone
+        steps = chair.step - alone if chair.step >= 0 else before.steps + (not is_alone)
+        after = before.plus(happened, None if is_alone else _distance(chair), chair.speed_mps, steps)
+        ends = bool(flags & (Flag.CRASHED | Flag.TRUNCATED))
+        self._alone[seat], self._sums[seat] = (0, after.over()) if ends else (alone, after)
+
+    def _mark(self, chair: FilmChair, begun: Set[str]) -> None:
+        for _, name, kind in _COUNTED:
+            if kind and name in begun and not (kind == "crash" and "drops" in begun):  # a fall is one mark
                 told = chair.reason if kind in ("crash", "drop") else ""
                 self._note(_FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
 

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
+from msgspec.structs import replace
 
 from wcsim.bridge.drives.drive_header import drive_header
 from wcsim.core.reading import escaped
-from wcsim.drive.driven import DriveEvent, DrivenTick, DriverKind, EventKind
+from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
 from wcsim.log.records import MOST_DETAIL, DriveTick, Header, Note
@@ -49,25 +49,16 @@ class SessionRecorder:
         self._before, self._kept = session.ticks, 0
         self._begin()
 
-    def tick(self, driven: DrivenTick) -> None:
-        """Write it."""
-        if self._header is None:
-            return
-        try:
-            recorder = self._recorder or self._open(self._header)
-            recorder.append(_recorded_tick(driven, self._before, self._session.tick_s))
-            self._kept += 1
-        except WcsimError as error:
-            self._stop(str(error))
-
-    def event(self, event: DriveEvent) -> None:
+    def __call__(self, record: DriveTick | Note) -> None:
         """Write it; a world's end is a file's end."""
-        if event.kind is EventKind.REBUILT:
+        if isinstance(record, DriveTick):
+            self._tick(record)
+        elif record.kind == EventKind.REBUILT:
             self._end()
-            self._before = event.tick
+            self._before = record.tick
             self._begin()
         elif self._header is not None:
-            self._note(event)
+            self._note(record)
 
     def close(self) -> None:
         """The file is whole; a second call does nothing."""
@@ -119,16 +110,25 @@ class SessionRecorder:
         )
         return self._recorder
 
-    def _note(self, event: DriveEvent) -> None:
-        told = event.told
-        if event.kind is EventKind.USER:
+    def _tick(self, driven: DriveTick) -> None:
+        if self._header is None:
+            return
+        try:
+            recorder = self._recorder or self._open(self._header)
+            recorder.append(replace(driven, **self._place(driven.tick)))
+            self._kept += 1
+        except WcsimError as error:
+            self._stop(str(error))
+
+    def _note(self, event: Note) -> None:
+        told = event.detail
+        if event.kind == EventKind.USER:
             user = self._session.world.seats[0].profile
             if user is None:
                 self._stop(_RECORDED)
                 return
             told = profile_json(user)
-        tick = event.tick - self._before
-        noted = Note(tick=tick, time_s=tick * self._session.tick_s, kind=event.kind.value, detail=told[:MOST_DETAIL])
+        noted = replace(event, **self._place(event.tick), detail=told[:MOST_DETAIL])
         if self._recorder is None:
             self._waiting.append(noted)
             return
@@ -137,8 +137,13 @@ class SessionRecorder:
         except WcsimError as error:
             self._stop(str(error))
 
+    def _place(self, tick: int) -> dict[str, float]:
+        """Number and time in the file's world of a tick of the drive, by their fields."""
+        tick -= self._before
+        return {"tick": tick, "time_s": tick * self._session.tick_s}
+
     def _note_first(self, kind: EventKind, told: str) -> None:
-        self._waiting.append(Note(tick=0, time_s=0.0, kind=kind.value, detail=told))
+        self._waiting.append(Note(tick=0, time_s=0.0, kind=kind, detail=told))
 
     def _stop(self, why: str) -> None:
         """Nothing more is kept of this world; what was, is."""
@@ -154,38 +159,3 @@ class SessionRecorder:
             minutes = self._kept * self._session.tick_s / 60.0
             log = f"wrote {escaped(self._file)}: {self._kept} ticks, {minutes:.1f} min"
             self._tell(RecorderStatus(on=False, file=self._file, log=log))
-
-
-def _recorded_tick(driven: DrivenTick, before: int, tick_s: float) -> DriveTick:
-    """A tick as a file holds it.
-
-    Args:
-        driven: The tick.
-        before: Ticks of the drive before the file's world began.
-        tick_s: How long a tick is.
-    """
-    tick = driven.tick - before
-    return DriveTick(
-        tick=tick,
-        episode=driven.episode,
-        time_s=tick * tick_s,
-        stick=driven.stick,
-        intent=driven.intent,
-        sticks=driven.sticks.astype(np.float32),  # half the bytes
-        commanded=driven.commanded,
-        chosen=driven.chosen,
-        action=driven.action,
-        p_WB_m=driven.p_WB_m,
-        yaw_rad=driven.yaw_rad,
-        roll_rad=driven.roll_rad,
-        pitch_rad=driven.pitch_rad,
-        speed_mps=driven.speed_mps,
-        warning=driven.warning,
-        intervening=driven.intervening,
-        overruled=driven.overruled,
-        helped=driven.help_asked,
-        arrived=driven.arrived,
-        gave_up=driven.gave_up,
-        crashed=driven.crashed,
-        truncated=driven.truncated,
-    )

@@ -34,8 +34,8 @@ from wcsim.bridge.world import World
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
-from wcsim.view.driven_film import around_picture, seen_picture, sticks
 from wcsim.view.map import MapView
+from wcsim.view.moments import around_picture, seen_picture, sticks
 
 WORST: Final = (
     "Worst first: own crashes with road users, own crashes with objects and falls, crashes by others, failed policies, "

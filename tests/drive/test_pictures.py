@@ -7,18 +7,27 @@ import cv2
 import numpy as np
 import pytest
 
-from wcsim.drive.drawing.pictures import (
+from wcsim.drive.pictures import (
+    AIM_M,
     GOAL_RGB,
     WAY_RGB,
+    Arm,
     CameraKind,
     DrivePictures,
+    Orbit,
     PageLooks,
     StillPictures,
     _ground_points,
     _mark_goal,
+    clamped,
+    eased,
+    eye,
 )
 from wcsim.drive.session import DriveSession, Wish
-from wcsim.types import Joystick
+from wcsim.physics.buffers import Images
+from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.instances import Instances
+from wcsim.types import F64, Bool, Joystick
 
 
 def parts(message: bytes) -> dict[str, np.ndarray]:
@@ -108,3 +117,91 @@ def test_a_far_destination_is_at_the_maps_edge() -> None:
     assert 205 < columns.mean() < 235 and 135 < rows.mean() < 160
     rows, columns = np.nonzero(np.abs(outside.astype(int) - GOAL_RGB).max(axis=2) < 9)
     assert rows.mean() > 290 and abs(columns.mean() - 160) < 6
+
+
+HERE = np.array([5.0, 2.0, 1.0])
+
+
+class Wall:
+    """Stands at a distance in every direction below a height above the horizon; fills a share of the rows."""
+
+    def __init__(self, away_m: float, below_rad: float, share: float = 1.0) -> None:
+        self.away_m, self.below_rad, self.share = away_m, below_rad, share
+
+    def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
+        out.depth_m[:] = 0.0
+        if math.asin(T_CW[2, 2]) < self.below_rad:
+            out.depth_m[: round(self.share * camera.height_px)] = self.away_m
+
+
+def test_where_nothing_stands_the_view_is_as_it_was_asked_for() -> None:
+    asked = Orbit(turn_rad=0.4, distance_m=8.0)
+    assert Arm(Wall(50.0, 0.0)).held(HERE, 1.0, asked, math.inf) == asked
+
+
+def test_before_a_low_wall_the_camera_goes_over_it() -> None:
+    held = Arm(Wall(1.0, math.radians(40.0))).held(HERE, 0.0, Orbit(), math.inf)
+    assert held.tilt_rad > math.radians(40.0) and held.distance_m == Orbit().distance_m
+
+
+@pytest.mark.parametrize("away_m", [4.5, 2.0])
+def test_where_walls_are_everywhere_it_comes_nearer(away_m: float) -> None:
+    held = Arm(Wall(away_m, math.pi)).held(HERE, 0.0, Orbit(), math.inf)
+    assert 1.0 < held.distance_m < away_m
+
+
+def test_a_pole_does_not_move_it() -> None:
+    assert Arm(Wall(1.0, math.pi, share=0.3)).held(HERE, 0.0, Orbit(), math.inf) == Orbit()
+
+
+def test_it_glides_and_comes_to_rest() -> None:
+    wall = Wall(50.0, math.pi)
+    arm = Arm(wall)
+    assert arm.held(HERE, 0.0, Orbit(), 0.1) == Orbit()
+    wall.away_m = 2.0
+    ways = [arm.held(HERE, 0.0, Orbit(), 0.1).distance_m for _ in range(40)]
+    assert all(np.diff(ways) < 0.0) and ways[0] > 4.0
+    assert ways[-1] == pytest.approx(1.7, abs=1e-3)
+
+
+def test_a_person_who_turns_the_view_gets_there_at_once() -> None:
+    arm = Arm(Wall(2.0, math.pi))
+    arm.held(HERE, 0.0, Orbit(distance_m=1.7), 0.1)
+    assert arm.held(HERE, 0.0, Orbit(), 0.0).distance_m == pytest.approx(1.7)
+
+
+def seen(T_CW: np.ndarray, point: tuple[float, float, float]) -> np.ndarray:
+    return T_CW[:, :3] @ np.array(point) + T_CW[:, 3]
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 1.0, -2.5])
+def test_the_camera_stands_behind_the_chair_and_looks_over_it(yaw_rad: float) -> None:
+    here = np.array([10.0, -4.0, 1.5])
+    T_CW = eye(here, yaw_rad, Orbit())
+    stands = -T_CW[:, :3].T @ T_CW[:, 3]
+    ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
+    assert (stands[:2] - here[:2]) @ ahead < -4.0 and stands[2] > here[2] + AIM_M
+    chair = seen(T_CW, (*here[:2].tolist(), here[2] + AIM_M))
+    assert abs(chair[0]) < 1e-9 and chair[2] > 4.0, "in the middle, before the camera"
+    farther = seen(T_CW, (*(here[:2] + 20.0 * ahead).tolist(), here[2]))
+    assert farther[2] > chair[2]
+
+
+def test_turning_to_the_left_side_shows_the_chair_from_there() -> None:
+    T_CW = eye(np.zeros(3), 0.0, Orbit(turn_rad=-math.pi / 2))
+    stands = -T_CW[:, :3].T @ T_CW[:, 3]
+    assert stands[1] < -4.0 or stands[1] > 4.0
+    assert abs(stands[0]) < 1e-6
+
+
+def test_nobody_gets_below_the_ground_or_lost() -> None:
+    wild = clamped(1e3, -9.0, 1e9)
+    assert -math.pi <= wild.turn_rad <= math.pi and wild.tilt_rad > 0.0 and wild.distance_m == 40.0
+
+
+def test_the_camera_comes_after_the_chair_the_short_way() -> None:
+    yaw = 3.0
+    for _ in range(100):
+        yaw = eased(yaw, -3.0, 0.1)
+    assert yaw == pytest.approx(-3.0, abs=1e-6)
+    assert abs(eased(3.0, -3.0, 0.1)) > 3.0

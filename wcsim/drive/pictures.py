@@ -1,13 +1,13 @@
 """What the page shows: the street from behind the chair, the chair's own camera, and a map, as JPEG.
 
-Keeps walls out of the view: where one stands before the chair, the picture's camera comes higher, or nearer.
+The picture's camera stands on a sphere around the chair, behind it unless it was turned. It keeps walls out of the
+view: where one stands before the chair, it comes higher, or nearer.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -20,7 +20,6 @@ from wcsim.bridge.ego.start_place import bearing_rad
 from wcsim.bridge.world import World
 from wcsim.config import CameraConfig
 from wcsim.core.frames import rad
-from wcsim.drive.drawing.orbit import AIM_M, HIGHEST_RAD, Orbit, eased, eye, stand
 from wcsim.drive.session import DriveSession
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, new_images
@@ -30,12 +29,17 @@ from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_pose, rotation_of
 from wcsim.physics.renderer.raster import RasterRenderer
 from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, look_at, mount, pinhole, pose_matrix
-from wcsim.types import F32, F64, U8, ActorState, Bool, CameraFrame, Route, SignalState, Street
+from wcsim.types import F32, F64, U8, ActorState, Bool, CameraFrame, ClientSnapshot, Route, SignalState, Street
 from wcsim.types.street import Ground
 from wcsim.view.filming import SIGHT_M
 from wcsim.view.map import MapView
 from wcsim.view.pictures import class_colours, depth_colours
 
+_NEAREST_M, _FARTHEST_M = 2.0, 40.0
+_LOWEST_RAD, _HIGHEST_RAD = math.radians(4.0), math.radians(88.0)
+AIM_M = 0.9  # above the ground: the middle of who sits in the chair
+_AHEAD_SHARE = 0.35  # of the distance: the camera aims so far ahead of the chair while it looks from behind
+_TURN_LAG_S = 0.5  # the camera comes after a turn of the chair so slowly, which spares the stomach
 _AHEAD_M: Final = 30.0
 _EVERY_M: Final = 0.9
 _OVER_M: Final = 0.06  # so high above the ground, or it would lie in it
@@ -58,6 +62,70 @@ _PART = struct.Struct("<cI")
 _HEAD = struct.Struct("<I")
 _NO_SEAT: Final = -1
 SMALLEST_PX, LARGEST_PX = 160, 1280
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Orbit:
+    """How a person has turned the camera."""
+
+    turn_rad: float = 0.0  # around the chair, 0 from behind, positive to its left side
+    tilt_rad: float = math.radians(22.0)  # above the horizon
+    distance_m: float = 6.0
+
+
+def clamped(turn_rad: float, tilt_rad: float, distance_m: float) -> Orbit:
+    """An orbit within its bounds.
+
+    >>> clamped(7.0, 9.0, 0.1).distance_m, round(clamped(7.0, 0.1, 3.0).turn_rad, 3)
+    (2.0, 0.717)
+    """
+    return Orbit(
+        turn_rad=math.remainder(turn_rad, 2.0 * math.pi),
+        tilt_rad=min(max(tilt_rad, _LOWEST_RAD), _HIGHEST_RAD),
+        distance_m=min(max(distance_m, _NEAREST_M), _FARTHEST_M),
+    )
+
+
+def eased(yaw_rad: float, wanted_rad: float, dt_s: float) -> float:
+    """The camera's yaw `dt_s` later, on its way to that of the chair.
+
+    >>> round(eased(0.0, 1.0, 10.0), 3), round(eased(3.1, -3.1, 0.1), 3)
+    (1.0, 3.115)
+    """
+    gap = math.remainder(wanted_rad - yaw_rad, 2.0 * math.pi)
+    return math.remainder(yaw_rad + gap * (1.0 - math.exp(-dt_s / _TURN_LAG_S)), 2.0 * math.pi)
+
+
+def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
+    """World to camera frame (3, 4) of the camera that looks at a chair at p (3,), whose heading is taken for `yaw_rad`.
+
+    >>> import numpy as np
+    >>> T_CW = eye(np.zeros(3), 0.0, Orbit(distance_m=6.0))
+    >>> bool((T_CW[:, :3] @ np.array([0.0, 0.0, AIM_M]) + T_CW[:, 3])[2] > 0.0)
+    True
+    """
+    x_m, y_m, z_m = (float(value) for value in p_WB_m)
+    flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
+    ahead_m = _AHEAD_SHARE * flat_m * max(0.0, math.cos(orbit.turn_rad))
+    aim = (x_m + ahead_m * math.cos(yaw_rad), y_m + ahead_m * math.sin(yaw_rad), z_m + AIM_M)
+    return look_at(_stand(p_WB_m, yaw_rad, orbit), aim)
+
+
+def _stand(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> tuple[float, float, float]:
+    """Where that camera stands in W.
+
+    >>> import numpy as np
+    >>> [round(value, 3) for value in _stand(np.zeros(3), 0.0, Orbit(tilt_rad=0.0, distance_m=6.0))]
+    [-6.0, 0.0, 0.9]
+    """
+    x_m, y_m, z_m = (float(value) for value in p_WB_m)
+    from_rad = yaw_rad + math.pi - orbit.turn_rad
+    flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
+    return (
+        x_m + flat_m * math.cos(from_rad),
+        y_m + flat_m * math.sin(from_rad),
+        z_m + AIM_M + orbit.distance_m * math.sin(orbit.tilt_rad),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,13 +285,13 @@ class Arm:
         self._asked = asked
         self._tilt_rad += part * (found.tilt_rad - asked.tilt_rad - self._tilt_rad)
         self._share += part * (found.distance_m / asked.distance_m - self._share)
-        tilt_rad = min(asked.tilt_rad + self._tilt_rad, HIGHEST_RAD)
+        tilt_rad = min(asked.tilt_rad + self._tilt_rad, _HIGHEST_RAD)
         return replace(asked, tilt_rad=tilt_rad, distance_m=asked.distance_m * self._share)
 
     def _fitting(self, p_WB_m: F64, yaw_rad: float, asked: Orbit) -> Orbit:
         best, most_m = asked, -1.0
         for more_rad in _TILTS_RAD:
-            orbit = replace(asked, tilt_rad=min(asked.tilt_rad + more_rad, HIGHEST_RAD))
+            orbit = replace(asked, tilt_rad=min(asked.tilt_rad + more_rad, _HIGHEST_RAD))
             room_m = self._room_m(p_WB_m, yaw_rad, orbit)
             if room_m > most_m + _MARGIN_M:
                 best, most_m = orbit, room_m
@@ -234,7 +302,7 @@ class Arm:
     def _room_m(self, p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> float:
         """From above the chair towards the camera: how far it is to what hides half of the chair, less a margin."""
         aim_W_m = p_WB_m + np.array([0.0, 0.0, AIM_M])
-        T_CW = look_at(aim_W_m, stand(p_WB_m, yaw_rad, orbit))
+        T_CW = look_at(aim_W_m, _stand(p_WB_m, yaw_rad, orbit))
         self._renderer.render(_LOOK, T_CW, self._nobody, self._images)
         depth_m = self._images.depth_m
         met = depth_m[(depth_m > 0.0) & (depth_m < _LOOK.range_m)]
@@ -256,7 +324,7 @@ class CameraKind(StrEnum):
 class PageLooks:
     """What a page wants to see, and how large."""
 
-    orbit: Orbit = Orbit()  # noqa: RUF009 - frozen
+    orbit: Orbit = Orbit()
     width_px: int = 800
     height_px: int = 450
     camera: CameraKind = CameraKind.COLOUR
@@ -359,27 +427,26 @@ class DrivePictures:
     def __init__(self, session: DriveSession) -> None:
         self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
         self._episode = -1  # that was drawn last
-        self.spent_s = 0.0
 
     def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
         """All pictures of now, see `StreetPictures.draw`."""
-        began_s = time.perf_counter()
-        plant = session.client.plant
         jumped, self._episode = session.episode != self._episode, session.episode
-        snapshot = session.world.snapshot
-        moment = Moment(
-            actors=snapshot.actors,
-            signals=snapshot.signals,
-            chairs=(chair_pose(0, plant, session.world.seats[0].chair.outline),),
-            seat=0,
-            jumped=jumped,
-            route=session.route,
-            done_m=session.done_m,
-            frame=session.client.sensors.cameras[0],
-        )
-        message = self._pictures.draw(moment, looks, dt_s)
-        self.spent_s += time.perf_counter() - began_s
-        return message
+        moment = _moment(session.world, session.client, session.route, session.done_m)
+        moment = replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
+        return self._pictures.draw(moment, looks, dt_s)
+
+
+def _moment(world: World, client: ClientSnapshot, route: Route, done_m: float) -> Moment:
+    """The street of now around the chair in the first seat, on its way."""
+    snapshot = world.snapshot
+    return Moment(
+        actors=snapshot.actors,
+        signals=snapshot.signals,
+        chairs=(chair_pose(0, client.plant, world.seats[0].chair.outline),),
+        seat=0,
+        route=route,
+        done_m=done_m,
+    )
 
 
 def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
@@ -445,13 +512,6 @@ class StillPictures:
 
     def draw(self) -> U8:
         """The picture of now, (540, 960, 3) RGB."""
-        snapshot, seat = self._world.snapshot, self._world.seats[0]
-        moment = Moment(
-            actors=snapshot.actors,
-            signals=snapshot.signals,
-            chairs=(chair_pose(0, snapshot.clients[0].plant, seat.chair.outline),),
-            seat=0,
-            route=seat.route,
-            done_m=seat.user.route_progress_m,
-        )
+        world, seat = self._world, self._world.seats[0]
+        moment = _moment(world, world.snapshot.clients[0], seat.route, seat.user.route_progress_m)
         return self._pictures.behind(moment, _LOOKS)
