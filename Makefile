@@ -11,7 +11,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo test lint look docs bench proof results release clean
+.PHONY: setup demo test check lint look docs bench proof results release clean
 
 setup: $(STAMP)
 
@@ -35,14 +35,17 @@ demo: $(STAMP)
 look: $(STAMP)
 	$(BIN)/wcsim look
 
-lint: $(STAMP)
+check: $(STAMP)
 	$(BIN)/ruff check wcsim tests examples tools benchmarks
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+lint: check
 	$(BIN)/python -m tests.api.ceilings
 
 # Tests start many processes; with compiled modules on disk each of them starts faster.
-test: $(STAMP) lint
+# One of them counts what `make lint` prints.
+test: check
 	env -u PYTHONDONTWRITEBYTECODE $(BIN)/pytest -n 3 --dist loadfile --no-loadscope-reorder -m 'not proof'
 
 proof: $(STAMP)

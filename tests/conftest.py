@@ -24,7 +24,7 @@ BUDGET_S = {
     "config": 5,
     "core": 20,
     "drive": 185,
-    "chair_check": 50,
+    "chair_check": 25,
     "cli": 175,
     "log": 20,
     "physics": 40,

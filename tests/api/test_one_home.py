@@ -1,6 +1,7 @@
 """Numbers of the physical world, and the law of the joystick, have one home each: nobody else spells them out."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,9 +18,11 @@ GONE = {"LOW_KERB_M", "USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEE
 GRAVITY = 9.81
 
 
+@cache
 def trees():
-    for path in sorted(ROOT.rglob("*.py")):
-        yield path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+    """File and syntax tree of each module."""
+    paths = sorted(ROOT.rglob("*.py"))
+    return [(path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8"))) for path in paths]
 
 
 def spelt(tree):

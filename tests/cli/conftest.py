@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from tests.support.one_process import in_this_process
 from wcsim.cli.main import main
 
 QUICK = ("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=32", "--set", "cameras.0.height_px=24")
@@ -36,9 +37,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def wcsim(folder: Path, capfd: pytest.CaptureFixture[str]) -> Run:
-    """Run `wcsim WORDS` in this process; capfd sees what native code writes too."""
-    return runner(main, capfd)
+def wcsim(folder: Path, capfd: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """Run `wcsim WORDS` in this process, workers and all; capfd sees what native code writes too."""
+    with in_this_process():
+        yield runner(main, capfd)
 
 
 def runner(command: Callable[[list[str]], int], capfd: pytest.CaptureFixture[str]) -> Run:

@@ -6,6 +6,7 @@ import gzip
 import json
 import math
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +42,18 @@ def fits(text: str) -> bool:
     return max(len(line.rstrip()) for line in text.splitlines()) <= COLUMNS and "…" not in text
 
 
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the town of `tiny` is kept once it has been imported."""
+    return tmp_path_factory.mktemp("imported") / "tiny"
+
+
 @pytest.fixture
-def tiny(wcsim, folder) -> Path:
+def tiny(wcsim, folder, imported) -> Path:
     """A test town imported from a tiny extract."""
+    town = Path("towns/tiny")
+    if imported.is_dir():
+        return Path(shutil.copytree(imported, town))
     Path("tiny.osm.gz").write_bytes(gzip.compress(tiny_osm().encode()))
     words = ("--bbox", TINY_BBOX, "--name", "tiny", "--split", "test", "--out", "towns/tiny")
     made = wcsim("town", "import", "--osm", "tiny.osm.gz", *words)
@@ -51,7 +61,8 @@ def tiny(wcsim, folder) -> Path:
     assert [line.split()[0] for line in made.err.splitlines()] == STAGES
     assert "sumo-gui -c towns/tiny/tiny.sumocfg" in made.out
     _assert_costs_sum_up(made.out)
-    return Path("towns/tiny")
+    shutil.copytree(town, imported)
+    return town
 
 
 def _assert_costs_sum_up(told: str) -> None:
@@ -132,9 +143,9 @@ def test_test_writes_what_is_promised(wcsim, folder, corner):
         assert row["crashes_per_km"] is None, "a few metres say nothing about crashes per kilometre"
     follow, random = rows[0], rows[2]
     assert follow["kpi1_within"] > 0.9 > random["kpi1_within"]
-    again = wcsim("test", "follow", "--town", corner, *words, *QUICK)
-    assert again.code == 0
-    assert read("t.json") == result, "equal seeds give equal results"
+    assert wcsim("test", "random", "--town", corner, "--only", *words, *QUICK).code == 0
+    again = [row for row in rows if row["policy"] in ("follow", "random")]
+    assert read("t.json")["rows"] == again, "equal seeds give equal results"
     assert files_in(folder) == {"t.json"}
 
 

@@ -24,6 +24,7 @@ HEAVY = (
 )
 PROBE = f"""
 import contextlib, json, os, sys
+import tyro, wcsim.config, wcsim.cli.shared.common, wcsim.cli.shared.run_config
 from wcsim.cli.main import main
 found = os.fdopen(os.dup(1), "w")
 for lines in json.load(sys.stdin):
@@ -39,7 +40,10 @@ for lines in json.load(sys.stdin):
     found.flush()
     os._exit(0)
 """
-"""The command lines of each command in a process of their own, so that none has loaded what another needs."""
+"""The command lines of each command in a process of their own, so that none has loaded what another needs.
+
+What nearly all of them read their settings by is loaded once, before: what is dear in it shows in each of them.
+"""
 
 NOWHERE = (
     *(("train", "--town", "atlantis"), ("serve", "--town", "atlantis"), ("test", "--town", "atlantis")),

@@ -7,10 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from tests.cli.towns import TINY_BBOX, tiny_osm
 from wcsim.cli.shared.exit_codes import Exit
 
 COMMAND = (sys.executable, "-m", "wcsim")
@@ -64,16 +66,17 @@ def test_a_reader_that_leaves_early_hears_nothing(tmp_path, words):
 
 
 def test_an_import_that_is_ended_leaves_nothing(tmp_path):
-    town = Path(__file__).resolve().parents[2] / "scenarios" / "sumo" / "manhattan"
-    child = start(tmp_path, "town", "import", "--osm", town / "osm" / "manhattan.osm.xml.gz", "--name", "mine")
+    (tmp_path / "tiny.osm").write_text(tiny_osm(), encoding="utf-8")
+    child = start(tmp_path, "town", "import", "--osm", "tiny.osm", "--bbox", TINY_BBOX, "--name", "mine")
     towns = tmp_path / "scenarios" / "sumo"
     while not list(towns.glob(".mine.*")):
         assert child.poll() is None
+        time.sleep(0.005)
     child.terminate()
     _, err = child.communicate(timeout=200)
     assert (child.returncode, err.splitlines()[-1]) == (143, "wcsim: terminated")
     assert "Traceback" not in err
-    assert list(tmp_path.rglob("*")) == []
+    assert [path.name for path in tmp_path.rglob("*")] == ["tiny.osm"]
 
 
 def test_ctrl_c_keeps_what_was_learned_and_resume_goes_on(wcsim, folder, corner):

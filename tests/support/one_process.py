@@ -1,22 +1,26 @@
-"""Pictures of failures in the process of the test: one of their own costs two seconds before it drives."""
+"""What pools of processes do, in the process of the test: one of their own costs seconds before it drives."""
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
+from wcsim.server.workers import machines
+from wcsim.server.workers.crew import Crew
 from wcsim.view.report import failures
 
 
 class OneProcess:
     """A pool that works at once, on what comes through the pickle and with what goes back through it."""
 
-    def __init__(self, jobs: int, mp_context: object) -> None:
+    _processes: ClassVar[dict[int, Any]] = {}  # those to kill
+
+    def __init__(self, jobs: int, mp_context: object, initializer: object = None, initargs: object = ()) -> None:
         assert jobs == 1
 
     def __enter__(self) -> OneProcess:
@@ -37,9 +41,28 @@ class OneProcess:
         """Nothing is running."""
 
 
+class OneCrew(Crew):
+    """A crew whose pieces are done by whoever waits for them, in the thread of the test."""
+
+    def __enter__(self) -> OneCrew:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._workers.close()
+
+    def come(self, keys: Collection[str], timeout_s: float) -> frozenset[str]:
+        self._give_out()
+        for ended in self._workers.ended(0.0):
+            self._take_back(ended)
+        return super().come(keys, 0.0)
+
+
 @contextmanager
 def in_this_process() -> Iterator[None]:
-    """Failures are illustrated without further processes; those have a test of their own."""
+    """Pieces are driven and failures illustrated without further processes; those have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(failures, "ProcessPoolExecutor", OneProcess)
+        patch.setattr(machines, "ProcessPoolExecutor", OneProcess)
+        for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.workers"):
+            patch.setattr(f"{asking}.Crew", OneCrew)
         yield

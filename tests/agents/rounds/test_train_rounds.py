@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in, weights_of
+from tests.support.one_process import in_this_process
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting.data_folder import DATA, NETWORK, SEGMENTS, read_segment
 from wcsim.agents.danger.saved import load_danger
@@ -52,7 +53,8 @@ def test_towns_of_the_command_take_turns_with_those_of_the_configuration(corner,
 @pytest.fixture(scope="module")
 def straight(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("rounds") / "straight"
-    train_danger(run_in(corner, out), find_town(str(corner)))
+    with in_this_process():
+        train_danger(run_in(corner, out), find_town(str(corner)))
     return out
 
 
@@ -158,6 +160,7 @@ def test_a_run_goes_on_with_its_own_settings_alone(straight: Path, corner: Path)
         train_danger(other, find_town(str(corner)))
 
 
+@pytest.mark.proof
 def test_a_ray_cluster_gives_the_same_data_and_weights(straight: Path, corner: Path, tmp_path: Path):
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'wcsim[cluster]'")
     out, told = tmp_path / "ray", []

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
+import runpy
 from pathlib import Path
 
 import pytest
@@ -19,11 +17,11 @@ EXAMPLES = re.findall(r"^## (.+?)\n.*?^```python\n(.*?)^```", PAGE, re.MULTILINE
 NO_WARMUP = 'overrides=("world.warmup_s=0", "env.max_steps=20")'
 
 
-def run(code: str) -> None:
-    one_thread = {**os.environ, "OMP_NUM_THREADS": "1"}  # several would only wait for each other
-    command = [sys.executable, "-W", "error", "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread)
-    assert done.returncode == 0, done.stderr
+def run(code: str, folder: Path) -> None:
+    """As a script of its own; a warning is an error here too."""
+    file = folder / "example.py"
+    file.write_text(code, encoding="utf-8")
+    runpy.run_path(str(file), run_name="__main__")
 
 
 def test_every_face_has_an_example():
@@ -33,10 +31,10 @@ def test_every_face_has_an_example():
 
 
 @pytest.mark.parametrize(("name", "code"), EXAMPLES[:3], ids=[name for name, _ in EXAMPLES[:3]])
-def test_an_example_runs(name, code, corner):
+def test_an_example_runs(name, code, corner, tmp_path):
     assert code.count('"helsinki"') == 1
     code = code.replace('"helsinki"', f"{str(corner)!r}, {NO_WARMUP}").replace("10_000", "108")
-    run(code)
+    run(code, tmp_path)
 
 
 def test_the_example_of_a_shared_world_runs(tmp_path):
@@ -47,4 +45,4 @@ def test_the_example_of_a_shared_world_runs(tmp_path):
         server.status()
         code = EXAMPLES[3][1]
         assert "ipc:///tmp/street/world" in code
-        run(code.replace("ipc:///tmp/street/world", order.endpoint))
+        run(code.replace("ipc:///tmp/street/world", order.endpoint), tmp_path)

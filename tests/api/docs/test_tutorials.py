@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import io
 import re
+import runpy
 import subprocess
-import sys
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -35,12 +36,12 @@ def small(code: str, corner: Path) -> str:
 
 
 def run(code: str, folder: Path) -> str:
-    """What it prints."""
-    one_thread = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-W", "error", "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=one_thread, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    """What it prints, as a script of its own in this folder; a warning is an error here too."""
+    file = folder / "tutorial.py"
+    file.write_text(code, encoding="utf-8")
+    with chdir(folder), redirect_stdout(io.StringIO()) as told:
+        runpy.run_path(str(file), run_name="__main__")
+    return told.getvalue()
 
 
 def test_the_environment_of_the_readme_steps(corner: Path, tmp_path: Path) -> None:

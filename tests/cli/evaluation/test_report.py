@@ -3,11 +3,11 @@
 import contextlib
 import json
 import shutil
+import sys
 
 import pytest
 
 from tests.agents.evaluation.suite.lists import written_list
-from tests.support.one_process import in_this_process
 from tests.view.report.results import write_result
 from wcsim.cli.main import main
 
@@ -54,8 +54,7 @@ def tested(finished, folder):
 
 @pytest.mark.proof
 def test_the_page_of_a_test_shows_its_failures_in_pictures_and_their_command_runs(wcsim, tested):
-    with in_this_process():
-        told = wcsim("report", "runs/out", "--pictures", "1")
+    told = wcsim("report", "runs/out", "--pictures", "1")
     assert told.code == 0 and "report.html" in told.out
     text = (tested / "report.html").read_text(encoding="utf-8")
     driven = json.loads((tested / "episodes.json").read_text("utf-8"))["follow"]
@@ -71,8 +70,7 @@ def test_a_result_that_cannot_be_driven_as_it_was_has_a_page_without_those_pictu
     episodes = json.loads(path.read_text("utf-8"))
     episodes["follow"][0]["m"] += 1.0
     path.write_text(json.dumps(episodes), encoding="utf-8")
-    with in_this_process():
-        assert wcsim("report", "runs/out", "--pictures", "2").code == 0
+    assert wcsim("report", "runs/out", "--pictures", "2").code == 0
     text = (tested / "report.html").read_text(encoding="utf-8")
     assert "wcsim test follow --suite corner.json --play 0.0 --out runs/out" in text
     assert "No pictures: episode 0.0 differs from the saved one" in text and text.count('class="street"') == 1
@@ -98,9 +96,9 @@ def test_what_cannot_be_reported_is_refused(wcsim, folder, monkeypatch):
     assert told.code == 2 and "pip install 'wcsim[report]'" in told.err
 
 
-def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder):
-    with in_this_process():
-        assert wcsim("report", "runs/out", "--pictures", "1").code == 0
+def test_code_that_a_result_names_runs_only_when_it_is_named_again(wcsim, tested, folder, monkeypatch):
+    monkeypatch.delitem(sys.modules, "own", raising=False)  # as in a process of its own
+    assert wcsim("report", "runs/out", "--pictures", "1").code == 0
     page = tested / "report.html"
     assert not (folder / "ran").exists() and "runs when you name it" in page.read_text(encoding="utf-8")
     assert wcsim("report", "runs/out", "--pictures", "1", "--own", "own:Still").code == 0

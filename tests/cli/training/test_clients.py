@@ -20,6 +20,8 @@ from wcsim.agents.clients.paid_times import read_paid_times
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run
+from wcsim.bridge.replay.replayed import worlds_of
+from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.run_config import how_it_learns, learning
 from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
@@ -28,11 +30,13 @@ from wcsim.cli.training.train_q import Options as QOptions
 from wcsim.cli.training.train_q import q_config
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
-from wcsim.log.reader import iter_inputs
+from wcsim.log.reader import iter_inputs, read_header
 from wcsim.log.records import EpochBegun
+from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientState, LaunchState, RestartRules
 from wcsim.server.specs import ClientStatus, RunInfo
-from wcsim.towns.scenario.town import find_town, streets_hash
+from wcsim.towns.scenario.town import find_town, open_town, streets_hash
+from wcsim.towns.scene_folders.build import build_scene, find_scene
 
 SMALL = (
     *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
@@ -259,17 +263,21 @@ def test_steps_of_clients_that_were_done_before_stay_in_the_sum(monkeypatch, hal
 # --- whole runs ---
 
 
-def test_two_networks_learn_in_one_world(tmp_path, corner):
-    words = ("train-clients", "patch,fig6", "--town", corner, "--steps", 20, "--out", "run", "--json", "x.json")
-    child = start(tmp_path, *words, *SMALL)
+def test_two_networks_learn_in_one_world_of_a_town_a_generation(tmp_path, corner):
+    other = tmp_path / "other"
+    other.mkdir()
+    build_scene(find_scene("two-chairs"), other)
+    words = ("--town", f"{corner},{other}", "--steps", 20, "--out", "run", "--json", "x.json", *SMALL)
+    generations = ("--set", "world.epoch_ticks=12", "--set", "learn.phase1_steps=8")
+    child = start(tmp_path, "train-clients", "patch,fig6", *words, *generations)
     out, err = child.communicate(timeout=200)
     assert child.returncode == 0, err
     result = json.loads((tmp_path / "x.json").read_text())
     assert [(c["name"], c["ticks"], c["missing"], c["duplicated"]) for c in result["clients"]] == [
-        ("patch", 20, 0, 0),
-        ("fig6", 20, 0, 0),
-    ]
-    assert (result["ticks"], result["status"]) == (20, "done")
+        ("patch", 19, 0, 0),
+        ("fig6", 19, 0, 0),
+    ], "the step that met the end of a generation was no tick"
+    assert (result["ticks"], result["status"]) == (19, "done")
     assert result["journal_hash"] in out
     assert result["ticks_per_s"] >= 0.0
     run = open_clients_folder(tmp_path / "run")
@@ -285,6 +293,15 @@ def test_two_networks_learn_in_one_world(tmp_path, corner):
     with pytest.raises(PolicyError, match="several clients; name one of them"):
         open_run(tmp_path / "run")
     assert places(child) == []
+    journal = tmp_path / "run" / JOURNAL
+    header = read_header(journal)
+    assert header.more_towns == (str(other),)
+    worlds = worlds_of(header)
+    for epoch, town in enumerate((corner, other, corner)):
+        with worlds((), 1, epoch) as world:
+            assert world.town.name == open_town(town).name
+    assert [record.epoch for record in iter_inputs(journal) if isinstance(record, EpochBegun)] == [0, 1]
+    assert main(["log", "verify", str(journal)]) == Exit.DONE
 
 
 @pytest.mark.proof

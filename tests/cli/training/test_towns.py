@@ -7,15 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import QUICK
-from tests.cli.training.test_clients import SMALL, start
 from tests.conftest import ROOT
 from tests.support.events import read_events
 from wcsim.agents.runs.run_folder import open_run
-from wcsim.bridge.replay.replayed import worlds_of
-from wcsim.cli.main import main
-from wcsim.cli.shared.exit_codes import Exit
-from wcsim.log.reader import read_header
-from wcsim.log.writer import JOURNAL
 from wcsim.towns.scenario.town import open_town, streets_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -59,21 +53,6 @@ def test_towns_take_turns_and_resume_goes_on_with_them(wcsim, folder, corner, ot
     assert wcsim("report", "run").code == 0
     page = (run / "report.html").read_text(encoding="utf-8")
     assert name in page and other.name in page
-
-
-def test_clients_share_a_town_a_generation(tmp_path, corner, other):
-    words = ("train-clients", "patch,fig6", "--town", f"{corner},{other}", "--steps", 24, "--out", "run")
-    child = start(tmp_path, *words, *SMALL, "--set", "world.epoch_ticks=8", "--set", "learn.phase1_steps=8")
-    _, err = child.communicate(timeout=280)
-    assert child.returncode == 0, err
-    header = read_header(tmp_path / "run" / JOURNAL)
-    assert header.more_towns == (str(other),)
-    worlds = worlds_of(header)
-    for epoch, town in enumerate((corner, other, corner)):
-        world = worlds((), 1, epoch)
-        assert world.town.name == open_town(town).name
-        world.close()
-    assert main(["log", "verify", str(tmp_path / "run" / JOURNAL)]) == Exit.DONE
 
 
 BAD = {

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import pytest
 
 from tests.agents.evaluation.suite.lists import block_of, suite_in
+from tests.support.one_process import in_this_process
 from wcsim.agents.evaluation.suite.list_file import (
     open_suite,
     require_towns,
@@ -30,7 +31,8 @@ def test_one_process_and_two_give_the_same_bytes_and_what_is_kept_is_not_driven_
     block = block_of(corner, max_steps=30)
     suite = suite_in(corner, block, block.model_copy(update={"part": "crossing", "seed": 77}))
     heard = []
-    one = run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: heard.append(said))
+    with in_this_process():
+        one = run_suite(SuiteOrder(suite=suite, out=tmp_path / "a"), ["follow"], lambda *said: heard.append(said))
     two = run_suite(SuiteOrder(suite=suite, out=tmp_path / "b", jobs=2), ["follow"], lambda *said: None)
     assert told(one) == told(two) and [record.block for record in one["follow"]] == [0, 0, 1, 1]
     assert heard == [("follow", 1, 2), ("follow", 2, 2)]
