@@ -11,7 +11,8 @@ from rich import box
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.cli.shared.common import (
     MAX_SEED,
     OutFile,
@@ -110,7 +111,7 @@ def as_json(drive: CrashDrive) -> dict[str, Any]:
 def _policies(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(some_words("--policy", text)))
     for name in names:
-        if not is_baseline(name):
+        if policy_name(name).kind != "baseline":
             known = ", ".join((*BASELINES, *UPPER_BOUNDS))
             raise ConfigError(f"--policy {name!r}: expected a baseline, one of: {known}")
     return names

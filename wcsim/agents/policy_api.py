@@ -36,6 +36,10 @@ UPPER_BOUNDS: Final = (VISIBLE_BOUND, UPPER_BOUND)
 LEVELLED: Final = "dwa"
 VETO: Final = "veto:"
 """Before a policy's name: `dwa` forbids what it holds for unsafe, see `policies/veto.py`."""
+SERVED: Final = "tcp:"
+"""Before the address of a process that serves a policy, see `policies/served_policy.py`."""
+MODEL_FILE: Final = "policy.onnx"
+"""In an ONNX folder, see `policies/onnx_policy.py`."""
 
 HIGHEST_LEVEL: Final = 2.0
 USUAL_LEVEL: Final = 1.0
@@ -186,22 +190,6 @@ class NeedsSenses(Protocol):
     @property
     def senses(self) -> tuple[str, ...]:
         """Names of sensors of the section `[sensors]`, and `GYRO`."""
-
-
-def without_veto(name: str) -> str:
-    """The policy that a name means, without the wrapper around it.
-
-    >>> without_veto("veto:runs/a@0.2"), without_veto("dwa")
-    ('runs/a@0.2', 'dwa')
-    """
-    return name.removeprefix(VETO)
-
-
-def is_baseline(name: str) -> bool:
-    """Whether a baseline has this name. Raises PolicyError for a level of assistance that there is not."""
-    name = without_veto(name)
-    level_of(name)
-    return name.partition("@")[0] == LEVELLED or name in (*BASELINES, *UPPER_BOUNDS)
 
 
 def level_of(name: str) -> float:

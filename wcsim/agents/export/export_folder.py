@@ -7,7 +7,8 @@ from typing import Final
 
 import wcsim
 from wcsim.agents.export.guard import MEANING
-from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE
+from wcsim.agents.policy_api import MODEL_FILE
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, PolicyError
 

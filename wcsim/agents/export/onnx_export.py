@@ -25,8 +25,8 @@ from wcsim.agents.export.shown_settings import as_words, settings_apart
 from wcsim.agents.export.value_graph import ValueGraph
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
-from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE, open_session
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, Observation, Policy
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_session
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, MODEL_FILE, Observation, Policy
 from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
 from wcsim.core import files

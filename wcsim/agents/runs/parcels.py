@@ -6,7 +6,8 @@ from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path, split_level
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path
 from wcsim.config import RunConfig
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped, is_file
@@ -68,9 +69,9 @@ def with_plant_at(config: RunConfig, at: At) -> RunConfig:
 
 def policy_at(name: str, at: At) -> str:
     """A policy's name, veto and level included, where it lies now."""
-    plain, _ = split_level(name)
-    before, _, after = name.partition(plain)
-    return before + at(plain) + after
+    place = policy_name(name).place
+    before, _, after = name.partition(place)
+    return before + at(place) + after
 
 
 def require_travels(

@@ -16,7 +16,6 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
-import re
 import shlex
 import subprocess
 from collections.abc import Callable, Collection
@@ -25,7 +24,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, without_veto
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import (
     POLICY_JSON,
@@ -35,6 +34,7 @@ from wcsim.agents.runs.policy_file import (
     read_policy_file,
     shipped_folder,
 )
+from wcsim.agents.runs.policy_name import STAGES, policy_name
 from wcsim.config import RunConfig, parse, resolve
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
@@ -49,8 +49,6 @@ MANIFEST, CONFIG, EVENTS = "manifest.json", "config.json", "events.jsonl"
 METRICS, STEPS = "metrics.csv", "steps.csv"
 PLANT = "plant.toml"
 _CHECKPOINTS, _POLICIES = "checkpoints", "policies"
-STAGES = ("phase1", "final")
-_LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
@@ -213,20 +211,17 @@ def policy_path(name: str) -> Path:
 
     A level of assistance behind it (`RUN@0.2`) is left out. Raises PolicyError when there is no such policy.
     """
-    name, _ = split_level(name)
-    if name == SHIPPED:
+    named = policy_name(name)
+    if named.kind == "shipped":
         return shipped_folder()
-    path = Path(name)
-    if is_file(path / POLICY_JSON):
-        return path
-    head, colon, stage = name.rpartition(":")
-    if not colon:
-        head, stage = name, "final"
+    if not named.stage and is_file(named.folder / POLICY_JSON):
+        return named.folder
+    head, stage = str(named.folder), named.stage or STAGES[-1]
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
         raise PolicyError(
-            f"policy {escaped(name)!r}: unknown stage {escaped(stage)!r}; expected RUN, RUN:{known}, or module:Class "
-            "of your own"
+            f"policy {escaped(named.place)!r}: unknown stage {escaped(stage)!r}; expected RUN, RUN:{known}, or "
+            "module:Class of your own"
         )
     if not is_folder(Path(head)):
         names = (*BASELINES, *UPPER_BOUNDS)
@@ -243,28 +238,6 @@ def policy_path(name: str) -> Path:
             f"continue it: {how_to_resume(Path(head))}"
         )
     return found
-
-
-def split_level(name: str) -> tuple[str, float | None]:
-    """A policy's name without a veto and the level of assistance that it may end with, and that level.
-
-    >>> split_level("runs/a@0.2"), split_level("veto:runs/a"), split_level("b@home")
-    (('runs/a', 0.2), ('runs/a', None), ('b@home', None))
-
-    Raises:
-        PolicyError: The level is none.
-    """
-    name = without_veto(name)
-    head, at, text = name.rpartition("@")
-    if not at or not _LEVEL.fullmatch(text):
-        return name, None
-    level = float(text)
-    if not 0.0 < level <= 1.0:
-        raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
-            "above 0 and at most 1"
-        )
-    return head, level
 
 
 def run_of(name: str) -> Manifest | None:

@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wcsim.agents.evaluation.suite.named_policy import is_plain
 from wcsim.agents.policy_api import UNAIDED
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import config_of, run_of
 from wcsim.cli.evaluation.judged_suite import DriveOptions, check_options, drive_list, judge, order_of, run_suites
 from wcsim.cli.evaluation.list_maker import make_list
@@ -174,7 +174,7 @@ def checked_town(name: str, options: Options) -> Town:
     digest = streets_hash(town)
     _refuse_school(town, digest)
     for policy in options.policies:
-        if not is_plain(policy) and digest in _schools(policy):
+        if policy_name(policy).is_network and digest in _schools(policy):
             raise TownError(
                 f"{policy} was trained in {town.name}; expected a town it has never seen. "
                 "Choose another --town, or add --allow-train-town"

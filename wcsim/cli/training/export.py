@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from wcsim.agents.evaluation.suite.named_policy import is_plain, open_named, sensing
+from wcsim.agents.evaluation.suite.named_policy import open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, read_danger_file
-from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import config_of, policy_path
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_driver, require_without_veto
@@ -83,7 +84,7 @@ def run(words: list[str]) -> int:
         config,
         ride,
         math.inf if options.force else bar_ms,
-        split_level(options.policy)[1],
+        policy_name(options.policy).level,
         None if recorded is None else recorded.actions,
         options.network or None,
     )
@@ -99,17 +100,16 @@ def run(words: list[str]) -> int:
 def _network(name: str) -> Path:
     """The folder of a network that may be exported. Raises PolicyError, also for what drives and has none."""
     require_without_veto(name, "an export")
-    if is_plain(name):
+    named = policy_name(name)
+    if not named.is_network:
         raise PolicyError(
             f"{escaped(name)} has no network that can be exported; expected a run that `wcsim train` made, "
             f"RUN:phase1, a policy folder, or {SHIPPED}"
         )
-    head = split_level(name)[0]
-    run = Path(head.rpartition(":")[0] or head)
-    if head != SHIPPED and not is_folder(run) and not is_folder(Path(head)):
+    if named.kind != "shipped" and not is_folder(named.folder):
         raise PolicyError(
-            f"{escaped(head)} is not a run: there is no such folder; expected one that `wcsim train` made, a policy "
-            f"folder, or {SHIPPED}{meant(head, (SHIPPED,))}"
+            f"{escaped(named.place)} is not a run: there is no such folder; expected one that `wcsim train` made, "
+            f"a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
     path = policy_path(name)
     eye = read_danger_file(path).net.eye if is_danger(path) else "map"

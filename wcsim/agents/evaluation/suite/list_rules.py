@@ -10,7 +10,8 @@ import json
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
-from wcsim.agents.evaluation.suite.named_policy import is_onnx, is_plain, settings_of
+from wcsim.agents.evaluation.suite.named_policy import settings_of
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import RunConfig, resolve
 
 _RULES: Final = ("world", "chair", "reward", "vary")  # sections
@@ -31,7 +32,7 @@ def settings_in_list(policy: str, preset: str, settings: tuple[str, ...]) -> Run
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
     """A line for each policy that was trained under other rules than the list's. Raises as `settings_in_list` does."""
     for policy in policies:
-        if is_plain(policy) and not is_onnx(policy):
+        if policy_name(policy).kind in ("baseline", "served", "class"):
             continue
         learned, tested = settings_of(policy, preset, settings), settings_in_list(policy, preset, settings)
         other = list(_others(learned, tested))

@@ -10,36 +10,36 @@ from typing import Any
 
 from wcsim.agents.envs.senses import senses_of, with_senses
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
-from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
-from wcsim.agents.policies.served_policy import ServedPolicy, is_served
-from wcsim.agents.policy_api import VETO, Policy, is_baseline, without_veto
-from wcsim.agents.runs.policy_file import SHIPPED
-from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policy_api import Policy
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import config_of, policy_path
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, sources_of
-from wcsim.core.reading import is_file, is_folder
+from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
 
 
 def identity_of(name: str, preset: str) -> list[Any]:
     """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
-    if name.startswith(VETO):
-        return ["veto", *identity_of(without_veto(name), preset)]
-    if is_baseline(name):
+    named = policy_name(name)
+    if named.veto:
+        return ["veto", *identity_of(named.inner, preset)]
+    if named.kind == "baseline":
         return ["baseline", name, preset]
-    if is_served(name):
+    if named.kind == "served":
         with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
             return ["served", served.version, preset]
-    if is_onnx(name):
+    if named.kind == "onnx":
         return ["onnx", preset, _files(Path(name))]
-    if is_own_class(name):
+    if named.kind == "class":
         read = {**sources_of(name, "policy"), **_read_by(name)}
         return ["class", name, preset, {part: file_digest(path) for part, path in read.items()}]
-    level = split_level(name)[1]
-    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if level is None else [level])]
+    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
 
 
 def _read_by(name: str) -> dict[str, Path]:
@@ -68,38 +68,20 @@ def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
     return [[path.relative_to(folder).as_posix(), file_digest(path)] for path in files]
 
 
-def is_onnx(name: str) -> bool:
-    """Whether a policy's name is a folder with an ONNX model."""
-    name = without_veto(name)
-    return name != SHIPPED and is_onnx_folder(Path(name))
-
-
-def is_own_class(policy: str) -> bool:
-    """Whether a policy is named as module:Class: opening it runs somebody's code."""
-    policy = without_veto(policy)
-    a_class = ":" in policy and not is_baseline(policy) and not is_served(policy)
-    head, _, last = policy.rpartition(":")
-    return a_class and last not in STAGES and not is_folder(Path(head))
-
-
-def is_plain(name: str) -> bool:
-    """Whether a policy is nobody's run: a baseline, a class, an ONNX folder, a process on a socket."""
-    return is_baseline(name) or is_served(name) or is_own_class(name) or is_onnx(name)
-
-
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
     """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
     actions = action_set(config.env.actions)
-    if name.startswith(VETO):
+    named = policy_name(name)
+    if named.veto:
         from wcsim.agents.policies.veto import Veto  # and with it kernels, which the checks of names must not load
 
-        return Veto(name, open_named(without_veto(name), config, seed, network), config)
-    if is_served(name):
+        return Veto(name, open_named(named.inner, config, seed, network), config)
+    if named.kind == "served":
         return ServedPolicy(name, actions.points)
-    if is_onnx(name):
+    if named.kind == "onnx":
         alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
         return alone if rule is None else GuardedPolicy(alone, actions, rule)
-    if is_own_class(name):
+    if named.kind == "class":
         return _own_policy(name, config)
     from wcsim.agents.evaluation.open_policy import open_policy  # torch is loaded here
 
@@ -139,11 +121,11 @@ def sensing(config: RunConfig, policy: Policy) -> RunConfig:
 
 def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
     """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
-    if is_onnx(policy):
-        about = read_about(Path(without_veto(policy)))
+    named = policy_name(policy)
+    if named.kind == "onnx":
+        about = read_about(named.folder)
         return resolve(resolve(about.preset, about.settings), settings)
-    plain = is_baseline(policy) or is_own_class(policy) or is_served(policy)
-    config = resolve(resolve(preset) if plain else config_of(policy, preset, ()), settings)
+    config = resolve(config_of(policy, preset, ()) if named.is_network else resolve(preset), settings)
     action_set(config.env.actions)
     return config
 

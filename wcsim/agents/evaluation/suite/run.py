@@ -17,8 +17,6 @@ from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import (
     file_digest,
     identity_of,
-    is_onnx,
-    is_own_class,
     open_named,
     own_files,
     sensing,
@@ -26,10 +24,9 @@ from wcsim.agents.evaluation.suite.named_policy import (
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
-from wcsim.agents.policies.served_policy import is_served
-from wcsim.agents.policy_api import Policy, is_baseline, without_veto
+from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
-from wcsim.agents.runs.run_folder import split_level
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
@@ -200,10 +197,10 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
     if machines.cluster:
         policies = {piece.policy for piece in pieces}
         for policy in sorted(policies):
-            if is_served(policy):
+            if policy_name(policy).kind == "served":
                 told = "is a process of this machine; test other policies, or use --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
-        own = [policy for policy in policies if is_own_class(policy)]
+        own = [policy for policy in policies if policy_name(policy).kind == "class"]
         require_travels(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
     return machines.open(order.out)
 
@@ -216,17 +213,16 @@ def _work_key(piece: Piece) -> str:
 def needs_of(piece: Piece) -> tuple[Parcel, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
     towns = (town_parcel(piece.town),) if piece.block.part != TIGHT else ()
-    if is_baseline(piece.policy):
+    named = policy_name(piece.policy)
+    if named.kind == "baseline":
         return towns
-    if is_onnx(piece.policy):
-        name = without_veto(piece.policy)
-        return (*towns, folder_parcel(Path(name), name))
-    return (*towns, policy_parcel(split_level(piece.policy)[0]))
+    policy = folder_parcel(named.folder, named.place) if named.kind == "onnx" else policy_parcel(named.place)
+    return (*towns, policy)
 
 
 def drive_alone(piece: Piece, at: At) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
-    where = {name: policy_at(name, at) for name in (piece.policy,) if not is_baseline(name)}
+    where = {name: policy_at(name, at) for name in (piece.policy,) if policy_name(name).kind != "baseline"}
     policy = where.get(piece.policy, piece.policy)
     records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
     for record in records:
