@@ -126,7 +126,7 @@ def _config(options: CrashesOptions) -> RunConfig:
 
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
     from benchmarks.crashes.drives import CrashOrder, drive_crashes
-    from wcsim.agents.envs.senses import senses_of, with_senses
+    from wcsim.agents.envs.senses import sense_settings, senses_of
     from wcsim.agents.policies.baselines import baseline
     from wcsim.core.seeding import derive
 
@@ -134,7 +134,7 @@ def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, 
     ticks = -(-options.steps // options.chairs)
     task = bar.add_task(f"{found.name}, {policy}", total=ticks * options.chairs)
     drivers = [baseline(policy, config, derive(options.seed, "driver", seat)) for seat in range(options.chairs)]
-    config = with_senses(config, senses_of(drivers[0]))
+    config = resolve(config, sense_settings(config, senses_of(drivers[0])))
 
     def seen(done: int) -> None:
         bar.update(task, completed=done)

@@ -18,12 +18,12 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
-from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import CameraConfig, RunConfig
+from wcsim.config import CameraConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
@@ -64,11 +64,11 @@ class DrivenFilm:
         """Raises PolicyError, TownError, or ConfigError for what cannot be."""
         if not 64 <= width <= 1920:
             raise ConfigError(f"got a width of {width} pixels; expected 64 to 1920")
-        own = settings_of(driver.policy, "quick", driver.settings)
+        own = config_for(driver.policy, "quick", driver.settings)
         film = CameraConfig(name=FILM_CAMERA, width_px=width, height_px=width * 3 // 4, rgb=True, range_m=SIGHT_M)
         own = own.model_copy(update={"cameras": (*own.cameras, film)})
         self._policy = open_named(driver.policy, own, seed, driver.network or None)
-        config = sensing(own, self._policy)
+        config = resolve(own, sensing(own, self._policy))
         self.tick_s = config.world.tick_s
         truth = isinstance(self._policy, SeesTruth)
         spec = SeatSpec(profile=driver.profile, truth=truth, truth_visible=self._policy.name == VISIBLE_BOUND)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from wcsim.agents.evaluation.suite.named_policy import identity_of, open_named, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.veto import Veto
 from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
@@ -132,7 +132,7 @@ def test_names():
     assert (policy_name("b@home").place, policy_name("dwa@0.5").level) == ("b@home", 0.5)
     assert policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
     assert identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != identity_of("dwa", "quick")
-    assert settings_of("veto:dwa", "quick", ()) == settings_of("dwa", "quick", ())
+    assert config_for("veto:dwa", "quick", ()) == config_for("dwa", "quick", ())
 
 
 def test_a_policy_that_sees_the_truth_needs_no_veto():
@@ -141,7 +141,7 @@ def test_a_policy_that_sees_the_truth_needs_no_veto():
 
 
 def test_the_shipped_policy_drives_behind_a_veto():
-    config = settings_of("veto:shipped", "quick", ())
+    config = config_for("veto:shipped", "quick", ())
     policy = open_named("veto:shipped", config, 0)
     assert policy.name == "veto:shipped"
     policy.begin()

@@ -97,8 +97,6 @@ class ClientsFolder:
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
         folder, file = self.path / CONFIGS, f"{name}.json"
-        if not (folder / file).is_file():  # a run of an older version
-            folder, file = self.path / name, CONFIG
         try:
             return parse(RunConfig, read_json(folder, file), str(folder / file))
         except ConfigError as error:

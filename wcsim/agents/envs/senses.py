@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from wcsim.agents.policy_api import GYRO, NeedsSenses, Policy
-from wcsim.config import RunConfig, resolve
+from wcsim.config import RunConfig
 
 
 def senses_of(policy: Policy) -> tuple[str, ...]:
@@ -13,14 +13,8 @@ def senses_of(policy: Policy) -> tuple[str, ...]:
     return policy.senses if isinstance(policy, NeedsSenses) else ()
 
 
-def with_senses(config: RunConfig, senses: Sequence[str]) -> RunConfig:
-    """The configuration with these senses; a sensor that it has already stays as it is.
-
-    Raises:
-        ConfigError: There is no such sensor.
-    """
+def sense_settings(config: RunConfig, senses: Sequence[str]) -> tuple[str, ...]:
+    """What turns these senses on in a configuration; a sensor that it has already stays as it is."""
     there = config.sensors.on()
     words = [f"sensors.{name}=typical" for name in senses if name != GYRO and name not in there]
-    if GYRO in senses and not config.env.observe_gyro:
-        words.append("env.observe_gyro=true")
-    return resolve(config, tuple(words))
+    return (*words, *(["env.observe_gyro=true"] if GYRO in senses else []))

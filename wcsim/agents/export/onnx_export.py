@@ -16,7 +16,7 @@ import torch
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net
 from wcsim.agents.envs.frame_window import FrameWindow, newest
-from wcsim.agents.envs.senses import senses_of, with_senses
+from wcsim.agents.envs.senses import sense_settings, senses_of
 from wcsim.agents.export.danger_graph import DangerGraph
 from wcsim.agents.export.export_folder import LOOP, REFERENCE, loop_place
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint
@@ -92,7 +92,7 @@ def export_policy(
     torch.set_num_threads(1)  # one picture is too little for two threads, as in `open_policy`
     graph, own = _opened(policy, config, level, network)
     graph.train(False)
-    config = with_senses(config, senses_of(own))
+    config = resolve(config, sense_settings(config, senses_of(own)))
     ride = [newest(seen, 1) for seen in ride]
     chosen = _chosen(own, ride, graph.window)
     shapes = graph.shapes()

@@ -9,6 +9,7 @@ from pathlib import Path
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path
 from wcsim.config import RunConfig
+from wcsim.config.load import Layer
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError, TownError
@@ -60,11 +61,9 @@ def plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
     return (Parcel(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
 
 
-def with_plant_at(config: RunConfig, at: At) -> RunConfig:
-    """The configuration with that wheelchair where it lies now."""
-    if not config.chair.plant.endswith(".toml"):
-        return config
-    return config.model_copy(update={"chair": config.chair.model_copy(update={"plant": at(config.chair.plant)})})
+def plant_at(config: RunConfig, at: At) -> Layer:
+    """Where that wheelchair lies now."""
+    return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
 
 
 def policy_at(name: str, at: At) -> str:

@@ -36,6 +36,7 @@ from wcsim.agents.runs.policy_file import (
 )
 from wcsim.agents.runs.policy_name import STAGES, policy_name
 from wcsim.config import RunConfig, parse, resolve
+from wcsim.config.load import Layer
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
@@ -161,7 +162,7 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         files.write_bytes(path / PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
-    return RunFolder(path=path, config=with_kept_plant(config, path), manifest=manifest)
+    return RunFolder(path=path, config=resolve(config, _kept_plant(path)), manifest=manifest)
 
 
 def open_run(path: Path) -> RunFolder:
@@ -172,7 +173,7 @@ def open_run(path: Path) -> RunFolder:
         raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
     manifest = manifest_of(data, path)
     try:
-        resolved = with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
+        resolved = resolve(parse(RunConfig, config, str(path / CONFIG)), _kept_plant(path))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     return RunFolder(path=path, config=resolved, manifest=manifest)
@@ -192,18 +193,14 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
 
-def with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
-    """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
-    if not is_file(path / PLANT):
-        return config
-    chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
-    return config.model_copy(update={"chair": chair})
+def _kept_plant(path: Path) -> Layer:
+    """The plant that a run folder keeps: what the user's file says later is not that run's."""
+    return {"chair": {"plant": str(path / PLANT)}} if is_file(path / PLANT) else None
 
 
-def with_whole_data(config: RunConfig) -> RunConfig:
-    """The configuration with the whole paths of its data folders: a run may go on from another place."""
-    data = tuple(str(Path(folder).absolute()) for folder in config.collect.data)
-    return config.model_copy(update={"collect": config.collect.model_copy(update={"data": data})}) if data else config
+def whole_data(config: RunConfig) -> dict[str, dict[str, list[str]]]:
+    """The whole paths of a configuration's data folders: a run may go on from another place."""
+    return {"collect": {"data": [str(Path(folder).absolute()) for folder in config.collect.data]}}
 
 
 def policy_path(name: str) -> Path:
@@ -240,39 +237,26 @@ def policy_path(name: str) -> Path:
     return found
 
 
-def run_of(name: str) -> Manifest | None:
-    """Manifest of the run that a policy comes from; None for a policy folder that was copied out of its run.
+def run_of(name: str) -> RunFolder | None:
+    """The run that a policy comes from; None for a policy folder that was copied out of its run.
 
     Raises PolicyError when there is no such policy.
     """
-    run = _enclosing_run(policy_path(name))
-    return None if run is None else run.manifest
+    folder = policy_path(name).resolve().parent.parent
+    return open_run(folder) if is_file(folder / MANIFEST) else None
 
 
-def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunConfig:
-    """The configuration that fits a policy: its run's own, else the preset with the policy's camera and actions.
-
-    Raises PolicyError when there is no such policy, ConfigError for overrides that cannot be used.
-    """
-    path = policy_path(name)
-    run = _enclosing_run(path)
-    if run is not None:
-        return resolve(run.config, overrides)
-    config = resolve(preset)
+def policy_settings(path: Path) -> dict[str, Any]:
+    """What a policy folder says of itself, as tables of a configuration: its camera, actions. Raises PolicyError."""
     if is_danger(path):
         told = read_danger_file(path)
-        env = config.env.model_copy(update={"actions": told.net.actions, "classes": told.classes, "window": 1})
-        own = {"cameras": (told.camera,), "env": env, "chair": told.chair}
-        return resolve(config.model_copy(update=own), overrides)
+        env = {"actions": told.net.actions, "classes": told.classes, "window": 1}
+        chair = told.chair.model_dump(mode="json")
+        return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
     file = read_policy_file(path)
-    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
-    env = config.env.model_copy(update={"actions": file.net.actions, **seen})
-    return resolve(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
-
-
-def _enclosing_run(policy: Path) -> RunFolder | None:
-    folder = policy.resolve().parent.parent
-    return open_run(folder) if is_file(folder / MANIFEST) else None
+    net = {"actions": file.net.actions, "classes": file.net.classes}
+    env = {**net, "window": file.window, "observation": file.observation}
+    return {"cameras": [file.camera.model_dump(mode="json")], "env": env}
 
 
 def git_revision() -> str:
@@ -313,15 +297,15 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     return data
 
 
-Complete = Callable[[RunConfig], RunConfig]
+Complete = Callable[[RunConfig], Layer]
 
 
-def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> RunFolder:
+def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolder:
     """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards.
 
     Args:
         run: The run.
-        complete: Fills in what a configuration leaves to the network, before two are compared.
+        complete: Settings that a configuration leaves to the network, laid over two before they are compared.
 
     Raises:
         PolicyError: The folder is not empty, no run, or one of another run.
@@ -333,7 +317,9 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> R
     other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
     if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")
-    if complete(folder.config) != complete(with_kept_plant(run.config, run.out)) or other:
+    wanted = resolve(run.config, _kept_plant(run.out))
+    was, now = (resolve(config, complete(config)) for config in (folder.config, wanted))
+    if was != now or other:
         raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
     return folder
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.named_policy import open_named, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, open_named
 from wcsim.agents.policy_api import Levelled
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import CONFIG_FILE, parse
@@ -127,7 +127,7 @@ def _require_levels(study: OpenStudy, where: str) -> None:
     file = study.file
     blocks = [*file.blocks, *([file.practice] if file.practice else [])]
     wanted = {block.level: block.name for block in blocks if block.level is not None}
-    policy = open_named(file.policy, settings_of(file.policy, PRESET, ()), 0, study.network or None)
+    policy = open_named(file.policy, config_for(file.policy, PRESET, ()), 0, study.network or None)
     try:
         for level, name in wanted.items():
             levels = policy.levels if isinstance(policy, Levelled) else None

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
@@ -269,7 +269,7 @@ def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
     """The pictures of a block, by seat; runs in a process of its own."""
     kept = {record.seat: record for record in order.kept}
     try:
-        config = settings_in_list(order.piece.policy, order.piece.preset, order.piece.settings)
+        config = config_for(order.piece.policy, order.piece.preset, order.piece.settings, in_list=True)
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:

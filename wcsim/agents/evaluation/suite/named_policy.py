@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from wcsim.agents.envs.senses import senses_of, with_senses
+from wcsim.agents.envs.senses import sense_settings, senses_of
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_name import policy_name
-from wcsim.agents.runs.run_folder import config_of, policy_path
+from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
@@ -22,6 +22,9 @@ from wcsim.core.plugins import find_class, sources_of
 from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
+
+RULES: Final = ("world", "chair", "reward", "vary")
+"""Sections that are the preset's in a list, as with others its policies would not be judged alike."""
 
 
 def identity_of(name: str, preset: str) -> list[Any]:
@@ -108,24 +111,41 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
     return policy
 
 
-def sensing(config: RunConfig, policy: Policy) -> RunConfig:
-    """The configuration with the senses that a policy wants, and as many images in an observation as it needs.
+def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
 
     Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
     """
     from wcsim.agents.evaluation.open_policy import window_of  # torch is loaded here
 
-    config = resolve(config, (f"env.window={max(window_of(policy), config.env.frames)}",))
-    return with_senses(config, senses_of(policy))
+    window = f"env.window={max(window_of(policy), config.env.frames)}"
+    return (window, *sense_settings(config, senses_of(policy)))
 
 
-def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
-    """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
-    named = policy_name(policy)
+def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:
+    """What a policy drives with: its own configuration, or the preset's where it has none, with settings over it.
+
+    Args:
+        policy: Its name.
+        preset: Of whoever drives it.
+        settings: section.key=value.
+        in_list: Whether the preset's rules hold, see `RULES`.
+
+    Raises:
+        PolicyError: There is no such policy.
+        ConfigError: The settings cannot be used.
+    """
+    named, base = policy_name(policy), resolve(preset)
+    own = base
     if named.kind == "onnx":
         about = read_about(named.folder)
-        return resolve(resolve(about.preset, about.settings), settings)
-    config = resolve(config_of(policy, preset, ()) if named.is_network else resolve(preset), settings)
+        own = resolve(about.preset, about.settings)
+    elif named.is_network:
+        run = run_of(policy)
+        own = resolve(base, policy_settings(policy_path(policy))) if run is None else run.config
+    if in_list:
+        own = own.model_copy(update={name: getattr(base, name) for name in RULES})
+    config = resolve(own, settings)
     action_set(config.env.actions)
     return config
 

@@ -13,8 +13,8 @@ from typing import Final
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, profiles_of, require_towns, towns_of
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
 from wcsim.agents.evaluation.suite.named_policy import (
+    config_for,
     file_digest,
     identity_of,
     open_named,
@@ -27,7 +27,7 @@ from wcsim.agents.evaluation.suite.tight import in_scene, open_tight
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
 from wcsim.agents.runs.policy_name import policy_name
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
@@ -129,9 +129,9 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
         ConfigError: The settings cannot be used.
     """
     for name in policies:
-        config = settings_in_list(name, order.preset, (*order.suite.file.settings, *order.settings))
+        config = config_for(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
         with ExitStack() as opened:
-            sensing(config, _open_in(opened, name, config, 0, order.network))
+            resolve(config, sensing(config, _open_in(opened, name, config, 0, order.network)))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
@@ -234,11 +234,11 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = settings_in_list(piece.policy, piece.preset, piece.settings)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
         try:
-            config = sensing(config, _open_in(opened, piece.policy, config, 0, piece.network))
+            config = resolve(config, sensing(config, _open_in(opened, piece.policy, config, 0, piece.network)))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece.index, piece.block, str(error))

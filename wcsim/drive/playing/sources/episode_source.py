@@ -11,7 +11,7 @@ from typing import Final
 import msgspec
 
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.evaluation.suite.list_rules import settings_in_list
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses
@@ -48,7 +48,7 @@ def episode_film(choice: EpisodeChoice, say: Callable[[Said], object]) -> None:
     policy, index = _found(result, choice)
     order = order_of(result, choice.folder, choice.own)
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
-    config = settings_in_list(piece.policy, piece.preset, piece.settings)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     watch = _BlockWatch(piece, say, result.suite, config.cameras[0].model_dump_json(), config.env.actions)
     records = drive_piece(piece, watch)
     watch.flush()
