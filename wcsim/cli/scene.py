@@ -13,7 +13,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.cli.shared.common import OutFile, check_output, run_part, write_json
+from wcsim.cli.shared.common import OutFile, Parts, check_output, run_part, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
@@ -85,7 +85,7 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    parts = {"run": (RunOptions, _run), "list": (ListOptions, _list), "bless": (BlessOptions, _bless)}
+    parts: Parts = {"run": (RunOptions, _run), "list": (ListOptions, _list), "bless": (BlessOptions, _bless)}
     return run_part(words, "scene", {**parts, "new": (NewOptions, _new), "make": (SceneMakeOptions, _make)})
 
 

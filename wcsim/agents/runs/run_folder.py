@@ -254,9 +254,8 @@ def policy_settings(path: Path) -> dict[str, Any]:
         chair = told.chair.model_dump(mode="json")
         return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
     file = read_policy_file(path)
-    net = {"actions": file.net.actions, "classes": file.net.classes}
-    env = {**net, "window": file.window, "observation": file.observation}
-    return {"cameras": [file.camera.model_dump(mode="json")], "env": env}
+    seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
+    return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
 
 
 def git_revision() -> str:

@@ -8,5 +8,6 @@ from wcsim.cli.shared.common import run_part
 
 def run(words: list[str]) -> int:
     """Run one of them."""
-    parts = {"record": (user_record.UserRecordOptions, user_record.run), "fit": (user_fit.UserFitOptions, user_fit.run)}
-    return run_part(words, "users", parts)
+    record = user_record.UserRecordOptions, user_record.run
+    fit = user_fit.UserFitOptions, user_fit.run
+    return run_part(words, "users", {"record": record, "fit": fit})

@@ -50,6 +50,9 @@ Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
 Steps = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""
 
+Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
+"""The parts of a command by their words: the options of each, and what runs with them."""
+
 _TOLD = 5
 _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
 
@@ -127,13 +130,13 @@ def _number(word: str) -> float:
         raise ValueError(f"got {escaped(word, 40)!r}, expected a number, such as 2.5") from None
 
 
-def run_part(words: list[str], command: str, parts: Mapping[str, tuple[type[Any], Callable[[Any], int]]]) -> int:
+def run_part(words: list[str], command: str, parts: Parts) -> int:
     """Run the part of a command that the first word names, or print what parts there are; returns the exit code.
 
     Args:
         words: What follows the command.
         command: Its name.
-        parts: By word: the options of a part, and what runs with them.
+        parts: Its parts.
 
     Raises:
         ConfigError: The word is missing or unknown, or as `parse` and the part itself do.

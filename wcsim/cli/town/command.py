@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.table import Column, Table
 
-from wcsim.cli.shared.common import run_part
+from wcsim.cli.shared.common import Parts, run_part
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.town import check, import_, make, pave
 from wcsim.cli.town import run as traffic
@@ -20,7 +20,7 @@ class ListOptions:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    parts = {
+    parts: Parts = {
         "import": (import_.ImportOptions, import_.run),
         "make": (make.TownMakeOptions, make.run),
         "list": (ListOptions, _list),
