@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import run_of
@@ -92,12 +93,11 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     elif options.resume:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
     _require_policies(options)
+    config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
     from wcsim.agents.evaluation.making.town_list import town_list  # the simulators are loaded here: not for a refusal
     from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
-    from wcsim.agents.evaluation.suite.named_policy import config_for
 
-    config = config_for(UNAIDED, options.preset, options.set, in_list=True)
     for town in towns.values() if overrides else ():
         told = overrides_of(town, config, options.seed)
         print_overrides(stdout_console(), town.name, told, verbose=options.verbose)

@@ -7,14 +7,13 @@ import pytest
 from wcsim.agents.evaluation.suite import run as driving
 from wcsim.agents.evaluation.suite.list_file import open_suite
 from wcsim.agents.evaluation.suite.list_rules import told_of_rules
-from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of
+from wcsim.agents.evaluation.suite.named_policy import RULES, config_for, identity_of
 from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
 from wcsim.config import resolve
 from wcsim.errors import PolicyError
 
-RULES = ("world", "chair", "reward", "vary")
 OWN = (
     "reward.drop=false", "world.button=false", "world.street=careless", "world.tick_s=0.05", "chair.plant=mwd",
     "vary.action_delay_ticks=[0,3]", "cameras.0.width_px=32", "imu.tilt=accelerometer", "env.actions=disc69",
