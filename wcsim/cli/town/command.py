@@ -8,7 +8,7 @@ from rich.table import Column, Table
 
 from wcsim.cli.shared.common import Parts, run_part
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.town import check, import_, make, pave
+from wcsim.cli.town import import_, make, pave, town_check
 from wcsim.cli.town import run as traffic
 from wcsim.towns.scenario.town import list_towns
 
@@ -24,7 +24,7 @@ def run(words: list[str]) -> int:
         "import": (import_.ImportOptions, import_.run),
         "make": (make.TownMakeOptions, make.run),
         "list": (ListOptions, _list),
-        "check": (check.CheckOptions, check.run),
+        "check": (town_check.CheckOptions, town_check.run),
         "pave": (pave.PaveOptions, pave.run),
         "run": (traffic.RunOptions, lambda options: traffic.run(options, words)),
     }

@@ -156,7 +156,7 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ride:
+class ReferenceRide:
     """The reference ride."""
 
     config: RunConfig
@@ -165,7 +165,7 @@ class Ride:
     by: str = ""  # who chose them, where the recording says it
 
 
-def _ride(options: Options) -> Ride:
+def _ride(options: Options) -> ReferenceRide:
     from wcsim.agents.export.shown_settings import require_shown
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride
     from wcsim.agents.rounds.reference_ride import reference_ride
@@ -177,13 +177,13 @@ def _ride(options: Options) -> Ride:
     own = resolve(own, sensing(own, policy))
     if options.ride is None:
         config = resolve(own, delay)
-        return Ride(config=config, seen=reference_ride(options.town, config, options.steps, policy))
+        return ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
     header = header_of(options.ride)
     require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)
     config = resolve(own, delay or _delay(held.delay_ticks))
     by = "" if header.drive is None else header.drive.policy
-    return Ride(config=config, seen=list(held.seen), actions=held.actions, by=by)
+    return ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
 
 
 def _delay(ticks: int | None) -> tuple[str, ...]:
