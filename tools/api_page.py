@@ -1,25 +1,22 @@
-"""Print `docs/api.md`, the public API, from the code: `python tools/api_page.py`."""
+"""`docs/api.md`: the public API, from the code."""
 
 from __future__ import annotations
 
 import ast
 import inspect
 import re
-import sys
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from pathlib import Path
 from types import ModuleType
 from typing import get_args, get_origin
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # of this checkout, wherever it is called from
-
 import wcsim
 import wcsim.config
 import wcsim.errors
 import wcsim.types
+from tools.pages import table
 from wcsim.agents import policy_api
 from wcsim.agents.envs.env_spec import EnvOptions
 from wcsim.agents.networks import registry
@@ -34,7 +31,7 @@ LONGEST_VALUE = 60
 HEAD = """# Public API
 
 These names are stable: the changelog lists every change. All other names are internal and may change at any time.
-`python tools/api_page.py > docs/api.md` generates this page from the code.
+`python -m tools.pages` generates this page from the code.
 """
 
 
@@ -57,8 +54,8 @@ def page() -> str:
 
 
 def _section(title: str, said: str, rows: Iterable[tuple[str, str]]) -> str:
-    table = ["| name | what |", "|---|---|", *(f"| `{name}` | {what} |" for name, what in rows)]
-    return "\n".join([f"## {title}", *([said] if said else []), "", *table, ""])
+    lines = table(("name", "what"), ((f"`{name}`", what) for name, what in rows))
+    return "\n".join([f"## {title}", *([said] if said else []), "", *lines, ""])
 
 
 def _door(module: ModuleType, names: Iterable[str]) -> Iterator[tuple[str, str]]:
@@ -131,7 +128,3 @@ def _first_line(thing: object) -> str:
     if get_origin(thing) is np.ndarray:
         return f"NumPy array of {get_args(get_args(thing)[1])[0].__name__}"
     return f"`{thing}`" if len(str(thing)) < LONGEST_VALUE else ""
-
-
-if __name__ == "__main__":
-    print(page(), end="")

@@ -1,4 +1,4 @@
-"""Print `docs/commands.md`, all commands and their options, from the code: `python tools/commands_page.py`."""
+"""`docs/commands.md`: all commands and their options, from the code."""
 
 from __future__ import annotations
 
@@ -6,18 +6,14 @@ import contextlib
 import io
 import os
 import re
-import sys
 from itertools import groupby
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # of this checkout, wherever it is called from
 
 from wcsim.cli.main import SUBCOMMANDS, main
 
 HEAD = """# Commands
 
 The commands of `wcsim` by task, each with its options, as `wcsim COMMAND --help` prints them.
-`python tools/commands_page.py > docs/commands.md` generates this page from the code.
+`python -m tools.pages` generates this page from the code.
 """
 
 
@@ -44,7 +40,3 @@ def help_of(words: tuple[str, ...]) -> str:
         main([*words, "--help"])
     lines = [re.sub(r"^[│╭╰]?[─-]* |[ ─-]*[│╮╯]?$", "", line) for line in out.getvalue().split("\n")]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(line for line in lines if set(line) != {"─"}))
-
-
-if __name__ == "__main__":
-    sys.stdout.write(page())

@@ -1,12 +1,8 @@
-"""Print `docs/overrides.md`, the SUMO options that wcsim overrides: `python tools/overrides_page.py`."""
+"""`docs/overrides.md`: the SUMO options that wcsim overrides."""
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # of this checkout, wherever it is called from
-
+from tools.pages import table
 from wcsim.towns.scenario.overrides import AGGREGATED, DROP_WHY, END_WHY, OUTPUT_WHY, PREFIX_WHY, RULES, UNASKED_WHY
 
 PAGE = """# SUMO options that wcsim overrides
@@ -87,9 +83,4 @@ def page() -> str:
         ("`remote-port`, `num-clients`", "left out", DROP_WHY["traci_server"]),
         ("`save-configuration`, `save-template`, ...", "left out", DROP_WHY["configuration"]),
     ]
-    lines = [f"| {' | '.join(row)} |" for row in (("option", "in a run", "why"), ("---", "---", "---"), *rows)]
-    return PAGE.format(table="\n".join(lines))
-
-
-if __name__ == "__main__":
-    print(page(), end="")
+    return PAGE.format(table="\n".join(table(("option", "in a run", "why"), rows)))

@@ -1,4 +1,4 @@
-"""Count words and sentences of pages: `python tools/readability.py [PAGE...]` also prints long sentences.
+"""Count words and sentences of pages: `python -m tools.readability [PAGE...]` also prints long sentences.
 
 Words are counted as `wc -w` does. A sentence is text outside of code, tables, headings and pictures; a link is its
 text, and code within a sentence is one word.
@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 from typing import Final
 
-ROOT: Final = Path(__file__).parents[1]
+from tools.pages import MADE, ROOT
+
 LONGEST: Final = 30  # words of a sentence
 MEAN: Final = 18.0  # words of a page's sentences
-_MADE: Final = ("docs/settings.md", "docs/commands.md", "docs/api.md", "docs/overrides.md")  # written by tools
 _CODE: Final = re.compile(r"^( *)```.*?^\1```", re.MULTILINE | re.DOTALL)
 _NO_PROSE: Final = re.compile(r"^(\||#|!\[|<|    ).*$", re.MULTILINE)
 _ITEM: Final = re.compile(r"^ *([-*]|\d+\.) +", re.MULTILINE)
@@ -25,7 +25,7 @@ _ABBREVIATION: Final = re.compile(r"\b(e\.g|i\.e|cf|vs|Fig|Sec|No|approx)\.")
 
 def pages() -> list[Path]:
     """README, CONTRIBUTING, AGENTS, CHANGELOG, and what is written by hand below `docs/`."""
-    made = {ROOT / name for name in _MADE}
+    made = {ROOT / "docs" / f"{name}.md" for name in MADE}
     front = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "AGENTS.md", "CHANGELOG.md")]
     return [page for page in (*front, *sorted((ROOT / "docs").rglob("*.md"))) if page.is_file() and page not in made]
 

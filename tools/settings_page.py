@@ -1,4 +1,4 @@
-"""Print `docs/settings.md`, all settings of a run, made from their models: `python tools/settings_page.py`."""
+"""`docs/settings.md`: all settings of a run, made from their models."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ import ast
 import inspect
 import io
 import json
-import sys
 import textwrap
 import tokenize
 from collections.abc import Iterator
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
-
-sys.path.insert(0, str(Path(__file__).parents[1]))  # of this checkout, wherever it is called from
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from tools.pages import table
 from wcsim.config import RunConfig
 from wcsim.config.scene import SceneExpect, SceneFile, SceneSeat, TownFile
 
@@ -30,7 +27,7 @@ An item of a list has a number: `cameras.0.width_px=80`.
 
 Other files: [plants](chair.md#every-field), [suites](suites.md), [towns and scenes](#files-of-towns-and-scenes).
 
-This page is generated: `python tools/settings_page.py > docs/settings.md`.
+This page is generated: `python -m tools.pages`.
 """
 FILES = """# Files of towns and scenes
 
@@ -90,12 +87,12 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
 
 def _section(name: str, model: type[BaseModel]) -> str:
     cells = [
-        (f"`{key}`", _kind(field.annotation), _bounds(field), _default(field), said) for key, field, said in keys(model)
+        [_shown(cell) for cell in (f"`{key}`", _kind(field.annotation), _bounds(field), _default(field), said)]
+        for key, field, said in keys(model)
     ]
-    rows = [f"| {' | '.join(_shown(cell) for cell in row)} |" for row in cells]
-    head = ["| key | type | bounds | default | meaning |", "|---|---|---|---|---|"] if rows else []
+    rows = table(("key", "type", "bounds", "default", "meaning"), cells) if cells else []
     title = (inspect.getdoc(model) or "").partition("\n")[0]
-    return "\n".join([f"## `{name}`", title, "", *head, *rows, ""])
+    return "\n".join([f"## `{name}`", title, "", *rows, ""])
 
 
 def _below(name: str, field: FieldInfo) -> Iterator[tuple[str, type[BaseModel]]]:
@@ -173,7 +170,3 @@ def _default(field: FieldInfo) -> str:
 
 def _shown(text: str) -> str:
     return text.replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    print(page(), end="")

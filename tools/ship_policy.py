@@ -21,8 +21,7 @@ from wcsim.agents.collecting.data_folder import DATA, SEGMENTS, data_digest, key
 from wcsim.agents.export.export_folder import REFERENCE
 from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import export_policy
-from wcsim.agents.policies.onnx_policy import MODEL_FILE
-from wcsim.agents.policy_api import Observation
+from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, shipped_folder, shipped_place, write_hashes
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run

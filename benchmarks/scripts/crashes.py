@@ -11,7 +11,8 @@ from rich import box
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND, is_baseline
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.cli.shared.common import (
     MAX_SEED,
     OutFile,
@@ -110,7 +111,7 @@ def as_json(drive: CrashDrive) -> dict[str, Any]:
 def _policies(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(some_words("--policy", text)))
     for name in names:
-        if not is_baseline(name):
+        if policy_name(name).kind != "baseline":
             known = ", ".join((*BASELINES, *UPPER_BOUNDS))
             raise ConfigError(f"--policy {name!r}: expected a baseline, one of: {known}")
     return names
@@ -126,14 +127,14 @@ def _config(options: CrashesOptions) -> RunConfig:
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
     from benchmarks.crashes.drives import CrashOrder, drive_crashes
     from wcsim.agents.policies.baselines import baseline
-    from wcsim.agents.policy_api import senses_of, with_senses
+    from wcsim.agents.policy_api import sense_settings, senses_of
     from wcsim.core.seeding import derive
 
     found = find_town(town)
     ticks = -(-options.steps // options.chairs)
     task = bar.add_task(f"{found.name}, {policy}", total=ticks * options.chairs)
     drivers = [baseline(policy, config, derive(options.seed, "driver", seat)) for seat in range(options.chairs)]
-    config = with_senses(config, senses_of(drivers[0]))
+    config = resolve(config, sense_settings(config, senses_of(drivers[0])))
 
     def seen(done: int) -> None:
         bar.update(task, completed=done)

@@ -1,27 +1,26 @@
 """The table of docs/chair.md holds every field of a plant's file, with its unit and the bounds that the model has."""
 
 import re
-import runpy
 from pathlib import Path
 
+from tools import settings_page
 from wcsim.config.base import _UNITS
 from wcsim.config.plant import PlantFile, known_plants, read_plant
 
 ROOT = Path(__file__).parents[2]
-SETTINGS = runpy.run_path(str(ROOT / "tools" / "settings_page.py"))
 PAGE = (ROOT / "docs" / "chair.md").read_text(encoding="utf-8")
 
 
 def fields(model=PlantFile, before=""):
     """Of every plain value of the file, its dotted name and how its row of the table begins."""
     for name, field in model.model_fields.items():
-        inner = SETTINGS["_model_of"](field)
+        inner = settings_page._model_of(field)
         if inner is not None:
-            many = SETTINGS["_is_list"](field) or before + name in ("casters", "antitips", "frame.boxes")
+            many = settings_page._is_list(field) or before + name in ("casters", "antitips", "frame.boxes")
             yield from fields(inner, f"{before}{name}{'.*' if many else ''}.")
             continue
         unit = _UNITS.get(name.rpartition("_")[2], "")
-        yield before + name, f"| `{before}{name}` | {unit} | {SETTINGS['_bounds'](field)} |"
+        yield before + name, f"| `{before}{name}` | {unit} | {settings_page._bounds(field)} |"
 
 
 def test_every_field_stands_in_the_table_with_unit_and_bounds():

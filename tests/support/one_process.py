@@ -63,6 +63,6 @@ def in_this_process() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(failures, "ProcessPoolExecutor", OneProcess)
         patch.setattr(machines, "ProcessPoolExecutor", OneProcess)
-        for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.workers"):
+        for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
             patch.setattr(f"{asking}.Crew", OneCrew)
         yield

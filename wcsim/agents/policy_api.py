@@ -11,7 +11,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy.typing as npt
 
-from wcsim.config import RunConfig, resolve
+from wcsim.config import RunConfig
 from wcsim.core.plugins import running_own
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
@@ -37,6 +37,10 @@ UPPER_BOUNDS: Final = (VISIBLE_BOUND, UPPER_BOUND)
 LEVELLED: Final = "dwa"
 VETO: Final = "veto:"
 """Before a policy's name: `dwa` forbids what it holds for unsafe, see `policies/veto.py`."""
+SERVED: Final = "tcp:"
+"""Before the address of a process that serves a policy, see `policies/served_policy.py`."""
+MODEL_FILE: Final = "policy.onnx"
+"""In an ONNX folder, see `policies/onnx_policy.py`."""
 
 HIGHEST_LEVEL: Final = 2.0
 USUAL_LEVEL: Final = 1.0
@@ -189,22 +193,6 @@ class NeedsSenses(Protocol):
         """Names of sensors of the section `[sensors]`, and `GYRO`."""
 
 
-def without_veto(name: str) -> str:
-    """The policy that a name means, without the wrapper around it.
-
-    >>> without_veto("veto:runs/a@0.2"), without_veto("dwa")
-    ('runs/a@0.2', 'dwa')
-    """
-    return name.removeprefix(VETO)
-
-
-def is_baseline(name: str) -> bool:
-    """Whether a baseline has this name. Raises PolicyError for a level of assistance that there is not."""
-    name = without_veto(name)
-    level_of(name)
-    return name.partition("@")[0] == LEVELLED or name in (*BASELINES, *UPPER_BOUNDS)
-
-
 def level_of(name: str) -> float:
     """How much `dwa@L` assists: 0 at the last moment, 1 as `dwa` itself, 2 early and with wide margins.
 
@@ -234,14 +222,8 @@ def senses_of(policy: Policy) -> tuple[str, ...]:
     return policy.senses if isinstance(policy, NeedsSenses) else ()
 
 
-def with_senses(config: RunConfig, senses: Sequence[str]) -> RunConfig:
-    """The configuration with these senses; a sensor that it has already stays as it is.
-
-    Raises:
-        ConfigError: There is no such sensor.
-    """
+def sense_settings(config: RunConfig, senses: Sequence[str]) -> tuple[str, ...]:
+    """What turns these senses on in a configuration; a sensor that it has already stays as it is."""
     there = config.sensors.on()
     words = [f"sensors.{name}=typical" for name in senses if name != GYRO and name not in there]
-    if GYRO in senses and not config.env.observe_gyro:
-        words.append("env.observe_gyro=true")
-    return resolve(config, tuple(words))
+    return (*words, *(["env.observe_gyro=true"] if GYRO in senses else []))

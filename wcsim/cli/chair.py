@@ -19,9 +19,8 @@ from wcsim.cli.shared.common import (
     Repeated,
     check_folder,
     in_bounds,
-    parse,
+    run_part,
     some_words,
-    subcommand,
     words_of,
     write_json,
 )
@@ -67,8 +66,7 @@ class ChairCheckOptions:
 
 def run(words: list[str]) -> int:
     """Run it; 1 when a row is outside its range, or changes too much with the rate."""
-    name = subcommand(words, "chair", ("check",), lambda _: ChairCheckOptions)
-    return _check(parse(ChairCheckOptions, words[1:], f"chair {name}")) if name else 0
+    return run_part(words, "chair", {"check": (ChairCheckOptions, _check)})
 
 
 def _check(options: ChairCheckOptions) -> int:

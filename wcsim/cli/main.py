@@ -21,7 +21,7 @@ from wcsim.errors import WcsimError, meant
 
 @dataclass(frozen=True, slots=True)
 class Subcommand:
-    """One line of the help, and the module (with a `run(arguments)`) that does the work."""
+    """One line of the help, and the module that does the work with `run(arguments)`, or with the function it names."""
 
     name: str
     module: str  # below wcsim.cli
@@ -41,9 +41,9 @@ SUBCOMMANDS = (
     Subcommand("report", "evaluation.report", "test", "make a page of a test or training, with failures"),
     Subcommand("networks", "networks", "test", "show what networks cost: parameters, memory, time"),
     Subcommand("chair", "chair", "test", "test wheelchairs on a yard, as ISO 7176 does"),
-    Subcommand("look", "pictures.look", "look", "make a picture and a video of a town"),
-    Subcommand("snapshot", "pictures.snapshot", "look", "make a picture from a camera: colours, classes, depth"),
-    Subcommand("video", "pictures.video", "look", "make a video from a chair's camera, with a map"),
+    Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
+    Subcommand("snapshot", "pictures:snapshot", "look", "make a picture from a camera: colours, classes, depth"),
+    Subcommand("video", "pictures:video", "look", "make a video from a chair's camera, with a map"),
     Subcommand("watch", "recordings.watch", "look", "watch a training of several clients on a web page"),
     Subcommand("log", "recordings.log", "look", "play, verify, compare or convert a recording"),
     Subcommand("replay", "recordings.replay", "look", "drive an episode of a test again on a web page"),
@@ -110,7 +110,8 @@ def _run_command(words: list[str]) -> int:
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
     if chosen is None:
         return _no_subcommand(words)
-    return int(importlib.import_module(f"wcsim.cli.{chosen.module}").run(words[1:]) or Exit.DONE)
+    module, _, work = chosen.module.partition(":")
+    return int(getattr(importlib.import_module(f"wcsim.cli.{module}"), work or "run")(words[1:]) or Exit.DONE)
 
 
 def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) -> int:

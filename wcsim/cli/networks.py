@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
 from wcsim.agents.networks.names import NETWORK_NAMES, check_network
-from wcsim.cli.shared.common import OutFile, parse, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, parse, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.errors import ConfigError
 
 
 @dataclass
@@ -17,11 +17,11 @@ class Options:
 
     names: str = ",".join(NETWORK_NAMES)
     """Networks, joined by commas: names or module:Class."""
-    width: int = 320
+    width: Annotated[int, Bounds(8, 2048)] = 320
     """Picture width in pixels."""
-    height: int = 240
+    height: Annotated[int, Bounds(8, 2048)] = 240
     """Picture height in pixels."""
-    runs: int = 30
+    runs: Annotated[int, Bounds(1)] = 30
     """Number of decisions to time."""
     json: OutFile = None
     """Write the rows to this file."""
@@ -33,11 +33,6 @@ def run(words: list[str]) -> int:
     names = some_words("--names", options.names)
     for name in names:
         check_network(name)
-    if not (8 <= options.width <= 2048 and 8 <= options.height <= 2048 and options.runs >= 1):
-        raise ConfigError(
-            f"--width {options.width}, --height {options.height}, --runs {options.runs}; expected 8 to 2048 pixels "
-            "each way, and 1 run or more"
-        )
     from rich.table import Table
 
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS, measure_cost  # torch is loaded here

@@ -13,7 +13,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.cli.shared.common import OutFile, check_output, parse, subcommand, write_json
+from wcsim.cli.shared.common import OutFile, Parts, check_output, run_part, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
@@ -85,18 +85,8 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    known = {"run": RunOptions, "list": ListOptions, "bless": BlessOptions, "new": NewOptions, "make": SceneMakeOptions}
-    name = subcommand(words, "scene", known, known.__getitem__)
-    if name == "list":
-        parse(ListOptions, words[1:], "scene list")
-        return _list()
-    if name == "run":
-        return _run(parse(RunOptions, words[1:], "scene run"))
-    if name == "new":
-        return _new(parse(NewOptions, words[1:], "scene new"))
-    if name == "make":
-        return _make(parse(SceneMakeOptions, words[1:], "scene make"))
-    return _bless(parse(BlessOptions, words[1:], "scene bless")) if name else 0
+    parts: Parts = {"run": (RunOptions, _run), "list": (ListOptions, _list), "bless": (BlessOptions, _bless)}
+    return run_part(words, "scene", {**parts, "new": (NewOptions, _new), "make": (SceneMakeOptions, _make)})
 
 
 def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:
@@ -110,7 +100,7 @@ def _names(folders: tuple[Path, ...]) -> tuple[str, ...]:
     return tuple(name if names.count(name) == 1 else str(folder) for folder, name in pairs)
 
 
-def _list() -> int:
+def _list(_: ListOptions) -> int:
     table = Table("scene", "seconds", "chairs", "what it tests", show_lines=True)
     broken = []
     for folder in list_scenes():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -60,7 +60,7 @@ class RunConfig(Model):
         return max(EPOCH_TICKS, _EPOCH_EPISODES * self.learn.episode_steps) if given is None else given
 
     @model_validator(mode="after")
-    def _parts_fit(self) -> RunConfig:
+    def _parts_fit(self) -> Self:
         if self.imu.saturation_mps2 <= self.reward.accel_window_mps2[1]:
             raise ValueError(
                 f"imu.saturation_mps2 {self.imu.saturation_mps2} hides reward.accel_window_mps2 "
@@ -76,7 +76,7 @@ class RunConfig(Model):
         return self
 
     @model_validator(mode="after")
-    def _cameras_have_names_of_their_own(self) -> RunConfig:
+    def _cameras_have_names_of_their_own(self) -> Self:
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"cameras are named {names}; expected a different name for each")
@@ -90,7 +90,7 @@ class RunConfig(Model):
         return self
 
     @model_validator(mode="after")
-    def _pictures_can_be_held(self) -> RunConfig:
+    def _pictures_can_be_held(self) -> Self:
         sizes_px = [camera.width_px * camera.height_px for camera in self.cameras]
         seen_px = self.eye.width_px * self.eye.height_px * self.env.frames
         if sum(sizes_px) > _MAX_CAMERAS_PX or seen_px > MAX_SEEN_PX:

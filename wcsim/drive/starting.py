@@ -10,10 +10,10 @@ from tempfile import TemporaryDirectory
 
 from wcsim.agents.evaluation.suite.drive import BlockOrder, in_scene, open_tight, seat_of
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
-from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_in_list, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
 from wcsim.bridge.replay.made_scene import MadeScene
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
@@ -109,7 +109,7 @@ def check_recordable(start: DriveStart) -> DriveStart:
 
 
 def _of_town(start: DriveStart) -> OpenPlace:
-    config = settings_of(start.policy, PRESET, ())
+    config = config_for(start.policy, PRESET, ())
     policy = open_named(start.policy, config, start.seed, start.network or None)
     town = find_town(start.town)
     find_user(start.profile)
@@ -120,7 +120,7 @@ def _of_town(start: DriveStart) -> OpenPlace:
     return OpenPlace(
         start=start,
         town=town,
-        config=sensing(config, policy),
+        config=resolve(config, sensing(config, policy)),
         policy=policy,
         spec=spec,
         seed=start.seed,
@@ -134,7 +134,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     require_towns(suite.file)
     block = _block(suite, start)
     work = Path(held.enter_context(TemporaryDirectory(prefix="wcsim-drive-")))
-    config = settings_in_list(start.policy, PRESET, (*suite.file.settings, *block.settings))
+    config = config_for(start.policy, PRESET, (*suite.file.settings, *block.settings), in_list=True)
     driver_seed = seeding.derive(block.seed, "driver", start.seat)
     policy = open_named(start.policy, config, driver_seed, start.network or None)
     episode = block.episodes[start.seat]
@@ -145,7 +145,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
         index=start.block,
         block=block,
         town=open_tight(block, work) if tight else _town_of(suite, block),
-        config=sensing(config, policy),
+        config=resolve(config, sensing(config, policy)),
         judged=False,
     )
     if tight:

@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import Agent, PolicyAgent, SeatDriver
-from wcsim.agents.evaluation.suite.named_policy import open_named, sensing, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Observation, Policy, SeesTruth, Warns, calling
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
@@ -193,7 +193,7 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     if not driver.policy:
         config = RunConfig(cameras=(camera,), world=WorldConfig(mirror_radius_m=SIGHT_M))
         return resolve(config, driver.settings), SeatSpec(profile=driver.profile), None
-    own = settings_of(driver.policy, "quick", driver.settings)
+    own = config_for(driver.policy, "quick", driver.settings)
     film = camera.model_copy(update={"name": _FILM_CAMERA})
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named(driver.policy, own, seed, driver.network or None)

@@ -10,7 +10,7 @@ from wcsim.agents.evaluation.suite.drive import drive_block
 from wcsim.agents.evaluation.suite.named_policy import sensing
 from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policy_api import senses_of, with_senses
+from wcsim.agents.policy_api import sense_settings, senses_of
 from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
@@ -39,20 +39,20 @@ class Numb(Feels):
 
 def test_senses_are_added_and_a_sensor_that_is_there_stays():
     plain = config()
-    seen = with_senses(plain, BOTH)
+    seen = resolve(plain, sense_settings(plain, BOTH))
     assert plain.sensors.odometry is None and not plain.env.observe_gyro
     assert seen.sensors.odometry is not None and seen.env.observe_gyro
-    assert with_senses(plain, ()) == plain
+    assert sense_settings(plain, ()) == ()
     worse = resolve(plain, ("sensors.odometry.radius_error=0.1",))
-    assert with_senses(worse, BOTH).sensors == worse.sensors
+    assert resolve(worse, sense_settings(worse, BOTH)).sensors == worse.sensors
     with pytest.raises(ConfigError, match="sonar"):
-        with_senses(plain, ("sonar",))
+        resolve(plain, sense_settings(plain, ("sonar",)))
 
 
 def test_images_that_are_asked_for_are_given_to_who_is_no_network():
     plain = config()
     several = resolve(plain, ("env.window=3",))
-    assert [sensing(one, Numb(one)).env.window for one in (plain, several)] == [1, 3]
+    assert [resolve(one, sensing(one, Numb(one))).env.window for one in (plain, several)] == [1, 3]
 
 
 def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
@@ -62,7 +62,7 @@ def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():
 
 def test_the_world_is_the_same_with_further_senses_in_it(corner):
     order = order_of(corner, block_of(corner, max_steps=80))
-    feeling = replace(order, config=with_senses(order.config, BOTH))
+    feeling = replace(order, config=resolve(order.config, sense_settings(order.config, BOTH)))
     alone, beside = (drive_block(one, lambda: Held(0.1, 0.6)) for one in (order, feeling))
     assert alone == beside and alone[0].m > 1.0
 
@@ -70,7 +70,7 @@ def test_the_world_is_the_same_with_further_senses_in_it(corner):
 def test_dwa_drives_the_same_way_again(corner):
     order = order_of(corner, block_of(corner, max_steps=80))
     harder = resolve(order.config, ("world.action_delay_ticks=2", "cameras.0.noise=typical"))
-    order = replace(order, config=with_senses(harder, BOTH))
+    order = replace(order, config=resolve(harder, sense_settings(harder, BOTH)))
     first, again = (drive_block(order, lambda: baseline("dwa", order.config)) for _ in range(2))
     assert first == again and all(record.status != "policy_failed" and record.m > 1.0 for record in first)
 

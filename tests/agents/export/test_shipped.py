@@ -14,10 +14,11 @@ import pytest
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from wcsim.agents.collecting.data_folder import write_manifest
 from wcsim.agents.danger.saved import save_danger
-from wcsim.agents.evaluation.suite.named_policy import identity_of, is_onnx, open_named
+from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
 from wcsim.agents.rounds.train_rounds import LEARNED
 from wcsim.agents.runs import policy_file, run_folder
-from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path
 from wcsim.config import CameraConfig, resolve
 from wcsim.config.run_file import DangerRule
 from wcsim.core import files
@@ -52,8 +53,8 @@ def there(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_folder_that_was_dropped_there_is_the_policy_of_that_name(there):
     assert {path.name for path in there.iterdir()} == {*policy_file.HELD, policy_file.FILES, "README.md"}
     assert policy_path("shipped") == policy_path("shipped@0.2") == there
-    assert not is_onnx("shipped") and identity_of("shipped@0.2", "quick")[-1] == 0.2
-    policy = open_named("shipped@0.2", config_of("shipped", "quick"), 0)
+    assert policy_name("shipped").kind == "shipped" and identity_of("shipped@0.2", "quick")[-1] == 0.2
+    policy = open_named("shipped@0.2", config_for("shipped", "quick"), 0)
     policy.begin()
     policy.reset()
     assert 0 <= policy.act(ride(1)[0]) < 81

@@ -23,11 +23,11 @@ from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.export.footprint import Footprint
 from wcsim.agents.export.guard import MEANING, GuardedPolicy
 from wcsim.agents.export.onnx_export import MOST_OFF, ExportFacts, export_policy
-from wcsim.agents.learning.build import build_model, with_window
+from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.policies.onnx_policy import OnnxPolicy
-from wcsim.config import CameraConfig, LearnConfig, RunConfig
+from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -44,7 +44,8 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 def config_of(network: str, memory: str = "windows", camera: CameraConfig = CAMERA) -> RunConfig:
     learn = LearnConfig(network=network, memory=memory, head="plain", replay_frames=200, learning_starts=40)
-    return with_window(RunConfig(cameras=(camera,), learn=learn))
+    config = RunConfig(cameras=(camera,), learn=learn)
+    return resolve(config, network_settings(config))
 
 
 def saved(folder: Path, config: RunConfig) -> Path:

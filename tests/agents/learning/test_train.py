@@ -22,6 +22,7 @@ import wcsim
 from tests.agents.toy import ToyStreet, a_run, full_once, load_checkpoint, same_from_here_on, toy_camera
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.evaluation.open_policy import open_policy
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EverySeconds
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator, save_checkpoint
@@ -29,7 +30,7 @@ from wcsim.agents.learning.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, re
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
-from wcsim.agents.runs.run_folder import config_of, create_run, make_manifest, open_run, policy_path, run_of
+from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
@@ -156,11 +157,11 @@ def test_both_policies_can_be_named(run):
 def test_what_a_policy_was_made_with_can_be_asked(run, tmp_path):
     path, _ = run
     for name in (str(path), f"{path}:phase1", str(path / "policies" / "final")):
-        assert run_of(name) == open_run(path).manifest
-        assert config_of(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
+        assert run_of(name) == open_run(path)
+        assert config_for(name, "dqn", ("learn.gamma=0.5",)).learn == config(gamma=0.5).learn
     shutil.copytree(path / "policies" / "final", tmp_path / "copy")
     assert run_of(str(tmp_path / "copy")) is None
-    alone = config_of(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
+    alone = config_for(str(tmp_path / "copy"), "dqn", ("env.max_steps=7",))
     assert (alone.cameras, alone.env.max_steps) == ((CAMERA,), 7)
     assert open_policy(str(tmp_path / "copy"), alone).name == str(tmp_path / "copy")
     with pytest.raises(PolicyError, match="20x16 images"):

@@ -8,7 +8,8 @@ from tests.agents.toy import ToyStreet, camera_rays, toy_camera
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import CorridorWatch, _in_corridor, viewing_rays
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth, is_baseline
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -188,7 +189,7 @@ def test_the_oracle_takes_the_safe_action_nearest_to_the_stick():
 def test_the_oracle_that_sees_as_the_cameras_do_takes_its_own_part_of_the_truth():
     actions = action_set("square81")
     full, visible = (baseline(name, RunConfig(cameras=(CAMERA,))) for name in (UPPER_BOUND, VISIBLE_BOUND))
-    assert isinstance(visible, SeesTruth) and is_baseline(VISIBLE_BOUND)
+    assert isinstance(visible, SeesTruth) and policy_name(VISIBLE_BOUND).kind == "baseline"
     assert (full.name, visible.name) == ("oracle", "oracle-visible")
     ahead = {"joystick": np.array([0.0, 1.0], np.float32)}
     everything, stand = np.full(81, np.inf), actions.nearest((0.0, 0.0))

@@ -16,7 +16,7 @@ from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touche
 from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S, StepMap
 from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
-from wcsim.agents.policy_api import is_baseline
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.core.joystick import limits_of
 from wcsim.errors import PolicyError
@@ -287,10 +287,10 @@ def test_levels_keep_wider_and_earlier_from_what_is_in_the_way():
 @pytest.mark.parametrize("name", ["dwa@", "dwa@-0.1", "dwa@2.01", "dwa@nan", "dwa@much"])
 def test_a_level_that_there_is_not_is_refused(name):
     with pytest.raises(PolicyError, match="from 0 to 2"):
-        is_baseline(name)
+        policy_name(name)
     with pytest.raises(PolicyError, match="from 0 to 2"):
         baseline(name, CONFIG)
-    assert not is_baseline("follow@1")
+    assert policy_name("follow@1").kind != "baseline"
 
 
 def test_both_forms_of_observation_give_the_same_choice():

@@ -13,7 +13,9 @@ import pytest
 from onnx import TensorProto, helper
 
 from wcsim.agents.policies import onnx_policy
-from wcsim.agents.policies.onnx_policy import MODEL_FILE, OnnxPolicy, is_onnx_folder, read_about
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policy_api import MODEL_FILE
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.errors import PolicyError
 
 ACTIONS = 9
@@ -100,10 +102,10 @@ def test_what_does_not_fit_is_told(tmp_path: Path, made: dict, seen: dict, said:
 
 
 def test_a_folder_is_read_or_refused(tmp_path: Path) -> None:
-    assert not is_onnx_folder(tmp_path)
+    assert policy_name(str(tmp_path)).kind == "folder"
     with pytest.raises(PolicyError, match="has no output 'next_state_h'"):
         OnnxPolicy(write_model(tmp_path, state="later"), "toy", ACTIONS)
-    assert is_onnx_folder(tmp_path)
+    assert policy_name(str(tmp_path)).kind == "onnx"
     (tmp_path / MODEL_FILE).write_bytes(b"no model")
     with pytest.raises(PolicyError, match="expected an ONNX model"):
         OnnxPolicy(tmp_path, "toy", ACTIONS)

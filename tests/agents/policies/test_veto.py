@@ -7,13 +7,12 @@ import pytest
 
 from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
-from wcsim.agents.evaluation.suite.named_policy import identity_of, is_own_class, is_plain, open_named, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.served_policy import is_served
 from wcsim.agents.policies.veto import Veto
-from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns, is_baseline
+from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
 from wcsim.agents.runs.parcels import policy_at
-from wcsim.agents.runs.run_folder import split_level
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
@@ -123,12 +122,17 @@ def test_its_level_is_that_of_dwa():
 
 
 def test_names():
-    assert is_baseline("veto:dwa@0.5") and is_served("veto:tcp:5000") and is_plain("veto:follow")
-    assert is_own_class("veto:mine:Policy") and not is_own_class("veto:dwa") and not is_own_class("veto:runs/a:phase1")
-    assert split_level("veto:runs/a@0.2") == ("runs/a", 0.2)
+    kinds = {"dwa@0.5": "baseline", "tcp:5000": "served", "follow": "baseline", "mine:Policy": "class"}
+    kinds |= {"runs/a:phase1": "folder", "runs/a@0.2": "folder", "shipped@0.2": "shipped"}
+    for name, kind in kinds.items():
+        named = policy_name(f"veto:{name}")
+        assert (named.veto, named.inner, named.kind) == (True, name, kind) and not policy_name(name).veto
+    named = policy_name("veto:runs/a:phase1@0.2")
+    assert (named.place, str(named.folder), named.stage, named.level) == ("runs/a:phase1", "runs/a", "phase1", 0.2)
+    assert (policy_name("b@home").place, policy_name("dwa@0.5").level) == ("b@home", 0.5)
     assert policy_at("veto:runs/a@0.2", lambda address: f"/far/{address}") == "veto:/far/runs/a@0.2"
     assert identity_of("veto:dwa", "quick") == ["veto", "baseline", "dwa", "quick"] != identity_of("dwa", "quick")
-    assert settings_of("veto:dwa", "quick", ()) == settings_of("dwa", "quick", ())
+    assert config_for("veto:dwa", "quick", ()) == config_for("dwa", "quick", ())
 
 
 def test_a_policy_that_sees_the_truth_needs_no_veto():
@@ -137,7 +141,7 @@ def test_a_policy_that_sees_the_truth_needs_no_veto():
 
 
 def test_the_shipped_policy_drives_behind_a_veto():
-    config = settings_of("veto:shipped", "quick", ())
+    config = config_for("veto:shipped", "quick", ())
     policy = open_named("veto:shipped", config, 0)
     assert policy.name == "veto:shipped"
     policy.begin()

@@ -19,7 +19,8 @@ from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
 from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.open_policy import open_policy, window_of
-from wcsim.agents.learning.build import build_model, with_window
+from wcsim.agents.evaluation.suite.named_policy import config_for
+from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.checkpoint import _check_fit, _replay_arrays, _restore_replay, save_checkpoint
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import _mirror_batch
@@ -28,7 +29,7 @@ from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import WindowStore
 from wcsim.agents.runs.policy_file import POLICY_JSON
-from wcsim.agents.runs.run_folder import config_of, open_run, policy_path
+from wcsim.agents.runs.run_folder import open_run, policy_path
 from wcsim.config import CameraConfig, EnvConfig, LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.supervisor.actions import action_set
@@ -113,13 +114,13 @@ def test_the_environment_gives_the_images_that_it_gives_one_by_one(corner):
 
 
 def test_a_network_says_how_many_images_it_wants_and_the_user_may_say_otherwise():
-    assert with_window(resolve("dqn")).env.window == 1
+    assert network_settings(resolve("dqn")) == ("env.window=1",)
     fig6 = resolve("dqn", ("learn.network=fig6",))
     assert (fig6.env.window, fig6.env.frames) == (None, 1)
-    resolved = with_window(fig6)
+    resolved = resolve(fig6, network_settings(fig6))
     assert resolved == fig6.model_copy(update={"env": fig6.env.model_copy(update={"window": 4})})
-    assert with_window(resolved) is resolved
-    assert with_window(resolve("dqn", ("learn.network=fig6", "env.window=2"))).env.window == 2
+    assert network_settings(resolved) == ()
+    assert network_settings(resolve("dqn", ("learn.network=fig6", "env.window=2"))) == ()
 
 
 @pytest.mark.parametrize("window", [0, 17, 1.5])
@@ -134,7 +135,8 @@ def test_the_papers_floats_have_no_window():
     with pytest.raises(ConfigError, match=r"window 2.*set env\.window=1, or env\.observation=compact"):
         resolve("dqn", (floats, "env.window=2"))
     with pytest.raises(ConfigError, match=r"window 4.*set env\.window=1"):
-        with_window(resolve("dqn", (floats, "learn.network=fig6")))
+        config = resolve("dqn", (floats, "learn.network=fig6"))
+        resolve(config, network_settings(config))
 
 
 # --- replay ---
@@ -343,8 +345,8 @@ def test_a_policy_says_what_it_must_see(run, tmp_path):
     folder = tmp_path / "copy"
     shutil.copytree(policy_path(str(run)), folder)
     assert json.loads((folder / POLICY_JSON).read_text())["window"] == 3
-    assert config_of(str(folder), "dqn").env.window == 3
-    assert config_of(str(run), "dqn").env.window == 3
+    assert config_for(str(folder), "dqn").env.window == 3
+    assert config_for(str(run), "dqn").env.window == 3
     policy, (observation, _) = load_policy(folder), street().reset(seed=1)
     batch = {key: torch.as_tensor(value)[None] for key, value in observation.items()}
     with torch.inference_mode():
@@ -395,6 +397,7 @@ def test_baselines_look_at_the_newest_image(name):
 def test_groups_are_for_networks_that_carry_a_state():
     found = {}
     for network in ("fig6", "convlstm", "conv3d"):
-        config = with_window(RunConfig(learn=LearnConfig(network=network, memory="groups")))
+        config = RunConfig(learn=LearnConfig(network=network, memory="groups"))
+        config = resolve(config, network_settings(config))
         found[network] = config.learn.memory, config.env.frames
     assert found == {"fig6": ("groups", 1), "convlstm": ("groups", 1), "conv3d": ("windows", 4)}

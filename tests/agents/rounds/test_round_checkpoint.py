@@ -26,7 +26,7 @@ from wcsim.agents.rounds.train_rounds import RoundProgress, _restoring, _save_ro
 from wcsim.agents.runs.checkpoint import checkpoints, go_on, number_of, restore_newest, tag
 from wcsim.agents.runs.run_folder import ResolvedRun, create_run, make_manifest
 from wcsim.cli.shared.run_config import learning
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, PolicyError
 from wcsim.server.specs import RunInfo
@@ -138,7 +138,7 @@ def others_drive(folder: Path, count: int) -> dict[str, str]:
 
 def whole(run: ResolvedRun) -> ResolvedRun:
     """As the command line resolves it."""
-    return replace(run, config=learning(run.config))
+    return replace(run, config=resolve(run.config, learning(run.config)))
 
 
 def a_learner() -> DangerLearner:

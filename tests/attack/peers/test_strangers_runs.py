@@ -89,7 +89,8 @@ def a_small_run(tmp_path: Path, corner: Path) -> Path:
     from wcsim.config import resolve
     from wcsim.towns.scenario.town import find_town, streets_hash
 
-    config = learning(resolve("dqn", ("learn.total_steps=30", "learn.network=patch")))
+    config = resolve("dqn", ("learn.total_steps=30", "learn.network=patch"))
+    config = resolve(config, learning(config))
     town = find_town(str(corner))
     words = ("wcsim", "train", "--town", str(corner))
     info = RunInfo(seed=1, town=town.name, town_sha256=streets_hash(town), command=words)

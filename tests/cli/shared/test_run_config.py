@@ -37,7 +37,7 @@ def test_what_is_laid_over_what(tmp_path):
 def test_a_run_is_learned_with_episodes_of_its_own_length():
     config = q_config(Options(set=("learn.episode_steps=123", "learn.aid=oracle")))
     assert (config.env.max_steps, config.env.truth) == (123, True)
-    assert config == learning(config)
+    assert config == resolve(config, learning(config))
 
 
 def test_a_resolved_run_says_all_of_its_town_and_its_network_and_nothing_is_left_to_do(corner, tmp_path):

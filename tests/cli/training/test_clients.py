@@ -144,7 +144,7 @@ def test_clients_differ_in_what_they_learn_with_and_share_the_world(tmp_path):
     assert [(c.name, c.seat) for c in (patch, fig6)] == [("patch", 0), ("fig6", 1)]
     assert [c.config.learn.network for c in (patch, fig6)] == ["patch", "fig6"]
     assert (patch.config.learn.gamma, fig6.config.learn.gamma, fig6.config.env.window) == (0.97, 0.5, 2)
-    assert patch.config == learning(patch.config)
+    assert patch.config == resolve(patch.config, learning(patch.config))
     own.write_text("[world]\ntick_s = 0.05\nsubsteps = 12\n")
     with pytest.raises(ConfigError, match="patch and fig6 ask for different worlds"):
         resolved(options)

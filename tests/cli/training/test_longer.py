@@ -57,7 +57,7 @@ def test_a_run_goes_on_without_options_that_it_would_not_hear_of(corner, tmp_pat
     info = RunInfo(seed=1, town=str(corner), town_sha256=streets_hash(town))
     refused = {"quick": ("--steps 40000", "learns in 2 rounds"), "dqn": ("--cluster local", "learns from every step")}
     for preset, (typed, told) in refused.items():
-        config = learning(resolve(preset))
+        config = resolve(resolve(preset), learning(resolve(preset)))
         create_run(tmp_path / preset, config, make_manifest(config, info))
         assert main(["resume", str(tmp_path / preset), *typed.split()]) == 2
         assert told in capsys.readouterr().err
@@ -73,10 +73,11 @@ def test_a_run_of_wcsim_join_is_told_to_join_again(run, corner):
 
 def test_folders_of_data_are_kept_by_their_whole_path(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    config = learning(resolve(open_run(run).config, 'collect.data=["mine"]'))
+    config = resolve(open_run(run).config, 'collect.data=["mine"]')
+    config = resolve(config, learning(config))
     assert config.collect.data == (str(tmp_path / "mine"),)
     monkeypatch.chdir(tmp_path.parent)
-    assert learning(config) == config
+    assert resolve(config, learning(config)) == config
 
 
 def test_a_configuration_that_somebody_changed_is_refused(run):

@@ -53,10 +53,10 @@ def test_only_the_best_has_a_second_phase_and_a_fading_rate_waits_for_it():
     assert [client.steps for client in run.clients] == [100, 100]
     first = _first_phase(run)
     assert [client.steps for client in first.clients] == [30, 30] and not first.last
-    assert {client.ordered.learn.learning_rate_fade for client in first.clients} == {0.0}
+    assert {resolve(client.config, client.shortened).learn.learning_rate_fade for client in first.clients} == {0.0}
     second = _second_phase(run, "fig6")
     assert [client.steps for client in second.clients] == [30, 100] and second.last and second.resume
-    assert second.clients[1].ordered == run.clients[1].config
+    assert second.clients[1].shortened is None
 
 
 UNNAMED = {name: "" for name in ("suite", "set", "list_sha256", "changed", "list_name", "preset", "network", "out")}

@@ -6,6 +6,7 @@ import pytest
 
 from wcsim.errors import TownError
 from wcsim.towns.scenario.options import Treatment, read_configuration, sumo_options
+from wcsim.towns.scenario.overrides import RULES
 
 WRITERS = """
     netstate-dump emission-output battery-output elechybrid-output chargingstations-output
@@ -135,3 +136,7 @@ def test_a_net_is_no_configuration(tmp_path: Path) -> None:
     net.write_text('<?xml version="1.0"?>\n<!-- made -->\n<net version="1"><edge id="a"/></net>', encoding="utf-8")
     with pytest.raises(TownError, match=r"a\.net\.xml: is a net; give the \.sumocfg"):
         read_configuration(net)
+
+
+def test_every_rule_is_about_an_option_that_sumo_has() -> None:
+    assert {rule.option for rule in RULES} <= set(sumo_options())

@@ -22,12 +22,12 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 from wcsim.agents.clients.group_run import has_work
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.agents.learning.build import with_window
+from wcsim.agents.learning.build import network_settings
 from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
-from wcsim.config import LearnConfig, RunConfig
+from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.core import files
 from wcsim.errors import (
     AccessError,
@@ -195,7 +195,8 @@ def learn(
         _ProcessGrownError: Another process is to go on.
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
-    config = with_window(RunConfig.model_validate_json(order.config_json))
+    config = RunConfig.model_validate_json(order.config_json)
+    config = resolve(config, network_settings(config))
     find_network(config.learn.network)
     terms = tuple(find_reward_term(name) for name in order.info.rewards)
     out, begun_s, beats = Path(order.out), time.monotonic(), count(1)

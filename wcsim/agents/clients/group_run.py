@@ -32,6 +32,7 @@ from wcsim.agents.runs.run_folder import (
     read_json,
 )
 from wcsim.config import RunConfig, parse, resolve
+from wcsim.config.load import Layer
 from wcsim.core import files, seeding
 from wcsim.core.reading import FileKind, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
@@ -257,16 +258,14 @@ class Client:
     until: int | None = None  # steps after which it stops for now; None for all of them
 
     @property
-    def ordered(self) -> RunConfig:
-        """The configuration that its process learns with; a rate that fades does so in the last part alone."""
-        if self.until is None:
-            return self.config
-        return resolve(self.config, (f"learn.total_steps={self.until}", "learn.learning_rate_fade=0.0"))
+    def shortened(self) -> Layer:
+        """What its process learns with instead; a rate that fades does so in the last part alone."""
+        return None if self.until is None else {"learn": {"total_steps": self.until, "learning_rate_fade": 0.0}}
 
     @property
     def steps(self) -> int:
         """Steps that it learns for, for now."""
-        return self.ordered.learn.total_steps
+        return self.config.learn.total_steps if self.until is None else self.until
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -326,7 +325,7 @@ def _epoch_ticks(run: GroupRun) -> int:
 
 def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Client) -> ClientPlan:
     """A client's order, and how its process is started."""
-    config, env = client.ordered, client.config.env
+    config, env = resolve(client.config, client.shortened), client.config.env
     out = (folder.path / client.name).absolute()
     order = ClientSpec(
         join=SeatRequest(

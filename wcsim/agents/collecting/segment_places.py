@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.collecting.data_folder import SegmentKey
-from wcsim.agents.policy_api import MOTION_SENSES, with_senses
+from wcsim.agents.policy_api import MOTION_SENSES, sense_settings
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.core.reading import escaped
@@ -143,7 +143,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
         TownError: A town is missing.
     """
     config = resolve(order.config, (*order.settings, "world.draw_threads=1"))
-    config = with_senses(config, MOTION_SENSES)
+    config = resolve(config, sense_settings(config, MOTION_SENSES))
     if _is_of_scenes(order.config, order.key):
         yield from _scenes(order, config, work)
     else:

@@ -116,27 +116,20 @@ def make_face(town: str, options: EnvOptions, own: Collection[str] = ("town",)) 
     """
     _check_known(options, own)
     _check_terms(options.get("reward_terms", ()))
-    render_mode, resolved = options.get("render_mode"), _resolved(options)
-    find_user(resolved.env.profile)
-    if render_mode not in (None, *RENDER_MODES):
-        raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
-    if render_mode == "rgb_array":
-        resolved = _with_colours(resolved)
-    run, hook = options.get("run"), options.get("hook", "")
-    return _Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
-
-
-def _resolved(options: EnvOptions) -> RunConfig:
-    """The configuration that was given, or that of the preset, with the overrides laid over it."""
-    config, overrides = options.get("config"), _given_overrides(options)
-    if config is None:
-        return resolve(options.get("preset", "quick"), overrides)
-    if "preset" in options:
+    render_mode, config = options.get("render_mode"), options.get("config")
+    if config is not None and "preset" in options:
         raise ConfigError(
             f"config and preset={options['preset']!r}: expected one of them; a preset's configuration is "
             "wcsim.config.resolve(preset)"
         )
-    return resolve(config, overrides) if overrides else config
+    resolved = resolve(options.get("preset", "quick") if config is None else config, _given_overrides(options))
+    find_user(resolved.env.profile)
+    if render_mode not in (None, *RENDER_MODES):
+        raise ConfigError(f"render_mode {render_mode!r} is unknown; expected 'rgb_array' or None")
+    if render_mode == "rgb_array":
+        resolved = resolve(resolved, f"cameras.{resolved.cameras.index(resolved.eye)}.rgb=true")
+    run, hook = options.get("run"), options.get("hook", "")
+    return _Face(town=town, config=resolved, render_mode=render_mode, run=run, hook=hook)
 
 
 def _given_overrides(options: EnvOptions) -> tuple[str, ...]:
@@ -188,13 +181,6 @@ def checked_seed(seed: object) -> int | None:
 def drawn_seed() -> int:
     """A seed from the system, where none is given."""
     return int(np.random.SeedSequence().generate_state(1)[0]) % SEED_LIMIT
-
-
-def _with_colours(config: RunConfig) -> RunConfig:
-    """The same configuration with colours drawn by the camera that networks see."""
-    eye = config.eye
-    drawn = [camera.model_copy(update={"rgb": True}) if camera is eye else camera for camera in config.cameras]
-    return config.model_copy(update={"cameras": tuple(drawn)})
 
 
 class Chairs:

@@ -8,9 +8,10 @@ from wcsim.agents.danger.saved import load_danger
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
 from wcsim.agents.policies.veto import Veto
-from wcsim.agents.policy_api import Policy, is_baseline
+from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
-from wcsim.agents.runs.run_folder import policy_path, split_level
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import policy_path
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.observation import imu_size
@@ -24,12 +25,13 @@ def open_policy(name: str, config: RunConfig, seed: int = 0, network: str | None
 
     Raises PolicyError when there is none; `network` as in `load_policy`.
     """
-    if is_baseline(name):
+    named = policy_name(name)
+    if named.kind == "baseline":
         return baselines.baseline(name, config, seed)
     torch.set_num_threads(1)
     path = policy_path(name)
     if is_danger(path):
-        return load_danger(path, name, config, split_level(name)[1], network)
+        return load_danger(path, name, config, named.level, network)
     policy = load_policy(path, network)
     camera, file = config.eye, policy.file
     if file.image_hw_px != (camera.height_px, camera.width_px) or file.net.actions != config.env.actions:

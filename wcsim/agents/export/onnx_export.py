@@ -22,16 +22,17 @@ from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.policy_graphs import DangerGraph, ValueGraph
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.networks.onnx_form import exported
-from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE, open_session
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE, open_session
 from wcsim.agents.policy_api import (
     CLASS_KEY,
     DEPTH_KEY,
     IMU_KEY,
     JOYSTICK_KEY,
+    MODEL_FILE,
     Observation,
     Policy,
+    sense_settings,
     senses_of,
-    with_senses,
 )
 from wcsim.agents.runs.policy_file import is_danger
 from wcsim.config import RunConfig, resolve
@@ -99,7 +100,7 @@ def export_policy(
     torch.set_num_threads(1)  # one picture is too little for two threads, as in `open_policy`
     graph, own = _opened(policy, config, level, network)
     graph.train(False)
-    config = with_senses(config, senses_of(own))
+    config = resolve(config, sense_settings(config, senses_of(own)))
     ride = [newest(seen, 1) for seen in ride]
     chosen = _chosen(own, ride, graph.window)
     shapes = graph.shapes()

@@ -12,7 +12,7 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
-from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config import LearnConfig, RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import ConfigError, PolicyError
 
@@ -35,22 +35,20 @@ class _FadingRate:
         return self.rate * min(1.0, max(left, 0.0) / self.fade) if self.fade > 0.0 else self.rate
 
 
-def with_window(config: RunConfig) -> RunConfig:
-    """The configuration with the memory of its network's kind, and the window it prefers where `env.window` is not set.
+def network_settings(config: RunConfig) -> tuple[str, ...]:
+    """The memory of a network's kind, and the window that it prefers where `env.window` is not set.
 
     Groups are for networks that carry a state; another network of windows learns from windows.
 
     Raises:
         PolicyError: There is no such network.
-        ConfigError: It prefers a window that `env.observation` cannot have.
     """
-    network = config.learn.network
+    network, words = config.learn.network, list[str]()
     if config.learn.memory == "groups" and registry.is_windowed(network) and not registry.carries_state(network):
-        config = resolve(config, ("learn.memory=windows",))
-    if config.env.window is not None:
-        return config
-    window = 1 if _is_stateful(config) else registry.preferred_window(network)
-    return resolve(config, (f"env.window={window}",))
+        words.append("learn.memory=windows")
+    if config.env.window is None:
+        words.append(f"env.window={1 if _is_stateful(config) else registry.preferred_window(network)}")
+    return tuple(words)
 
 
 def _is_stateful(config: RunConfig) -> bool:

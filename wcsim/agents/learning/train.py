@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from wcsim.agents.learning.build import build_model, with_window
+from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.callbacks import (
     EpisodeMetrics,
     EventWatch,
@@ -79,7 +79,7 @@ def train(
     checked_device(run.config.learn.device)
     if run.config.learn.tensorboard:
         check_tensorboard()
-    folder = folder_of(run, with_window)
+    folder = folder_of(run, network_settings)
     with files.locked(folder.path), torch_settings(run.config.learn), StopRequest(wait_no_more) as request:
         env = DummyVecEnv([make_env])
         try:

@@ -18,24 +18,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, NotFinite, Observation
+from wcsim.agents.policy_api import ANSWER_S, CLASS_KEY, DEPTH_KEY, MODEL_FILE, NotFinite, Observation
 from wcsim.config import parse
 from wcsim.config.run_file import OnnxPolicyFile
 from wcsim.core.reading import FileKind, escaped, is_file, read_toml
 from wcsim.errors import ConfigError, PolicyError, check_installed
 
-MODEL_FILE: Final = "policy.onnx"
 ABOUT_FILE: Final = "policy.toml"
 _ABOUT: Final = FileKind(what="the policy.toml of an ONNX folder", limit_bytes=1 << 20)
 _STATE, _NEXT, _WARNING = "state_", "next_", "warning"
 _LIMIT_BYTES: Final = 1 << 30  # of a model, and of its states
 _MEMORY_BYTES: Final = 1 << 32  # of all arrays of a process's models
 _STOP_S: Final = 5.0  # for a model to stop
-
-
-def is_onnx_folder(path: Path) -> bool:
-    """Whether a folder holds an ONNX model."""
-    return is_file(path / MODEL_FILE)
 
 
 def read_about(path: Path) -> OnnxPolicyFile:

@@ -23,19 +23,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.policy_api import ANSWER_S, Observation, without_veto
+from wcsim.agents.policy_api import ANSWER_S, SERVED, Observation
 from wcsim.core.reading import FileKind, escaped, parse_json
 from wcsim.errors import PolicyError
 
-SCHEME: Final = "tcp:"
 _ANSWER_BYTES: Final = 1 << 16
 _PATIENCE_S: Final = 10.0  # for a connection
 _ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=_ANSWER_BYTES, error=PolicyError)
-
-
-def is_served(name: str) -> bool:
-    """Whether a policy's name is the address of a process that serves it."""
-    return without_veto(name).startswith(SCHEME)
 
 
 class ServedPolicy:
@@ -128,7 +122,7 @@ def _little(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _parts(address: str) -> tuple[str, int]:
-    host, _, port = address.removeprefix(SCHEME).rpartition(":")
+    host, _, port = address.removeprefix(SERVED).rpartition(":")
     if not port.isdecimal() or not 0 < int(port) < 1 << 16:
         raise PolicyError(f"{escaped(address)!r} is not an address of a policy; expected tcp:PORT or tcp:HOST:PORT")
     return host or "127.0.0.1", int(port)

@@ -28,8 +28,8 @@ from wcsim.agents.collecting.drive_segment import MakeLearned, collect
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.saved import load_net, require_same_senses
-from wcsim.agents.runs.parcels import folder_parcel, plant_parcels, require_travels, town_parcel, with_plant_at
-from wcsim.config import RunConfig
+from wcsim.agents.runs.parcels import folder_parcel, plant_at, plant_parcels, require_travels, town_parcel
+from wcsim.config import RunConfig, resolve
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import PolicyError
@@ -153,7 +153,7 @@ def _needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
 def _drive_order(order: SegmentOrder, at: At) -> bytes:
     """Drive one piece of work in this process; its segment as a file holds it."""
     torch.set_num_threads(1)
-    config = with_plant_at(order.config, at)
+    config = resolve(order.config, plant_at(order.config, at))
     here = replace(order, towns=tuple(map(at, order.towns)), policy=order.policy and at(order.policy), config=config)
     make = _learned_of(Path(here.policy), config) if here.policy else None
     return packed_segment(collect(here, make))

@@ -17,7 +17,7 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
-from wcsim.log.records import Dismissed, Input, Respawned, Ticked
+from wcsim.log.records import Dismissed, Header, Input, Respawned, Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
@@ -33,14 +33,9 @@ class RecordedRide:
     delay_ticks: int  # from a command to the chair that obeys it
 
 
-def recorded_with(path: Path) -> tuple[RunConfig, str]:
-    """The settings of a recording, and the policy that drove it; "" of a journal, which names none.
-
-    Raises what `recorded_ride` raises.
-    """
-    path = _file_of(path)
-    header = read_header(path)
-    return config_of(header), "" if header.drive is None else header.drive.policy
+def header_of(path: Path) -> Header:
+    """What a recording says of itself: of a drive, a journal, or the run folder with one. Raises JournalError."""
+    return read_header(_file_of(path))
 
 
 def recorded_ride(path: Path, steps: int, seat: int = 0) -> RecordedRide:

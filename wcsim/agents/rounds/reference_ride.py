@@ -9,10 +9,10 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Info
 from wcsim.agents.envs.seat_driver import SeatDriver
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, senses_of, with_senses
+from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, sense_settings, senses_of
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import F32, SeatSpec
@@ -29,7 +29,7 @@ def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, see
     user who never errs would give a policy nothing to do, and a blind one would do as well. Where the episode ends it
     begins anew; where each one ends it is the longest, with fewer steps. Raises TownError.
     """
-    sensing = with_senses(config, senses_of(policy))
+    sensing = resolve(config, sense_settings(config, senses_of(policy)))
     spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)
     pushes, longest = _pushed_sticks(steps, seed), list[Observation]()
     with World(find_town(town), sensing, (spec,), seed) as world:

@@ -35,7 +35,7 @@ from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.rounds.collect_data import SegmentCrew
 from wcsim.agents.rounds.round_log import note_round
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, go_on, newest_number, number_of, save, tag
-from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, with_whole_data
+from wcsim.agents.runs.run_folder import METRICS, ResolvedRun, RunFolder, folder_of, how_to_resume, whole_data
 from wcsim.agents.runs.weights import digest_of
 from wcsim.config import RunConfig, parse
 from wcsim.config.run_file import DangerRule, LearnedFile, RoundFile
@@ -65,7 +65,7 @@ def data_of(run: RunFolder) -> dict[str, dict[str, str]]:
         except ConfigError as error:
             raise PolicyError(str(error)) from None
     found = {}
-    for folder in with_whole_data(run.config).collect.data:
+    for folder in whole_data(run.config)["collect"]["data"]:
         file = read_manifest(Path(folder))
         require_same_settings(Path(folder), file, run.config)
         found[folder] = file.segments
@@ -124,11 +124,6 @@ class Rounds:
     towns: tuple[str, ...]  # folders or names
     machines: Machines = HERE
 
-    @property
-    def config(self) -> RunConfig:
-        """Of the run."""
-        return self.folder.config
-
 
 def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object]) -> str:
     """Do all rounds that are left; the SHA-256 of the weights. `log` is told of checkpoints that could not be used.
@@ -141,7 +136,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
             numbers.
         DiskFullError: There is no room.
     """
-    config, folder = rounds.config, rounds.folder
+    config, folder = rounds.folder.config, rounds.folder
     seed, total = folder.manifest.seed, config.collect.rounds
     learner = DangerLearner(config, seed, config.danger.updates * total)
     found = go_on(folder, _restoring(learner), log)
@@ -214,7 +209,7 @@ def _keep_newest(folder: RunFolder) -> bool:
 
 def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
     """The segments of a round, driven by the network of the round before the last, where there is one."""
-    config, driver = rounds.config, number - 2
+    config, driver = rounds.folder.config, number - 2
     policy = str(rounds.folder.policy(tag("round", driver))) if driver >= 0 else ""
     first = SegmentKey(run=rounds.folder.manifest.seed, round=number, index=0)
     return orders_of(config, rounds.towns, first, config.collect.segments, policy)
@@ -313,7 +308,7 @@ def train_danger(
     """
     _require_driving(run.config)
     require_recordable(run.config)
-    folder = folder_of(run, with_whole_data)
+    folder = folder_of(run, whole_data)
     with files.locked(folder.path), torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
         rounds = Rounds(folder=folder, towns=towns, machines=machines)

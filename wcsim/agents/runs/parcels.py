@@ -6,8 +6,10 @@ from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 
-from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path, split_level
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, PLANT, policy_path
 from wcsim.config import RunConfig
+from wcsim.config.load import Layer
 from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError, TownError
@@ -59,18 +61,16 @@ def plant_parcels(config: RunConfig) -> tuple[Parcel, ...]:
     return (Parcel(address=plant, folder=path.parent, names=(path.name,), inner=path.name),)
 
 
-def with_plant_at(config: RunConfig, at: At) -> RunConfig:
-    """The configuration with that wheelchair where it lies now."""
-    if not config.chair.plant.endswith(".toml"):
-        return config
-    return config.model_copy(update={"chair": config.chair.model_copy(update={"plant": at(config.chair.plant)})})
+def plant_at(config: RunConfig, at: At) -> Layer:
+    """Where that wheelchair lies now."""
+    return {"chair": {"plant": at(config.chair.plant)}} if config.chair.plant.endswith(".toml") else None
 
 
 def policy_at(name: str, at: At) -> str:
     """A policy's name, veto and level included, where it lies now."""
-    plain, _ = split_level(name)
-    before, _, after = name.partition(plain)
-    return before + at(plain) + after
+    place = policy_name(name).place
+    before, _, after = name.partition(place)
+    return before + at(place) + after
 
 
 def require_travels(

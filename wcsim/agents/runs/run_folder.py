@@ -16,7 +16,6 @@ from __future__ import annotations
 import contextlib
 import json
 import platform
-import re
 import shlex
 import subprocess
 from collections.abc import Callable, Collection
@@ -25,7 +24,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, without_veto
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS
 from wcsim.agents.runs.own_code import mark_of, own_classes
 from wcsim.agents.runs.policy_file import (
     POLICY_JSON,
@@ -35,7 +34,9 @@ from wcsim.agents.runs.policy_file import (
     read_policy_file,
     shipped_folder,
 )
+from wcsim.agents.runs.policy_name import STAGES, policy_name
 from wcsim.config import RunConfig, parse, resolve
+from wcsim.config.load import Layer
 from wcsim.config.plant import plant_text
 from wcsim.config.run_file import ManifestFile
 from wcsim.core import files
@@ -49,8 +50,6 @@ MANIFEST, CONFIG, EVENTS = "manifest.json", "config.json", "events.jsonl"
 METRICS, STEPS = "metrics.csv", "steps.csv"
 PLANT = "plant.toml"
 _CHECKPOINTS, _POLICIES = "checkpoints", "policies"
-STAGES = ("phase1", "final")
-_LEVEL = re.compile(r"\d+(\.\d*)?|\.\d+")
 _KIND = FileKind(what="a file of `wcsim train`: restore it or train again", limit_bytes=4 << 20, error=PolicyError)
 PACKAGES = ("wcsim", "torch", "stable-baselines3", "gymnasium", "numpy", "libsumo", "pybullet")
 Status = Literal["running", "done", "interrupted"]
@@ -163,7 +162,7 @@ def create_run(path: Path, config: RunConfig, manifest: Manifest) -> RunFolder:
         files.write_bytes(path / PLANT, plant)
     files.write_bytes(path / CONFIG, config.model_dump_json(indent=2).encode())
     files.write_json(path / MANIFEST, asdict(manifest))
-    return RunFolder(path=path, config=_with_kept_plant(config, path), manifest=manifest)
+    return RunFolder(path=path, config=resolve(config, _kept_plant(path)), manifest=manifest)
 
 
 def open_run(path: Path) -> RunFolder:
@@ -174,7 +173,7 @@ def open_run(path: Path) -> RunFolder:
         raise PolicyError(f"{path} is a run of several clients; name one of them: {names}")
     manifest = manifest_of(data, path)
     try:
-        resolved = _with_kept_plant(parse(RunConfig, config, str(path / CONFIG)), path)
+        resolved = resolve(parse(RunConfig, config, str(path / CONFIG)), _kept_plant(path))
     except ConfigError as error:
         raise PolicyError(str(error)) from None
     return RunFolder(path=path, config=resolved, manifest=manifest)
@@ -194,18 +193,14 @@ def _checked_manifest(data: dict[str, Any], file: Path) -> ManifestFile:
         raise PolicyError(f"{error}: not a manifest of this version; train again") from None
 
 
-def _with_kept_plant(config: RunConfig, path: Path) -> RunConfig:
-    """The configuration with the plant that a run folder keeps: what the user's file says later is not that run's."""
-    if not is_file(path / PLANT):
-        return config
-    chair = config.chair.model_copy(update={"plant": str(path / PLANT)})
-    return config.model_copy(update={"chair": chair})
+def _kept_plant(path: Path) -> Layer:
+    """The plant that a run folder keeps: what the user's file says later is not that run's."""
+    return {"chair": {"plant": str(path / PLANT)}} if is_file(path / PLANT) else None
 
 
-def with_whole_data(config: RunConfig) -> RunConfig:
-    """The configuration with the whole paths of its data folders: a run may go on from another place."""
-    data = tuple(str(Path(folder).absolute()) for folder in config.collect.data)
-    return config.model_copy(update={"collect": config.collect.model_copy(update={"data": data})}) if data else config
+def whole_data(config: RunConfig) -> dict[str, dict[str, list[str]]]:
+    """The whole paths of a configuration's data folders: a run may go on from another place."""
+    return {"collect": {"data": [str(Path(folder).absolute()) for folder in config.collect.data]}}
 
 
 def policy_path(name: str) -> Path:
@@ -213,20 +208,17 @@ def policy_path(name: str) -> Path:
 
     A level of assistance behind it (`RUN@0.2`) is left out. Raises PolicyError when there is no such policy.
     """
-    name, _ = split_level(name)
-    if name == SHIPPED:
+    named = policy_name(name)
+    if named.kind == "shipped":
         return shipped_folder()
-    path = Path(name)
-    if is_file(path / POLICY_JSON):
-        return path
-    head, colon, stage = name.rpartition(":")
-    if not colon:
-        head, stage = name, "final"
+    if not named.stage and is_file(named.folder / POLICY_JSON):
+        return named.folder
+    head, stage = str(named.folder), named.stage or STAGES[-1]
     if stage not in STAGES:
         known = " or RUN:".join(STAGES)
         raise PolicyError(
-            f"policy {escaped(name)!r}: unknown stage {escaped(stage)!r}; expected RUN, RUN:{known}, or module:Class "
-            "of your own"
+            f"policy {escaped(named.place)!r}: unknown stage {escaped(stage)!r}; expected RUN, RUN:{known}, or "
+            "module:Class of your own"
         )
     if not is_folder(Path(head)):
         names = (*BASELINES, *UPPER_BOUNDS)
@@ -245,61 +237,25 @@ def policy_path(name: str) -> Path:
     return found
 
 
-def split_level(name: str) -> tuple[str, float | None]:
-    """A policy's name without a veto and the level of assistance that it may end with, and that level.
-
-    >>> split_level("runs/a@0.2"), split_level("veto:runs/a"), split_level("b@home")
-    (('runs/a', 0.2), ('runs/a', None), ('b@home', None))
-
-    Raises:
-        PolicyError: The level is none.
-    """
-    name = without_veto(name)
-    head, at, text = name.rpartition("@")
-    if not at or not _LEVEL.fullmatch(text):
-        return name, None
-    level = float(text)
-    if not 0.0 < level <= 1.0:
-        raise PolicyError(
-            f"policy {escaped(name)!r} has no such level of assistance; expected RUN@L with a danger threshold L "
-            "above 0 and at most 1"
-        )
-    return head, level
-
-
-def run_of(name: str) -> Manifest | None:
-    """Manifest of the run that a policy comes from; None for a policy folder that was copied out of its run.
+def run_of(name: str) -> RunFolder | None:
+    """The run that a policy comes from; None for a policy folder that was copied out of its run.
 
     Raises PolicyError when there is no such policy.
     """
-    run = _enclosing_run(policy_path(name))
-    return None if run is None else run.manifest
+    folder = policy_path(name).resolve().parent.parent
+    return open_run(folder) if is_file(folder / MANIFEST) else None
 
 
-def config_of(name: str, preset: str, overrides: tuple[str, ...] = ()) -> RunConfig:
-    """The configuration that fits a policy: its run's own, else the preset with the policy's camera and actions.
-
-    Raises PolicyError when there is no such policy, ConfigError for overrides that cannot be used.
-    """
-    path = policy_path(name)
-    run = _enclosing_run(path)
-    if run is not None:
-        return resolve(run.config, overrides)
-    config = resolve(preset)
+def policy_settings(path: Path) -> dict[str, Any]:
+    """What a policy folder says of itself, as tables of a configuration: its camera, actions. Raises PolicyError."""
     if is_danger(path):
         told = read_danger_file(path)
-        env = config.env.model_copy(update={"actions": told.net.actions, "classes": told.classes, "window": 1})
-        own = {"cameras": (told.camera,), "env": env, "chair": told.chair}
-        return resolve(config.model_copy(update=own), overrides)
+        env = {"actions": told.net.actions, "classes": told.classes, "window": 1}
+        chair = told.chair.model_dump(mode="json")
+        return {"cameras": [told.camera.model_dump(mode="json")], "env": env, "chair": chair}
     file = read_policy_file(path)
     seen = {"classes": file.net.classes, "window": file.window, "observation": file.observation}
-    env = config.env.model_copy(update={"actions": file.net.actions, **seen})
-    return resolve(config.model_copy(update={"cameras": (file.camera,), "env": env}), overrides)
-
-
-def _enclosing_run(policy: Path) -> RunFolder | None:
-    folder = policy.resolve().parent.parent
-    return open_run(folder) if is_file(folder / MANIFEST) else None
+    return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
 
 
 def git_revision() -> str:
@@ -340,15 +296,15 @@ def read_json(path: Path, name: str) -> dict[str, Any]:
     return data
 
 
-Complete = Callable[[RunConfig], RunConfig]
+Complete = Callable[[RunConfig], Layer]
 
 
-def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> RunFolder:
+def folder_of(run: ResolvedRun, complete: Complete = lambda _: None) -> RunFolder:
     """A new run folder, or the one to go on with when it was made with the same settings, seed, town and rewards.
 
     Args:
         run: The run.
-        complete: Fills in what a configuration leaves to the network, before two are compared.
+        complete: Settings that a configuration leaves to the network, laid over two before they are compared.
 
     Raises:
         PolicyError: The folder is not empty, no run, or one of another run.
@@ -360,7 +316,9 @@ def folder_of(run: ResolvedRun, complete: Complete = lambda config: config) -> R
     other = [key for key in kept if getattr(folder.manifest, key) != getattr(run.info, key)]
     if plant_text(run.config.chair.plant) != plant_text(folder.config.chair.plant):
         other.append("plant")
-    if complete(folder.config) != complete(_with_kept_plant(run.config, run.out)) or other:
+    wanted = resolve(run.config, _kept_plant(run.out))
+    was, now = (resolve(config, complete(config)) for config in (folder.config, wanted))
+    if was != now or other:
         raise PolicyError(f"{run.out} was made with another {', '.join(other) or 'configuration'}; resume with its own")
     return folder
 

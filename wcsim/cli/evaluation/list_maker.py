@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import MOST_JOBS, check_output, in_bounds, parse
+from wcsim.cli.shared.common import MOST_JOBS, Bounds, check_output, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.stage_bar import told_left
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
@@ -30,21 +30,21 @@ class SuiteMakeOptions:
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
     name: str = "own-suite-v1"
     """Name of the list, with its version."""
-    free: int = 8
+    free: Annotated[int, Bounds(1, 10_000)] = 8
     """Blocks of free routes for each town, six routes each."""
-    attempts: int = 40
+    attempts: Annotated[int, Bounds(1, 10_000)] = 40
     """Attempts at crossings for each town."""
-    hazards: int = 30
+    hazards: Annotated[int, Bounds(0, 10_000)] = 30
     """Largest number of starts, for each town, from which the user alone crashes."""
-    more_ways: int = 0
+    more_ways: Annotated[int, Bounds(0, 10_000)] = 0
     """Further blocks of free routes for each town, only searched for such starts."""
-    tight: int = 5
+    tight: Annotated[int, Bounds(0, 10_000)] = 5
     """Generated scenes of each family of tight places."""
-    tight_from: int = 0
+    tight_from: Annotated[int, Bounds(0, 1_000_000)] = 0
     """Their first seed."""
-    forks: int = 1_000_000
+    forks: Annotated[int, Bounds(0, 1_000_000)] = 1_000_000
     """Episodes of the list whose interventions are judged, evenly spread."""
-    jobs: int = 1
+    jobs: Annotated[int, Bounds(1, MOST_JOBS)] = 1
     """Parallel processes."""
     seed: int = 0
     """Seed of the list."""
@@ -53,14 +53,6 @@ class SuiteMakeOptions:
 def make_list(words: list[str]) -> int:
     """Make a list and write it."""
     options = parse(SuiteMakeOptions, words, "test")
-    in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
-    in_bounds("--free", options.free, 1, 10_000)
-    in_bounds("--attempts", options.attempts, 1, 10_000)
-    in_bounds("--more-ways", options.more_ways, 0, 10_000)
-    in_bounds("--forks", options.forks, 0, 1_000_000)
-    in_bounds("--hazards", options.hazards, 0, 10_000)
-    in_bounds("--tight", options.tight, 0, 10_000)
-    in_bounds("--tight-from", options.tight_from, 0, 1_000_000)
     check_output("--suite-file", options.suite_file)
     _require_name("--name", options.name, MOST_NAME)
     _require_name("--suite-file", options.suite_file.stem, MOST_SET)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError
@@ -50,7 +51,6 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     index, seat = _place_of_play(place, len(order.suite.file.blocks))
     if len(policies) != 1:
         raise ConfigError(f"--play takes one policy, got {len(policies)}: name the policy whose episode to drive")
-    from wcsim.agents.evaluation.suite.named_policy import settings_in_list
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
     from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
@@ -59,7 +59,7 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
 
     require_usable(order, policies)
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
-    config = settings_in_list(piece.policy, piece.preset, piece.settings)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     kept = read_episodes(order.out).get(policies[0], ()) if is_file(order.out / EPISODES) else ()
     film = order.out / "play" / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', policies[0])}-{index}.{seat}.webm"
     film.parent.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import MOST_JOBS, OutFolder, Repeated, check_folder, in_bounds, parse
+from wcsim.cli.shared.common import MOST_JOBS, Bounds, OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
@@ -31,19 +31,17 @@ class Options:
     """Folders of `wcsim test --suite` or `wcsim train`."""
     out: OutFolder = None
     """Folder for the page. (default: the one folder, or runs/report for several)"""
-    pictures: int = 8
+    pictures: Annotated[int, Bounds(0, _MOST_PICTURES)] = 8
     """Failures with pictures, the worst of each policy. Each is driven again, which takes up to a minute."""
     own: Repeated = ()
     """module:Class: a policy or network of your own in this test; its code may run for pictures."""
-    jobs: int = 1
+    jobs: Annotated[int, Bounds(1, MOST_JOBS)] = 1
     """Parallel processes that drive them."""
 
 
 def run(words: list[str]) -> int:
     """Write the page and say where it is."""
     options = parse(Options, words, "report")
-    in_bounds("--pictures", options.pictures, 0, _MOST_PICTURES)
-    in_bounds("--jobs", options.jobs, 1, MOST_JOBS)
     kinds = [_is_test(folder) for folder in options.folders]
     if not kinds or (len(kinds) > 1 and any(kinds)):
         raise ConfigError(

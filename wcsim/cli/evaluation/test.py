@@ -11,9 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wcsim.agents.evaluation.suite.named_policy import is_plain
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.agents.runs.run_folder import config_of, run_of
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import run_of
 from wcsim.cli.evaluation.judged_suite import DriveOptions, check_options, drive_list, judge, order_of, run_suites
 from wcsim.cli.evaluation.list_maker import make_list
 from wcsim.cli.shared.common import check_folder, in_bounds, parse, says, some_words
@@ -92,12 +93,11 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     elif options.resume:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
     _require_policies(options)
+    config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
     from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
     from wcsim.agents.evaluation.suite.make import town_list  # the simulators are loaded here: not for a refusal
-    from wcsim.agents.evaluation.suite.named_policy import settings_in_list
 
-    config = settings_in_list(UNAIDED, options.preset, options.set)
     for town in towns.values() if overrides else ():
         told = overrides_of(town, config, options.seed)
         print_overrides(stdout_console(), town.name, told, verbose=options.verbose)
@@ -174,7 +174,7 @@ def checked_town(name: str, options: Options) -> Town:
     digest = streets_hash(town)
     _refuse_school(town, digest)
     for policy in options.policies:
-        if not is_plain(policy) and digest in _schools(policy):
+        if policy_name(policy).is_network and digest in _schools(policy):
             raise TownError(
                 f"{policy} was trained in {town.name}; expected a town it has never seen. "
                 "Choose another --town, or add --allow-train-town"
@@ -201,11 +201,11 @@ def _refuse_school(town: Town, digest: str) -> None:
 
 def _schools(policy: str) -> set[str]:
     """Hashes of the streets that a run's policy was trained in; of one without its run nothing is known."""
-    manifest = run_of(policy)
-    if manifest is None:
+    run = run_of(policy)
+    if run is None:
         return set()
-    found = {manifest.town_sha256, *manifest.more_towns.values()}
-    for name in config_of(policy, "quick").collect.towns:
+    found = {run.manifest.town_sha256, *run.manifest.more_towns.values()}
+    for name in run.config.collect.towns:
         with contextlib.suppress(TownError):  # it is not here any more
             found.add(streets_hash(find_town(name)))
     return found

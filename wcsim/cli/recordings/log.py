@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -13,7 +12,7 @@ from typing import Annotated, Any, Final
 import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
-from wcsim.cli.shared.common import Bounds, OutFile, check_output, in_bounds, parse, result_file, subcommand, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, Parts, check_output, in_bounds, result_file, run_part, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
 from wcsim.log.diff import first_difference
@@ -90,11 +89,7 @@ class ConvertOptions:
 
 def run(words: list[str]) -> int:
     """Run one of them; 1 when something differs."""
-    name = subcommand(words, "log", _COMMANDS, lambda name: _COMMANDS[name][0])
-    if not name:
-        return 0
-    options, work = _COMMANDS[name]
-    return work(parse(options, words[1:], f"log {name}"))
+    return run_part(words, "log", _COMMANDS)
 
 
 def log_in(run: Path, first: str = "journal") -> Path:
@@ -205,7 +200,7 @@ def _note_versions(what: str, made_by: str) -> None:
         print(told, file=sys.stderr)
 
 
-_COMMANDS: Final[dict[str, tuple[type[Any], Callable[[Any], int]]]] = {
+_COMMANDS: Final[Parts] = {
     "play": (PlayOptions, _play),
     "verify": (VerifyOptions, _verify),
     "compare": (CompareOptions, _compare),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from wcsim.agents.evaluation.suite.named_policy import is_own_class
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
 from wcsim.cli.shared.common import Bounds, parse
 from wcsim.cli.shared.named_policies import require_policy
@@ -71,7 +71,7 @@ def episode_start(options: Options) -> PlayStart:
         policy = policy or worst.policy
         block = worst.block if block < 0 else block
         seat = worst.seat if seat is None else seat
-    if policy and not is_own_class(policy):  # a class that is not named is not imported
+    if policy and policy_name(policy).kind != "class":  # a class that is not named is not imported
         require_policy(policy, options.network)
     own = tuple(name for name in (options.policy, options.network) if name)
     source = FilmSource(kind="episode", path=folder.absolute(), policy=policy, block=block, own=own)

@@ -8,7 +8,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,6 +49,9 @@ Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
 
 Steps = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1)]
 """Steps of a training by Q-learning in all; None for those of its settings."""
+
+Parts = Mapping[str, tuple[type[Any], Callable[[Any], int]]]
+"""The parts of a command by their words: the options of each, and what runs with them."""
 
 _TOLD = 5
 _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a gigabyte
@@ -127,27 +130,28 @@ def _number(word: str) -> float:
         raise ValueError(f"got {escaped(word, 40)!r}, expected a number, such as 2.5") from None
 
 
-def subcommand(words: list[str], command: str, known: Collection[str], options: Callable[[str], type]) -> str:
-    """The second word of a command that has several, or "" after its help was printed.
+def run_part(words: list[str], command: str, parts: Parts) -> int:
+    """Run the part of a command that the first word names, or print what parts there are; returns the exit code.
 
     Args:
         words: What follows the command.
         command: Its name.
-        known: Second words.
-        options: The class of options of each, asked for the help alone.
+        parts: Its parts.
 
     Raises:
-        ConfigError: The word is missing or unknown.
+        ConfigError: The word is missing or unknown, or as `parse` and the part itself do.
     """
-    if words and words[0] in known:
-        return words[0]
-    if words and words[0] in ("-h", "--help"):
-        lines = [f"  {name:<10}{(options(name).__doc__ or '').strip()}" for name in known]
-        print("\n".join([f"usage: wcsim {command} {'|'.join(known)} [options]", "", *lines]))
-        return ""
-    got = f"unknown {command} command {words[0]!r}" if words else f"{command} needs a command"
-    near = meant(words[0], known) if words else ""
-    raise ConfigError(f"{got}; expected one of: {', '.join(known)} (wcsim {command} --help){near}")
+    name = words[0] if words else ""
+    if name in parts:
+        options, work = parts[name]
+        return work(parse(options, words[1:], f"{command} {name}"))
+    if name in ("-h", "--help"):
+        lines = [f"  {word:<10}{(options.__doc__ or '').strip()}" for word, (options, _) in parts.items()]
+        print("\n".join([f"usage: wcsim {command} {'|'.join(parts)} [options]", "", *lines]))
+        return 0
+    got = f"unknown {command} command {name!r}" if words else f"{command} needs a command"
+    near = meant(name, parts) if words else ""
+    raise ConfigError(f"{got}; expected one of: {', '.join(parts)} (wcsim {command} --help){near}")
 
 
 def words_of(text: str) -> tuple[str, ...]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from wcsim.agents.evaluation.suite.named_policy import is_own_class, is_plain
 from wcsim.agents.networks.names import check_network, is_own, require_named
-from wcsim.agents.policy_api import VETO, without_veto
+from wcsim.agents.policy_api import VETO
 from wcsim.agents.runs.policy_file import is_danger, read_danger_file, read_policy_file
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import escaped
@@ -22,9 +22,10 @@ def require_policy(name: str, network: str) -> None:
     Raises:
         PolicyError: There is no such policy or class, or its network was not named.
     """
-    if is_own_class(name):
-        find_class(without_veto(name), "policy")
-    elif not is_plain(name):
+    named = policy_name(name)
+    if named.kind == "class":
+        find_class(named.inner, "policy")
+    elif named.is_network:
         used = _network_of(name)
         if is_own(used):
             require_named(escaped(name), used, network)
@@ -40,15 +41,16 @@ def require_driver(name: str, network: str) -> None:
     if not network:
         return
     check_network(network)
-    if is_plain(name) or _network_of(name) != network:
+    if not policy_name(name).is_network or _network_of(name) != network:
         raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
 
 
 def require_without_veto(name: str, does: str) -> None:
     """Refuse a policy behind a veto, where only its network is used. Raises PolicyError."""
-    if name.startswith(VETO):
+    named = policy_name(name)
+    if named.veto:
         raise PolicyError(
-            f"{escaped(name)}: {does} uses the network alone; expected {escaped(without_veto(name))}, without {VETO}"
+            f"{escaped(name)}: {does} uses the network alone; expected {escaped(named.inner)}, without {VETO}"
         )
 
 

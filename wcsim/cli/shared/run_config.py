@@ -6,9 +6,10 @@ import shlex
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from wcsim.agents.networks.names import check_network, is_own
-from wcsim.agents.runs.run_folder import ResolvedRun
+from wcsim.agents.runs.run_folder import ResolvedRun, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, resolve
@@ -99,11 +100,12 @@ def resolve_run(config: RunConfig, info: RunInfo, town: Town, out: Path, resume:
     require_known(config.learn.network, info.rewards, info.hook)
     require_user(config.env.profile)
 
-    from wcsim.agents.learning.build import with_window  # torch is loaded here: not for --help, nor for a refusal
+    from wcsim.agents.learning.build import network_settings  # torch is loaded here: not for --help, nor for a refusal
     from wcsim.agents.networks.registry import find_network
 
     find_network(config.learn.network)
-    return ResolvedRun(config=with_window(config), out=out, info=in_town(info, town, config), resume=resume)
+    fit = resolve(config, network_settings(config))
+    return ResolvedRun(config=fit, out=out, info=in_town(info, town, config), resume=resume)
 
 
 def in_town(info: RunInfo, town: Town, config: RunConfig) -> RunInfo:
@@ -128,15 +130,13 @@ def how_it_learns(config: RunConfig) -> str:
     )
 
 
-def learning(config: RunConfig) -> RunConfig:
-    """The configuration as it is learned with: episodes of the learner's length, the truth when it is advised.
+def learning(config: RunConfig) -> dict[str, Any]:
+    """The settings that a configuration is learned with: episodes of the learner's length, the truth when advised.
 
     Rounds set by themselves what their worlds tell.
     """
-    learn = config.learn
-    env = {"max_steps": learn.episode_steps, "truth": learn.aid == "oracle", "truth_visible": False}
-    data = [str(Path(folder).absolute()) for folder in config.collect.data]  # a run may go on from another place
-    return resolve(config, {"env": env, "collect": {"data": data}})
+    env = {"max_steps": config.learn.episode_steps, "truth": config.learn.aid == "oracle", "truth_visible": False}
+    return {"env": env, **whole_data(config)}
 
 
 def learns_in_rounds(config: RunConfig) -> bool:

@@ -17,9 +17,8 @@ import tyro
 
 from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, check_folder, words_of, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
-from wcsim.cli.town.trial import checked
+from wcsim.cli.town.town_check import checked, print_report, report_json
 from wcsim.errors import ConfigError
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.osm.area import Box

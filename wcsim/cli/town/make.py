@@ -12,9 +12,8 @@ import tyro
 
 from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.town.report import print_report, report_json
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
-from wcsim.cli.town.trial import checked
+from wcsim.cli.town.town_check import checked, print_report, report_json
 from wcsim.towns.importing.folder_texts import check_words
 from wcsim.towns.making.asked_town import Wishes, check_wishes
 

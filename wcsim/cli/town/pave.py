@@ -13,8 +13,7 @@ import tyro
 
 from wcsim.cli.shared.common import Bounds, OutFile, check_folder, write_json
 from wcsim.cli.shared.consoles import stderr_console
-from wcsim.cli.town.report import print_report, report_json
-from wcsim.cli.town.trial import try_town
+from wcsim.cli.town.town_check import print_report, report_json, try_town
 from wcsim.core.reading import counted
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.scenario.town import Town, find_town, open_town

@@ -31,7 +31,7 @@ from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test
 from wcsim.cli.training.report import TickRate, print_crossings, print_report, report_of
 from wcsim.cli.training.train import ToldOptions
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, DiskFullError, InterruptedRunError, JournalError, WcsimError
 from wcsim.log.parts import part_files
@@ -128,7 +128,7 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             folder = open_clients_folder(run.out)
             _mend(folder)
             for client in run.clients:
-                _lengthen(folder.path / client.name, client.ordered)
+                _lengthen(folder.path / client.name, resolve(client.config, client.shortened))
             rewrite_client_configs(folder, configs)
             yield folder.with_status("running", folder.manifest.steps)
         return

@@ -10,15 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from wcsim.agents.evaluation.suite.named_policy import is_plain, open_named, sensing
+from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, read_danger_file
-from wcsim.agents.runs.run_folder import config_of, policy_path, split_level
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_driver, require_without_veto
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted, escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError, meant
 
@@ -75,21 +76,21 @@ def run(words: list[str]) -> int:
     from wcsim.agents.networks.onnx_form import check_onnx
 
     check_onnx()
-    config, ride, recorded = _ride(options)
+    ride = _ride(options)
     bar_ms = LIMIT_MS - RESERVE_MS
     facts = export_policy(
         path,
         options.onnx,
-        config,
-        ride,
+        ride.config,
+        ride.seen,
         math.inf if options.force else bar_ms,
-        split_level(options.policy)[1],
-        None if recorded is None else recorded.actions,
+        policy_name(options.policy).level,
+        ride.actions,
         options.network or None,
     )
     print(f"exported to {options.onnx}: {_compared(facts)}")
-    if recorded is not None and facts.same_as_recorded is not None:
-        print(_beside_recording(facts.same_as_recorded, recorded.by, options.policy))
+    if facts.same_as_recorded is not None:
+        print(_beside_recording(facts.same_as_recorded, ride.by, options.policy))
     print(_costs(facts, bar_ms))
     if options.json is not None:
         write_json(options.json, asdict(facts))
@@ -99,17 +100,16 @@ def run(words: list[str]) -> int:
 def _network(name: str) -> Path:
     """The folder of a network that may be exported. Raises PolicyError, also for what drives and has none."""
     require_without_veto(name, "an export")
-    if is_plain(name):
+    named = policy_name(name)
+    if not named.is_network:
         raise PolicyError(
             f"{escaped(name)} has no network that can be exported; expected a run that `wcsim train` made, "
             f"RUN:phase1, a policy folder, or {SHIPPED}"
         )
-    head = split_level(name)[0]
-    run = Path(head.rpartition(":")[0] or head)
-    if head != SHIPPED and not is_folder(run) and not is_folder(Path(head)):
+    if named.kind != "shipped" and not is_folder(named.folder):
         raise PolicyError(
-            f"{escaped(head)} is not a run: there is no such folder; expected one that `wcsim train` made, a policy "
-            f"folder, or {SHIPPED}{meant(head, (SHIPPED,))}"
+            f"{escaped(named.place)} is not a run: there is no such folder; expected one that `wcsim train` made, "
+            f"a policy folder, or {SHIPPED}{meant(named.place, (SHIPPED,))}"
         )
     path = policy_path(name)
     eye = read_danger_file(path).net.eye if is_danger(path) else "map"
@@ -156,34 +156,35 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recorded:
-    """What was chosen in a recording, and by whom; "" where it does not say."""
+class ReferenceRide:
+    """The reference ride."""
 
-    actions: tuple[int, ...]
-    by: str
+    config: RunConfig
+    seen: list[Observation]
+    actions: tuple[int, ...] | None = None  # that were chosen in a recording
+    by: str = ""  # who chose them, where the recording says it
 
 
-def _ride(options: Options) -> tuple[RunConfig, list[Observation], Recorded | None]:
-    """The settings, the reference steps, and what was chosen in a recording of them."""
+def _ride(options: Options) -> ReferenceRide:
     from wcsim.agents.export.export_folder import require_shown
-    from wcsim.agents.rounds.recorded_ride import recorded_ride, recorded_with
+    from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride
     from wcsim.agents.rounds.reference_ride import reference_ride
+    from wcsim.bridge.replay.replayed import config_of
 
-    policy = open_named(options.policy, _config(options, options.delay_ticks), 0, options.network or None)
-    if options.ride is None:
-        config = _config(options, options.delay_ticks, policy)
-        return config, reference_ride(options.town, config, options.steps, policy), None
-    then, by = recorded_with(options.ride)
-    own = _config(options, None, policy)
-    require_shown(then, own, options.ride, options.policy)  # before its world is made again
-    held = recorded_ride(options.ride, options.steps, options.seat)
-    delay = held.delay_ticks if options.delay_ticks is None else options.delay_ticks
-    return _config(options, delay, policy), list(held.seen), Recorded(actions=held.actions, by=by)
-
-
-def _config(options: Options, delay_ticks: int | None, policy: Policy | None = None) -> RunConfig:
-    """The settings that fit the policy, with its senses once it is open."""
     preset = "laptop" if is_danger(policy_path(options.policy)) else "paper"  # for a folder outside of its run
-    delay = () if delay_ticks is None else (f"world.action_delay_ticks={delay_ticks}",)
-    config = config_of(options.policy, preset, delay)
-    return config if policy is None else sensing(config, policy)
+    own, delay = config_for(options.policy, preset), _delay(options.delay_ticks)
+    policy = open_named(options.policy, resolve(own, delay), 0, options.network or None)
+    own = resolve(own, sensing(own, policy))
+    if options.ride is None:
+        config = resolve(own, delay)
+        return ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
+    header = header_of(options.ride)
+    require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
+    held = recorded_ride(options.ride, options.steps, options.seat)
+    config = resolve(own, delay or _delay(held.delay_ticks))
+    by = "" if header.drive is None else header.drive.policy
+    return ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
+
+
+def _delay(ticks: int | None) -> tuple[str, ...]:
+    return () if ticks is None else (f"world.action_delay_ticks={ticks}",)

@@ -18,7 +18,7 @@ from wcsim.cli.shared.common import Bounds, OutFolder, Repeated, Steps, check_fo
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_known, require_user
 from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
 from wcsim.cli.training.train_q import q_config
-from wcsim.config import RunConfig, parse_json
+from wcsim.config import RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, ServerGoneError
@@ -93,35 +93,31 @@ def run(words: list[str]) -> int:
     return 0
 
 
-def fitted(config: RunConfig, world: RunConfig) -> RunConfig:
-    """A client's configuration for a world of another one: what belongs to the world is the world's."""
-    env = config.env.model_copy(update={"actions": world.env.actions})
-    return config.model_copy(update={**{part: getattr(world, part) for part in WORLD_PARTS}, "env": env})
-
-
 def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
     # torch is loaded here, before there is a seat for which others would wait
     from wcsim.agents.envs.wheelchair_env import SeatedEnv
-    from wcsim.agents.learning.build import with_window
+    from wcsim.agents.learning.build import network_settings
     from wcsim.agents.learning.train import train
     from wcsim.agents.networks.device import checked_device
     from wcsim.server.links.socket import open_seat
     from wcsim.supervisor.rewards import find_reward_term
 
     checked_device(config.learn.device)
-    config = with_window(config)
+    config = resolve(config, network_settings(config))
     terms = tuple(find_reward_term(name) for name in options.reward)
     with open_seat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
         world = _world(options, seat)
         offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
         _require_known_plant(offered, options.endpoint)
-        fit = fitted(config, offered)
-        env = SeatedEnv(seat, fit, world.town, terms)
+        parts = {part: getattr(offered, part) for part in WORLD_PARTS}
+        env = config.env.model_copy(update={"actions": offered.env.actions})
+        fit = config.model_copy(update={**parts, "env": env})
+        street = SeatedEnv(seat, fit, world.town, terms)
         info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
         beats = count(1)
         with TrainBar(config.learn.total_steps) as bar:
             run = ResolvedRun(config=fit, out=out, info=info, resume=options.resume)
-            return train(run, lambda: env, bar.show, alive=lambda: env.beat(next(beats)))
+            return train(run, lambda: street, bar.show, alive=lambda: street.beat(next(beats)))
 
 
 def _require_known_plant(offered: RunConfig, endpoint: str) -> None:

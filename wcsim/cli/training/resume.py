@@ -94,7 +94,8 @@ def resumed(options: Options) -> tuple[ResolvedRun, Town]:
         with locked(path):  # by nobody else at work: a run in use keeps its steps
             extend(path, steps)
         run = open_run(path)
-    return resolve_run(learning(run.config), run.manifest.info, town, path, resume=True), town
+    config = resolve(run.config, learning(run.config))
+    return resolve_run(config, run.manifest.info, town, path, resume=True), town
 
 
 def _resume_group(options: Options) -> int:

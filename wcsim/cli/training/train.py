@@ -84,7 +84,8 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "train")
     machines_of(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
-    config = learning(resolve(options.preset, options.config, options.set, data))
+    config = resolve(options.preset, options.config, options.set, data)
+    config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
     require_trained_users(config)
     require_drawn_users(config, options.set, options.config)

@@ -91,7 +91,7 @@ def q_config(
         config = resolve(config, {"learn": {"total_steps": asked.steps, **parts}})
     require_head(config, in_rounds=False)
     require_trained_users(config)
-    return learning(config)
+    return resolve(config, learning(config))
 
 
 def shrunk_parts(learn: LearnConfig, steps: int, own: list[str]) -> dict[str, int]:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.named_policy import is_own_class, open_named, settings_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, open_named
 from wcsim.agents.policy_api import Levelled
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.config import CONFIG_FILE, parse
 from wcsim.config.study import StudyFile, StudyPlace
 from wcsim.core.reading import escaped, is_file, parse_toml, read_text
@@ -114,7 +115,7 @@ def _require_named(policy: str, named: str, where: str) -> None:
     if named and named != policy:
         told = f"{where} says policy = {escaped(policy)!r}"
         raise ConfigError(f"--policy {escaped(named)} with --study: {told}; leave --policy out")
-    if is_own_class(policy) and not named:
+    if policy_name(policy).kind == "class" and not named:
         raise ConfigError(
             f"{where}: its policy is the class {escaped(policy)}, and loading it runs its code; if you "
             f"trust it, name it: --policy {shlex.quote(escaped(policy))}"
@@ -126,7 +127,7 @@ def _require_levels(study: OpenStudy, where: str) -> None:
     file = study.file
     blocks = [*file.blocks, *([file.practice] if file.practice else [])]
     wanted = {block.level: block.name for block in blocks if block.level is not None}
-    policy = open_named(file.policy, settings_of(file.policy, PRESET, ()), 0, study.network or None)
+    policy = open_named(file.policy, config_for(file.policy, PRESET, ()), 0, study.network or None)
     try:
         for level, name in wanted.items():
             levels = policy.levels if isinstance(policy, Levelled) else None

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.named_policy import is_own_class, settings_in_list
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
 from wcsim.agents.evaluation.suite.records import (
     CRASHED,
@@ -30,6 +30,7 @@ from wcsim.agents.evaluation.suite.records import (
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.bridge.world import World
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
@@ -220,7 +221,7 @@ def illustrated(
     blocks: dict[tuple[str, int], list[FailedEpisode]] = {}
     found_all: dict[Key, Illustration] = {}
     for failure in failures:
-        if is_own_class(failure.policy) and failure.policy not in own:
+        if policy_name(failure.policy).kind == "class" and failure.policy not in own:
             found_all[failure.policy, *failure.key] = Illustration(missing=_NOT_NAMED)
             continue
         blocks.setdefault((failure.policy, failure.key[0]), []).append(failure)
@@ -268,7 +269,7 @@ def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
     """The pictures of a block, by seat; runs in a process of its own."""
     kept = {record.seat: record for record in order.kept}
     try:
-        config = settings_in_list(order.piece.policy, order.piece.preset, order.piece.settings)
+        config = config_for(order.piece.policy, order.piece.preset, order.piece.settings, in_list=True)
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:

@@ -6,14 +6,18 @@ import pytest
 
 from wcsim.agents.evaluation.suite import run as driving
 from wcsim.agents.evaluation.suite.list_file import open_suite
-from wcsim.agents.evaluation.suite.named_policy import identity_of, settings_in_list, settings_of, told_of_rules
+from wcsim.agents.evaluation.suite.named_policy import (
+    RULES,
+    config_for,
+    identity_of,
+    told_of_rules,
+)
 from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 from wcsim.agents.runs.policy_file import POLICY_JSON
 from wcsim.agents.runs.run_folder import RunInfo, create_run, make_manifest
 from wcsim.config import resolve
 from wcsim.errors import PolicyError
 
-RULES = ("world", "chair", "reward", "vary")
 OWN = (
     "reward.drop=false", "world.button=false", "world.street=careless", "world.tick_s=0.05", "chair.plant=mwd",
     "vary.action_delay_ticks=[0,3]", "cameras.0.width_px=32", "imu.tilt=accelerometer", "env.actions=disc69",
@@ -36,7 +40,10 @@ def listed(name: str = "dev") -> tuple[str, ...]:
 
 def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(tmp_path):
     run = run_of(tmp_path / "run", "paper")
-    policy, user = settings_in_list(run, "quick", listed()), settings_in_list("follow", "quick", listed())
+    policy, user = (
+        config_for(run, "quick", listed(), in_list=True),
+        config_for("follow", "quick", listed(), in_list=True),
+    )
     assert user.reward.drop and user.world.button
     for name in RULES:
         assert getattr(policy, name) == getattr(user, name)
@@ -48,8 +55,8 @@ def test_a_run_of_the_paper_drives_under_the_rules_of_whom_it_is_compared_with(t
 
 def test_a_run_keeps_what_it_senses_and_does_and_brings_no_street_chair_or_range(tmp_path):
     run = run_of(tmp_path / "run", "quick", *OWN)
-    own, policy = settings_of(run, "quick", ()), settings_in_list(run, "quick", listed())
-    user = settings_in_list("follow", "quick", listed())
+    own, policy = config_for(run, "quick", ()), config_for(run, "quick", listed(), in_list=True)
+    user = config_for("follow", "quick", listed(), in_list=True)
     assert [getattr(policy, name) for name in RULES] == [getattr(user, name) for name in RULES]
     assert policy.world.action_delay_ticks == 2 and policy.vary.nothing
     for name in ("imu", "sensors", "learn", "danger", "collect"):
@@ -63,10 +70,10 @@ def test_a_run_keeps_what_it_senses_and_does_and_brings_no_street_chair_or_range
 
 def test_what_is_typed_for_the_test_holds_for_all(tmp_path):
     run, typed = run_of(tmp_path / "run", "paper", "world.tick_s=0.05"), ("reward.drop=false", "world.tick_s=0.2")
-    found = [settings_in_list(name, "quick", (*listed(), *typed)) for name in ("follow", run)]
+    found = [config_for(name, "quick", (*listed(), *typed), in_list=True) for name in ("follow", run)]
     assert found[0].world == found[1].world and found[0].reward == found[1].reward
     assert not found[1].reward.drop and found[1].world.tick_s == 0.2
-    paper = [settings_in_list(name, "paper", listed()) for name in ("follow", run)]
+    paper = [config_for(name, "paper", listed(), in_list=True) for name in ("follow", run)]
     assert not paper[0].reward.drop and paper[0].reward == paper[1].reward and paper[0].world == paper[1].world
 
 
@@ -74,7 +81,7 @@ def test_what_is_typed_for_the_test_holds_for_all(tmp_path):
 @pytest.mark.parametrize("more", [(), CLEAN])
 def test_presets_that_change_no_rule_are_tested_as_their_runs_learned(tmp_path, name, more):
     policy, settings = "shipped" if name == "shipped" else run_of(tmp_path / "run", name), (*listed(), *more)
-    assert settings_in_list(policy, "quick", settings) == settings_of(policy, "quick", settings)
+    assert config_for(policy, "quick", settings, in_list=True) == config_for(policy, "quick", settings)
     assert not list(told_of_rules([policy], "quick", settings))
 
 
@@ -82,8 +89,8 @@ def test_a_model_in_onnx_drives_under_the_rules_too(tmp_path):
     (tmp_path / "policy.onnx").write_bytes(b"")
     told = '"reward.drop=false", "chair.plant=mwd", "cameras.0.width_px=32"'
     (tmp_path / "policy.toml").write_text(f'preset = "quick"\nsettings = [{told}]\n')
-    found = settings_in_list(str(tmp_path), "quick", listed())
-    user = settings_in_list("follow", "quick", listed())
+    found = config_for(str(tmp_path), "quick", listed(), in_list=True)
+    user = config_for("follow", "quick", listed(), in_list=True)
     assert [getattr(found, name) for name in RULES] == [getattr(user, name) for name in RULES]
     assert found.cameras[0].width_px == 32
     (line,) = told_of_rules([str(tmp_path)], "quick", listed())
@@ -102,4 +109,4 @@ def test_a_block_is_driven_under_them(tmp_path, monkeypatch):
     order = driving.SuiteOrder(suite=open_suite("dev"), out=tmp_path)
     records = driving.drive_piece(driving.piece_of(order, 0, run, {}, judged=False))
     assert {record.status for record in records} == {"refused"}
-    assert configs == [settings_in_list(run, "quick", listed())] and configs[0].reward.drop
+    assert configs == [config_for(run, "quick", listed(), in_list=True)] and configs[0].reward.drop

@@ -54,7 +54,7 @@ class BlockOrder:
     index: int  # of the block in its list
     block: BlockFile
     town: Town
-    config: RunConfig  # see `settings_in_list`
+    config: RunConfig  # see `config_for`
     judged: bool  # forks say whether an intervention was needed
     recordings: Path | None = None  # folder of recorded joysticks that users are named by
     late_s: float = LATE_S

@@ -9,45 +9,46 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
 from wcsim.agents.export.guard import GuardedPolicy, guard_of
-from wcsim.agents.policies.onnx_policy import OnnxPolicy, is_onnx_folder, read_about
-from wcsim.agents.policies.served_policy import ServedPolicy, is_served
-from wcsim.agents.policy_api import VETO, Policy, is_baseline, senses_of, with_senses, without_veto
-from wcsim.agents.runs.policy_file import SHIPPED
-from wcsim.agents.runs.run_folder import STAGES, config_of, policy_path, split_level
+from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
+from wcsim.agents.policies.served_policy import ServedPolicy
+from wcsim.agents.policy_api import Policy, sense_settings, senses_of
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, sources_of
-from wcsim.core.reading import is_file, is_folder
+from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.supervisor.actions import action_set
 
-_RULES: Final = ("world", "chair", "reward", "vary")  # sections
+RULES: Final = ("world", "chair", "reward", "vary")
+"""Sections that are the preset's in a list, as with others its policies would not be judged alike."""
 _PACE: Final = ("draw_threads", "epoch_ticks", "epoch_growth_mb")  # of `world`: they change no result
 
 
 def identity_of(name: str, preset: str) -> list[Any]:
     """What tells a policy from another one of the same name, as plain data: its weights, its file, what it says."""
-    if name.startswith(VETO):
-        return ["veto", *identity_of(without_veto(name), preset)]
-    if is_baseline(name):
+    named = policy_name(name)
+    if named.veto:
+        return ["veto", *identity_of(named.inner, preset)]
+    if named.kind == "baseline":
         return ["baseline", name, preset]
-    if is_served(name):
+    if named.kind == "served":
         with closing(ServedPolicy(name, action_set(resolve(preset).env.actions).points)) as served:
             return ["served", served.version, preset]
-    if is_onnx(name):
+    if named.kind == "onnx":
         return ["onnx", preset, _files(Path(name))]
-    if is_own_class(name):
+    if named.kind == "class":
         read = {**sources_of(name, "policy"), **_read_by(name)}
         return ["class", name, preset, {part: file_digest(path) for part, path in read.items()}]
-    level = split_level(name)[1]
-    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if level is None else [level])]
+    return ["folder", preset, _files(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
 
 
 def _read_by(name: str) -> dict[str, Path]:
@@ -76,38 +77,20 @@ def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
     return [[path.relative_to(folder).as_posix(), file_digest(path)] for path in files]
 
 
-def is_onnx(name: str) -> bool:
-    """Whether a policy's name is a folder with an ONNX model."""
-    name = without_veto(name)
-    return name != SHIPPED and is_onnx_folder(Path(name))
-
-
-def is_own_class(policy: str) -> bool:
-    """Whether a policy is named as module:Class: opening it runs somebody's code."""
-    policy = without_veto(policy)
-    a_class = ":" in policy and not is_baseline(policy) and not is_served(policy)
-    head, _, last = policy.rpartition(":")
-    return a_class and last not in STAGES and not is_folder(Path(head))
-
-
-def is_plain(name: str) -> bool:
-    """Whether a policy is nobody's run: a baseline, a class, an ONNX folder, a process on a socket."""
-    return is_baseline(name) or is_served(name) or is_own_class(name) or is_onnx(name)
-
-
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
     """The policy of that name for one chair. Raises PolicyError when there is none, or it does not fit."""
     actions = action_set(config.env.actions)
-    if name.startswith(VETO):
+    named = policy_name(name)
+    if named.veto:
         from wcsim.agents.policies.veto import Veto  # and with it kernels, which the checks of names must not load
 
-        return Veto(name, open_named(without_veto(name), config, seed, network), config)
-    if is_served(name):
+        return Veto(name, open_named(named.inner, config, seed, network), config)
+    if named.kind == "served":
         return ServedPolicy(name, actions.points)
-    if is_onnx(name):
+    if named.kind == "onnx":
         alone, rule = OnnxPolicy(Path(name), name, len(actions)), guard_of(Path(name))
         return alone if rule is None else GuardedPolicy(alone, actions, rule)
-    if is_own_class(name):
+    if named.kind == "class":
         return _own_policy(name, config)
     from wcsim.agents.evaluation.open_policy import open_policy  # torch is loaded here
 
@@ -134,24 +117,41 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
     return policy
 
 
-def sensing(config: RunConfig, policy: Policy) -> RunConfig:
-    """The configuration with the senses that a policy wants, and as many images in an observation as it needs.
+def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
 
     Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
     """
     from wcsim.agents.evaluation.open_policy import window_of  # torch is loaded here
 
-    config = resolve(config, (f"env.window={max(window_of(policy), config.env.frames)}",))
-    return with_senses(config, senses_of(policy))
+    window = f"env.window={max(window_of(policy), config.env.frames)}"
+    return (window, *sense_settings(config, senses_of(policy)))
 
 
-def settings_of(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
-    """A policy's own settings, or the preset, with others laid over them; in a list see `settings_in_list`."""
-    if is_onnx(policy):
-        about = read_about(Path(without_veto(policy)))
-        return resolve(resolve(about.preset, about.settings), settings)
-    plain = is_baseline(policy) or is_own_class(policy) or is_served(policy)
-    config = resolve(resolve(preset) if plain else config_of(policy, preset, ()), settings)
+def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:
+    """What a policy drives with: its own configuration, or the preset's where it has none, with settings over it.
+
+    Args:
+        policy: Its name.
+        preset: Of whoever drives it.
+        settings: section.key=value.
+        in_list: Whether the preset's rules hold, see `RULES`.
+
+    Raises:
+        PolicyError: There is no such policy.
+        ConfigError: The settings cannot be used.
+    """
+    named, base = policy_name(policy), resolve(preset)
+    own = base
+    if named.kind == "onnx":
+        about = read_about(named.folder)
+        own = resolve(about.preset, about.settings)
+    elif named.is_network:
+        run = run_of(policy)
+        own = resolve(base, policy_settings(policy_path(policy))) if run is None else run.config
+    if in_list:
+        own = own.model_copy(update={name: getattr(base, name) for name in RULES})
+    config = resolve(own, settings)
     action_set(config.env.actions)
     return config
 
@@ -161,23 +161,12 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def settings_in_list(policy: str, preset: str, settings: tuple[str, ...]) -> RunConfig:
-    """A policy's own senses and actions under the preset's rules, with the list's settings laid over both.
-
-    Raises:
-        PolicyError: There is no such policy.
-        ConfigError: The settings cannot be used.
-    """
-    own, rules = settings_of(policy, preset, ()), resolve(preset)
-    return resolve(own.model_copy(update={name: getattr(rules, name) for name in _RULES}), settings)
-
-
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:
-    """A line for each policy that was trained under other rules than the list's. Raises as `settings_in_list` does."""
+    """A line for each policy that was trained under other rules than the list's. Raises as `config_for` does."""
     for policy in policies:
-        if is_plain(policy) and not is_onnx(policy):
+        if policy_name(policy).kind in ("baseline", "served", "class"):
             continue
-        learned, tested = settings_of(policy, preset, settings), settings_in_list(policy, preset, settings)
+        learned, tested = (config_for(policy, preset, settings, in_list=rules) for rules in (False, True))
         other = list(_others(learned, tested))
         if other:
             was = ", ".join(f"{name}={_text(value)}" for name, value, _ in other)
@@ -186,7 +175,7 @@ def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...
 
 
 def _others(learned: RunConfig, tested: RunConfig) -> Iterator[tuple[str, Any, Any]]:
-    for name in _RULES:
+    for name in RULES:
         one, two = getattr(learned, name), getattr(tested, name)
         for key in type(one).model_fields:
             was, now = getattr(one, key), getattr(two, key)

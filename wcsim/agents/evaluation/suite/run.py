@@ -14,22 +14,19 @@ from typing import Final
 from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, in_scene, open_tight, refused
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, profiles_of, require_towns, towns_of
 from wcsim.agents.evaluation.suite.named_policy import (
+    config_for,
     file_digest,
     identity_of,
-    is_onnx,
-    is_own_class,
     open_named,
     own_files,
     sensing,
-    settings_in_list,
 )
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
-from wcsim.agents.policies.served_policy import is_served
-from wcsim.agents.policy_api import Policy, is_baseline, without_veto
+from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
-from wcsim.agents.runs.run_folder import split_level
-from wcsim.config import RunConfig
+from wcsim.agents.runs.policy_name import policy_name
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import write_json
@@ -123,9 +120,9 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
         ConfigError: The settings cannot be used.
     """
     for name in policies:
-        config = settings_in_list(name, order.preset, (*order.suite.file.settings, *order.settings))
+        config = config_for(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
         with ExitStack() as opened:
-            sensing(config, _open_in(opened, name, config, 0, order.network))
+            resolve(config, sensing(config, _open_in(opened, name, config, 0, order.network)))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
@@ -191,10 +188,10 @@ def _workers(order: SuiteOrder, pieces: Iterable[Piece]) -> Workers:
     if machines.cluster:
         policies = {piece.policy for piece in pieces}
         for policy in sorted(policies):
-            if is_served(policy):
+            if policy_name(policy).kind == "served":
                 told = "is a process of this machine; test other policies, or use --jobs without --cluster"
                 raise ConfigError(f"--cluster: {policy} {told}")
-        own = [policy for policy in policies if is_own_class(policy)]
+        own = [policy for policy in policies if policy_name(policy).kind == "class"]
         require_travels(RunConfig(), _all_settings(order), (*own, order.network, order.hook), _users(order))
     return machines.open(order.out)
 
@@ -207,17 +204,16 @@ def _work_key(piece: Piece) -> str:
 def _needs_of(piece: Piece) -> tuple[Parcel, ...]:
     """What travels with a piece: its town, unless it is a generated scene, and its policy, unless it is a baseline."""
     towns = (town_parcel(piece.town),) if piece.block.part != TIGHT else ()
-    if is_baseline(piece.policy):
+    named = policy_name(piece.policy)
+    if named.kind == "baseline":
         return towns
-    if is_onnx(piece.policy):
-        name = without_veto(piece.policy)
-        return (*towns, folder_parcel(Path(name), name))
-    return (*towns, policy_parcel(split_level(piece.policy)[0]))
+    policy = folder_parcel(named.folder, named.place) if named.kind == "onnx" else policy_parcel(named.place)
+    return (*towns, policy)
 
 
 def _drive_alone(piece: Piece, at: At) -> bytes:
     """Drive one block in this process, wherever that is; its records as JSON."""
-    where = {name: policy_at(name, at) for name in (piece.policy,) if not is_baseline(name)}
+    where = {name: policy_at(name, at) for name in (piece.policy,) if policy_name(name).kind != "baseline"}
     policy = where.get(piece.policy, piece.policy)
     records = [record.to_json() for record in drive_piece(replace(piece, town=at(piece.town), policy=policy))]
     for record in records:
@@ -229,11 +225,11 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     """Drive one block in this process; a policy that cannot be used there is refused, not an error."""
     from wcsim.towns.scenario.town import find_town
 
-    config = settings_in_list(piece.policy, piece.preset, piece.settings)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
         try:
-            config = sensing(config, _open_in(opened, piece.policy, config, 0, piece.network))
+            config = resolve(config, sensing(config, _open_in(opened, piece.policy, config, 0, piece.network)))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece.index, piece.block, str(error))

@@ -11,11 +11,12 @@ from typing import Final
 import msgspec
 
 from wcsim.agents.envs.episode_view import EpisodeStep
-from wcsim.agents.evaluation.suite.named_policy import is_own_class, settings_in_list
+from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
+from wcsim.agents.runs.policy_name import policy_name
 from wcsim.bridge.world import World
 from wcsim.config.suite import BlockFile
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FilmStep, Flag, Said
@@ -47,7 +48,7 @@ def episode_film(choice: EpisodeChoice, say: Callable[[Said], object]) -> None:
     policy, index = _found(result, choice)
     order = order_of(result, choice.folder, choice.own)
     piece = piece_of(order, index, policy, town_addresses(order), judged=False)
-    config = settings_in_list(piece.policy, piece.preset, piece.settings)
+    config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
     watch = _BlockWatch(piece, say, result.suite, config.cameras[0].model_dump_json(), config.env.actions)
     records = drive_piece(piece, watch)
     watch.flush()
@@ -77,7 +78,7 @@ def _found(result: TestResult, choice: EpisodeChoice) -> tuple[str, int]:
     policy = choice.policy or first
     if policy not in result.episodes:
         raise ConfigError(f"--policy {policy!r}: not in this result; expected one of: {', '.join(result.episodes)}")
-    if is_own_class(policy) and policy not in choice.own:
+    if policy_name(policy).kind == "class" and policy not in choice.own:
         raise ConfigError(
             f"{policy} is your own code, which runs only when you name it: --policy {shlex.quote(policy)}"
         )

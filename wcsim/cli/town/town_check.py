@@ -1,14 +1,20 @@
-"""The check of a town with its last questions: does SUMO open and run the whole scenario, and who collides in it."""
+"""`wcsim town check`, which every new town goes through too: whether it works, and whether SUMO runs all of it."""
 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
+import tyro
+from rich.table import Table
+
+from wcsim.cli.shared.common import OutFile, write_json
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import SumoError, TownError
@@ -16,16 +22,36 @@ from wcsim.towns.checks.cures import traffic_alone
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.stage import stage_scenario
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
 
 COLLIDING_S = 300.0
 _LIMITS = Limits(wall_s=60.0, cpu_s=60, memory_bytes=16 << 30)
 _TOLD = 3
+
+
+@dataclass
+class CheckOptions:
+    """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    """A town's name, its folder, or a .sumocfg file."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def run(options: CheckOptions) -> int:
+    """Check, and print the result; 0 when the town has no faults, else 1."""
+    started_s = time.monotonic()
+    report = checked(find_town(options.town))
+    code = print_report(report)
+    if options.json is not None:
+        write_json(options.json, report_json(report, time.monotonic() - started_s))
+    return code
 
 
 def checked(town: Town, share: float | None = None, told: Callable[[str], None] = lambda stage: None) -> TownReport:
@@ -80,3 +106,38 @@ def try_town(town: Town) -> None:
 
     with ExitStack() as held:
         open_scenario(town, settings_of(resolve("quick"), 1), RunPlace(), held)
+
+
+def print_report(report: TownReport) -> int:
+    """Print a report; returns 1 when the town has faults, else 0."""
+    table = Table(f"town {report.town}", "")
+    table.add_row("crossings", str(report.crossings))
+    table.add_row("walking areas", str(report.walkingareas))
+    table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
+    table.add_row("classes in the demand", ", ".join(report.classes))
+    table.add_row("trips without a route", str(report.unroutable))
+    table.add_row("ground errors (missing, or wrong height)", str(report.mesh_faults))
+    table.add_row("traffic drives on the", "left" if report.lefthand else "right")
+    console = stdout_console()
+    console.print(table)
+    for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return 1 if report.faults else 0
+
+
+def report_json(report: TownReport, seconds: float) -> dict[str, Any]:
+    """A report as a result file holds it."""
+    return {
+        "town": report.town,
+        "seconds": round(seconds, 3),
+        "crossings": report.crossings,
+        "walkingareas": report.walkingareas,
+        "walkable_largest_share": report.walkable_largest_share,
+        "walk_km": report.walk_km,
+        "classes": list(report.classes),
+        "unroutable": report.unroutable,
+        "mesh_faults": report.mesh_faults,
+        "lefthand": report.lefthand,
+        "notes": list(report.notes),
+        "faults": list(report.faults),
+    }

@@ -13,7 +13,7 @@ from tests.support.menagerie import HITTING, build_street
 from tests.support.typed import printed
 from tests.towns.made import hostile
 from wcsim.cli.shared.common import parse
-from wcsim.cli.town import trial
+from wcsim.cli.town import town_check
 from wcsim.cli.town.run import RunOptions
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.scenario.town import find_town, open_town
@@ -57,17 +57,17 @@ def test_collisions_of_the_traffic_are_told_with_a_command(corner, folder: Path,
         Path(words[words.index("--collision-output") + 1]).write_text(f"<collisions>{rows}</collisions>")
         return ToolRun(name=name, returncode=0, output="")
 
-    monkeypatch.setattr(trial, "run_tool", sumo)
-    (note,) = trial._collisions_note(town)
+    monkeypatch.setattr(town_check, "run_tool", sumo)
+    (note,) = town_check._collisions_note(town)
     assert "reports 2 collisions in the first 300 s of this traffic: b with a on :j_0_0, p with q on e_0;" in note
     parse(RunOptions, shlex.split(printed(note, "about half as often"))[3:], "town run")
     hits.clear()
-    assert trial._collisions_note(town) == ()
+    assert town_check._collisions_note(town) == ()
 
 
 def test_collisions_are_those_that_plain_sumo_reports(folder: Path, monkeypatch) -> None:
-    monkeypatch.setattr(trial, "COLLIDING_S", 30.0)
-    (note,) = trial._collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
+    monkeypatch.setattr(town_check, "COLLIDING_S", 30.0)
+    (note,) = town_check._collisions_note(open_town(build_street(folder, HITTING, lanes=1)))
     assert "reports 1 collision in the first 30 s" in note and "behind with ahead on " in note
 
 

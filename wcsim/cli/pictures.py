@@ -1,0 +1,192 @@
+"""`wcsim look`, `snapshot` and `video`: pictures and films of a chair in a town, without any training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from wcsim.cli.shared.common import Bounds, Repeated, check_output, missing_folder, parse, result_file, tell_made
+from wcsim.cli.shared.named_policies import require_driver
+from wcsim.cli.shared.run_config import require_unset, require_user
+from wcsim.cli.shared.stage_bar import StageBar
+from wcsim.errors import ConfigError
+from wcsim.towns.scenario.town import find_town
+
+if TYPE_CHECKING:  # loads the simulators, which --help must not
+    from wcsim.view.filming import Shot
+
+MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
+OF_VIDEO = {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
+_LOOK_PX = 640  # width of the camera's picture
+
+
+@dataclass
+class LookOptions:
+    """Take pictures of a chair and from its camera, and film it; its user drives alone."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    """A town's name, its folder, or a .sumocfg file."""
+    seed: int = 4
+    """Seed of the traffic and of the chair's start."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("look")
+    """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
+    seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
+    """Length of the film. The pictures show its busiest moment in which the chair faces its route."""
+    set: Repeated = ()
+    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
+
+
+def look(words: list[str]) -> int:
+    """One drive: it is filmed, and its busiest moment is the picture."""
+    options = parse(LookOptions, words, "look")
+    require_unset(options.set, OF_VIDEO)
+    town = find_town(options.town)
+    street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
+    check_output("--out", video)
+    missing = missing_folder(video)
+
+    from wcsim.drive.pictures import StillPictures  # these load the simulators, which --help must not
+    from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
+    from wcsim.view.pictures import write_png
+
+    with (
+        StageBar("filming") as bar,
+        FilmedDrive(town, options.seed, _LOOK_PX, FilmDriver(settings=options.set), video) as film,
+    ):
+        stills = StillPictures(film.world)
+        busiest = BusiestMoment(film, stills.on_way)
+        seen, frames = stills.draw(), round(options.seconds / film.tick_s)
+        with result_file(street) as part:
+            write_png(part, seen)  # something to look at while it is filmed
+        for done in range(1, frames + 1):
+            film.add()
+            if busiest.look(done * film.tick_s, stills.on_way):
+                seen = stills.draw()
+            bar.show(done / frames, f"second {done * film.tick_s:.0f} of {options.seconds:g}")
+    tell_made(missing)
+    place = f"{options.town}, seed {options.seed}"
+    with result_file(street) as part:
+        write_png(part, seen)
+    print(f"{street}: {place}, the chair from behind")
+    keep_shot(picture, busiest.shot, place)
+    print(f"{video}: the chair's camera and a map, {options.seconds:g} s; a browser plays it")
+    return 0
+
+
+@dataclass
+class SnapshotOptions:
+    """Take a picture from a chair's camera in a town: colours, classes and depth."""
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    """A town's name, its folder, or a .sumocfg file."""
+    seed: int = 0
+    """Seed of the traffic and of the chair's start."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")
+    """The picture (PNG)."""
+    width: int = 640
+    """Width of each of the three images, in pixels."""
+    seconds: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 20.0
+    """Time to drive; the picture shows the moment with most road users in view."""
+    set: Repeated = ()
+    """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
+
+
+def snapshot(words: list[str]) -> int:
+    """Take the picture at the moment when most actors are in view."""
+    options = parse(SnapshotOptions, words, "snapshot")
+    require_unset(options.set, OF_VIDEO)
+    check_output("--out", options.out, ".png")
+    town = find_town(options.town)
+
+    # Loads the simulators, which --help must not.
+    from wcsim.view.filming import BusiestMoment, FilmDriver, FilmedDrive
+
+    with FilmedDrive(town, options.seed, options.width, FilmDriver(settings=options.set)) as film:
+        busiest = BusiestMoment(film)
+        for done in range(1, max(1, round(options.seconds / film.tick_s)) + 1):
+            film.drive()
+            busiest.look(done * film.tick_s)
+    keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
+    return 0
+
+
+def keep_shot(out: Path, shot: Shot, place: str) -> None:
+    """Write a moment as a picture, and say what it shows."""
+    from wcsim.view.pictures import triptych, write_png
+
+    picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
+    with result_file(out) as part:
+        write_png(part, picture)
+    print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view")
+
+
+@dataclass
+class VideoOptions:
+    """Film a chair, driven by its user alone or by a policy: its camera next to a map.
+
+    With --policy the picture shows the user's stick, the driven one, and warnings.
+    """
+
+    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    """A town's name, its folder, or a .sumocfg file."""
+    seed: int = 0
+    """Seed of the traffic and of the chair's start."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
+    """The video (WebM)."""
+    seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
+    """Length of the film."""
+    start: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 0.0
+    """Seconds to drive before the film begins; the clock in the picture counts them."""
+    width: int = 480
+    """Width of the camera image in pixels."""
+    policy: str = ""
+    """What drives: a run, shipped, a baseline, or your own module:Class; "" is the user alone."""
+    network: str = ""
+    """Your own network as module:Class, for a run that was trained with it."""
+    profile: str = ""
+    """The simulated user. (default: inattentive with --policy, competent without)"""
+    set: Repeated = ()
+    """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""
+
+
+def video(words: list[str]) -> int:
+    """Film it."""
+    options = _with_user(parse(VideoOptions, words, "video"))
+    require_unset(options.set, {"env.profile": "expected --profile NAME"})
+    check_output("--out", options.out, ".webm")
+    if options.policy:
+        require_driver(options.policy, options.network)
+    elif options.network:
+        raise ConfigError("--network is for a run that was trained with it; expected --policy RUN, too")
+    require_user(options.profile)
+    town = find_town(options.town)
+    missing = missing_folder(options.out)
+    from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
+
+    driver = FilmDriver(policy=options.policy, network=options.network, profile=options.profile, settings=options.set)
+    with (
+        StageBar("filming") as bar,
+        FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
+    ):
+        before, frames = round(options.start / film.tick_s), round(options.seconds / film.tick_s)
+        for done in range(1, before + frames + 1):
+            if done <= before:
+                film.drive()
+            else:
+                film.add()
+            second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
+            bar.show(done / (before + frames), second)
+    tell_made(missing)
+    user = f"the user {options.profile}"
+    who = f"{options.policy} assists {user}" if options.policy else user
+    after = f" after {options.start:g} s" if before else ""
+    print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who}")
+    return 0
+
+
+def _with_user(options: VideoOptions) -> VideoOptions:
+    """The options with who drives where nobody is named."""
+    return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))
