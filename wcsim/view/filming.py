@@ -198,7 +198,8 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named(driver.policy, own, seed, driver.network or None)
     truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
-    return sensing(own, policy), SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
+    config = resolve(own, sensing(own, policy))
+    return config, SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
 
 
 class BusiestMoment:

@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import wcsim
 from wcsim.agents.export.guard import MEANING
-from wcsim.agents.policies.onnx_policy import ABOUT_FILE, MODEL_FILE
+from wcsim.agents.policies.onnx_policy import ABOUT_FILE
+from wcsim.agents.policy_api import MODEL_FILE
 from wcsim.agents.runs.policy_file import SIGHT_KEYS
 from wcsim.config import RunConfig
 from wcsim.core.reading import escaped, is_file, is_folder

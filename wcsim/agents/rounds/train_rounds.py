@@ -243,9 +243,9 @@ class _RoundTeller:
 
 
 def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
-    danger, sha256 = rounds.config.danger, rounds.folder.manifest_sha256()
+    danger, sha256 = rounds.folder.config.danger, rounds.folder.manifest_sha256()
     rule = DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
-    save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.config, sha256)
+    save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.folder.config, sha256)
 
 
 def towns_of(
