@@ -48,7 +48,7 @@ def sections() -> list[tuple[str, type[BaseModel]]]:
     """Every table of a run's configuration: its name in a file, its model."""
     found: list[tuple[str, type[BaseModel]]] = []
     for name, field in RunConfig.model_fields.items():
-        found += _below(f"[[{name}]]" if _is_list(field) else f"[{name}]", field)
+        found += _below(f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]", field)
     return found
 
 
@@ -87,12 +87,11 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
 
 def _section(name: str, model: type[BaseModel]) -> str:
     cells = [
-        [_shown(cell) for cell in (f"`{key}`", _kind(field.annotation), _bounds(field), _default(field), said)]
+        (f"`{key}`", _kind(field.annotation), _bounds(field), _default(field), said.replace("|", "\\|"))
         for key, field, said in keys(model)
     ]
     rows = table(("key", "type", "bounds", "default", "meaning"), cells) if cells else []
-    title = (inspect.getdoc(model) or "").partition("\n")[0]
-    return "\n".join([f"## `{name}`", title, "", *rows, ""])
+    return "\n".join([f"## `{name}`", (inspect.getdoc(model) or "").partition("\n")[0], "", *rows, ""])
 
 
 def _below(name: str, field: FieldInfo) -> Iterator[tuple[str, type[BaseModel]]]:
@@ -109,10 +108,6 @@ def _model_of(field: FieldInfo) -> type[BaseModel] | None:
     """The model of a table; None for a plain value."""
     parts = [field.annotation, *_inside(field.annotation)]
     return next((part for part in parts if isinstance(part, type) and issubclass(part, BaseModel)), None)
-
-
-def _is_list(field: FieldInfo) -> bool:
-    return get_origin(field.annotation) is tuple
 
 
 def _inside(kind: Any) -> Iterator[Any]:
@@ -136,14 +131,14 @@ def _kind(kind: Any) -> str:
         return f"[{', '.join(_kind(part) for part in parts)}]"
     if origin is dict:
         return f"table of {_kind(parts[1])}"
-    words = {float: "number", int: "integer", str: "text", bool: "true or false"}
-    return words.get(kind, getattr(kind, "__name__", ""))
+    return {float: "number", int: "integer", str: "text", bool: "true or false"}.get(
+        kind, getattr(kind, "__name__", "")
+    )
 
 
 def _bounds(field: FieldInfo) -> str:
     """Its bounds; of a list or a table those of its items too."""
-    told = list(dict.fromkeys([*_limits(field.metadata), *_inner_limits(field.annotation)]))
-    return ", ".join(told)
+    return ", ".join(dict.fromkeys([*_limits(field.metadata), *_inner_limits(field.annotation)]))
 
 
 def _inner_limits(kind: Any) -> Iterator[str]:
@@ -166,7 +161,3 @@ def _default(field: FieldInfo) -> str:
         return "none"
     value = field.get_default(call_default_factory=True)
     return "" if value is None else f"`{json.dumps(value)}`"
-
-
-def _shown(text: str) -> str:
-    return text.replace("|", "\\|")

@@ -120,8 +120,10 @@ def _policies(text: str) -> tuple[str, ...]:
 def _config(options: CrashesOptions) -> RunConfig:
     if options.noise not in ("typical", "none"):
         raise ConfigError(f"--noise {options.noise!r}: expected typical or none")
-    words = (f"world.action_delay_ticks={options.delay}", f"cameras.0.noise={options.noise}")
-    return resolve(options.preset, (*words, *options.set))
+    return resolve(
+        options.preset,
+        (f"world.action_delay_ticks={options.delay}", f"cameras.0.noise={options.noise}", *options.set),
+    )
 
 
 def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, bar: Progress) -> CrashDrive:
@@ -136,12 +138,9 @@ def _driven(options: CrashesOptions, config: RunConfig, town: str, policy: str, 
     drivers = [baseline(policy, config, derive(options.seed, "driver", seat)) for seat in range(options.chairs)]
     config = resolve(config, sense_settings(config, senses_of(drivers[0])))
 
-    def seen(done: int) -> None:
-        bar.update(task, completed=done)
-
     visible = policy == VISIBLE_BOUND
     order = CrashOrder(policy=policy, profile=options.profile, ticks=ticks, seed=options.seed, visible=visible)
-    return drive_crashes(order, found, config, drivers, seen)
+    return drive_crashes(order, found, config, drivers, lambda done: bar.update(task, completed=done))
 
 
 def _rate(drive: CrashDrive, events: int) -> tuple[float, float, float] | None:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from tools.pages import table
 from wcsim.agents.evaluation.intervals import bootstrapped, garwood
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
@@ -36,11 +37,6 @@ class Wanted:
     got: str
     reached: bool
 
-    @property
-    def line(self) -> str:
-        """Its row of a table."""
-        return f"| {self.what} | {self.bar} | {self.got} | {'yes' if self.reached else 'no'} |"
-
 
 def compared_text(result: TestResult, runs: Sequence[str]) -> str:
     """Tables in Markdown: scores network by network less the rival's, the user never met, and what is wanted."""
@@ -51,8 +47,8 @@ def compared_text(result: TestResult, runs: Sequence[str]) -> str:
     ]
     lines += ["", f"| policy | own crashes, score: user {', '.join(HELD_OUT)} | all other users |", "|---|---|---|"]
     lines += [by_user_text(result, name) for name in (USER, RIVAL, *runs)]
-    lines += ["", "| measure | target | networks | reached |", "|---|---|---|---|"]
-    return "\n".join([*lines, *(item.line for item in wanted(result, runs)), ""])
+    goals = [(goal.what, goal.bar, goal.got, "yes" if goal.reached else "no") for goal in wanted(result, runs)]
+    return "\n".join([*lines, "", *table(("measure", "target", "networks", "reached"), goals), ""])
 
 
 def difference_text(result: TestResult, run: str, part: str) -> str:

@@ -6,17 +6,13 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
+from tools.pages import table
 from tools.results.compared import BLINDED, RIVAL, USER, compared_text
 from tools.results.parts import AT_0_MS, SEEDS, judged
 from wcsim.agents.evaluation.suite.result_files import read_result
-
-COLUMNS: Final = (
-    "part", "policy", "episodes, km", "own crashes", "own crashes per km (95 %)", "crashes caused by others",
-    "close to user", "freezes", "arrivals", "entries at red", "m/s", "needed, unneeded interventions",
-    "missed crashes", "warned 1 s ahead", "false warnings per km", "score (95 %)",
-)  # fmt: skip
+from wcsim.view.report.columns import COLUMNS, Column
 
 
 def page(out: Path) -> str:
@@ -35,43 +31,22 @@ def page(out: Path) -> str:
 
 
 def suite_table(result: Mapping[str, Any], out: Path) -> str:
-    """The rows of a test, and those of all parts together."""
-    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
-    for row in [*result["rows"], *result["pooled"]]:
-        low, high = row["score_ci"] or (float("nan"), float("nan"))
-        cells = (
-            row.get("part") or "all",
-            row["policy"].removeprefix(f"{out}/"),
-            f"{row['episodes']}, {row['km']:.2f}",
-            f"{row['crashes_own']}",
-            rate(row),
-            f"{row['crashes_other']}",
-            share(row["kpi1_free_within"]),
-            f"{row['freezes']}",
-            f"{row['arrivals']}",
-            f"{row['red_entries']}",
-            f"{row['speed_mps'] or 0.0:.2f}",
-            f"{row['needed']}, {row['needless']}",
-            f"{row['missed']}",
-            share(row["warned_share"]),
-            "-" if row["false_warnings_per_km"] is None else f"{row['false_warnings_per_km']:.0f}",
-            f"{row['score'] or 0.0:.3f} ({low:.2f} to {high:.2f})",
-        )
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*lines, ""])
+    """The rows of a test, and those of all parts together, with the columns of the console."""
+    columns = [column for column in COLUMNS if column.short]
+    rows = [
+        (row.get("part") or "all", row["policy"].removeprefix(f"{out}/"), *(_cell(row, column) for column in columns))
+        for row in [*result["rows"], *result["pooled"]]
+    ]
+    return "\n".join([*table(("part", "policy", *(column.heading for column in columns)), rows), ""])
 
 
-def rate(row: Mapping[str, Any]) -> str:
-    """Own crashes per kilometre with their interval, - for a very short distance."""
-    if row["crashes_per_km"] is None:
+def _cell(row: Mapping[str, Any], column: Column) -> str:
+    """A figure, with its interval where it has one; - where nothing was measured."""
+    if row[column.key] is None:
         return "-"
-    low, high = row["crashes_per_km_ci"]
-    return f"{row['crashes_per_km']:.2f} ({low:.2f} to {high:.2f})"
-
-
-def share(value: float | None) -> str:
-    """A share in per cent, - for none."""
-    return "-" if value is None else f"{100.0 * value:.1f} %"
+    told = column.form.format(row[column.key])
+    both = row[column.interval] if column.interval else None
+    return told if both is None else f"{told} ({column.form.format(both[0])} to {column.form.format(both[1])})"
 
 
 def pooled_text(folder: Path, runs: Sequence[str]) -> str:
@@ -88,17 +63,11 @@ def delay_text(out: Path, runs: Sequence[str]) -> str:
     both = [judged(out, "dev", tuple(runs), settings=settings).makes for settings in ((), (AT_0_MS,))]
     if not all(path.is_file() for path in both):
         return ""
-    late, prompt = (_scores(path) for path in both)
-    lines = ["| network | score with delay | without delay | ratio |", "|---|---|---|---|"]
-    for name in runs:
-        with_it, without = (scores[str(out / name)] for scores in (late, prompt))
-        lines.append(f"| {name} | {with_it:.3f} | {without:.3f} | {100.0 * with_it / without:.0f} % |")
-    return "\n".join([*lines, ""])
-
-
-def _scores(path: Path) -> dict[str, float]:
-    pooled = json.loads(path.read_text(encoding="utf-8"))["pooled"]
-    return {row["policy"]: row["score"] or 0.0 for row in pooled}
+    results = [json.loads(path.read_text(encoding="utf-8")) for path in both]
+    late, prompt = ({row["policy"]: row["score"] or 0.0 for row in result["pooled"]} for result in results)
+    pairs = {name: (late[str(out / name)], prompt[str(out / name)]) for name in runs}
+    rows = [(name, f"{one:.3f}", f"{two:.3f}", f"{100.0 * one / two:.0f} %") for name, (one, two) in pairs.items()]
+    return "\n".join([*table(("network", "score with delay", "without delay", "ratio"), rows), ""])
 
 
 if __name__ == "__main__":

@@ -27,10 +27,8 @@ IDEAS: Final[dict[str, tuple[str, ...]]] = {
         "wcsim/server/ledger.py",
     ),
     "meters": (
-        "wcsim/supervisor/kpi.py",
-        "wcsim/drive/driven.py",
-        "wcsim/drive/playing/tick_film.py",
-        "wcsim/agents/learning/callbacks.py",
+        "wcsim/supervisor/kpi.py:KpiMeter",
+        "wcsim/supervisor/kpi.py:KpiTotals",
     ),
     "learners": (
         "wcsim/agents/learning/seqdqn.py",
