@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import get_origin
 
 from tools import settings_page
 from wcsim.config.base import _UNITS
@@ -16,7 +17,7 @@ def fields(model=PlantFile, before=""):
     for name, field in model.model_fields.items():
         inner = settings_page._model_of(field)
         if inner is not None:
-            many = settings_page._is_list(field) or before + name in ("casters", "antitips", "frame.boxes")
+            many = get_origin(field.annotation) is tuple or before + name in ("casters", "antitips", "frame.boxes")
             yield from fields(inner, f"{before}{name}{'.*' if many else ''}.")
             continue
         unit = _UNITS.get(name.rpartition("_")[2], "")
