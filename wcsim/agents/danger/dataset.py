@@ -121,26 +121,16 @@ class Dataset:
         self._may_mirror = not spec.pictures or sees_in_a_mirror(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._mirror = action_set(config.env.actions).mirror
-        self._parts: dict[int, LabelledSteps] = {}  # by number
-        self._added, self._oldest = 0, 0
+        self._parts: list[LabelledSteps] = []
         self._rows = np.zeros((0, 2), np.int64)  # part and row
         self._tight = np.zeros((0, 2), np.int64)
 
     def add(self, steps: LabelledSteps) -> None:
         """Learn from these, too."""
-        rows = np.stack([np.full(len(steps), self._added), np.arange(len(steps))], 1)
-        self._parts[self._added] = steps
-        self._added += 1
+        rows = np.stack([np.full(len(steps), len(self._parts)), np.arange(len(steps))], 1)
+        self._parts.append(steps)
         self._rows = np.concatenate([self._rows, rows])
         self._tight = np.concatenate([self._tight, rows[steps.unsafe.any(axis=1)]])
-
-    def keep_newest(self, count: int) -> None:
-        """Forget the oldest parts, as long as so many steps are left without them."""
-        while self._oldest in self._parts and len(self._rows) - len(self._parts[self._oldest]) >= count:
-            del self._parts[self._oldest]
-            self._oldest += 1
-            self._rows = self._rows[self._rows[:, 0] >= self._oldest]
-            self._tight = self._tight[self._tight[:, 0] >= self._oldest]
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""

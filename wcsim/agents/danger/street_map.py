@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from wcsim.agents.policies.dynamic_window.arcs import advance
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
@@ -24,9 +23,7 @@ from wcsim.core.jit import exact_kernel
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import action_set
-from wcsim.types import F32, F64, U8, Bool, ClassId
-
-I64 = npt.NDArray[np.int64]
+from wcsim.types import F32, F64, I32, I64, U8, Bool, ClassId
 
 SIDE: Final = 64  # cells of the picture each way
 CELL_M: Final = 0.1
@@ -45,7 +42,6 @@ REACH_M: Final = 7.5
 # columns of a cell
 _KEY_X, _KEY_Y, _TICK, _MOVER, _CLASS = range(5)
 _PAVED, _ROAD, _EARTH, _OTHER = range(1, 5)
-I32 = npt.NDArray[np.int32]
 HOLD_S: Final = 0.5
 STEP_S: Final = 0.1
 # places of the chair that are looked at in each slice of time, and slices

@@ -22,7 +22,6 @@ from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
-from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
@@ -112,7 +111,6 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
     require_unset(options.set, SAID_ELSEWHERE)
-    resolve(options.preset, options.set)  # a wrong setting is refused before the simulators are loaded
     in_bounds("--episodes", options.episodes, 1, math.inf)
     in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)
     profiles = some_words("--profile", options.profile)

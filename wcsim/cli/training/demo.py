@@ -7,10 +7,11 @@ import time
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from wcsim.agents.evaluation.suite.named_policy import RULES
 from wcsim.cli.evaluation import test
 from wcsim.cli.evaluation.result_tables import show_result
 from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
@@ -35,7 +36,6 @@ if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
 
 _FILM_WIDTH_PX, _FILM_S = 480, 10.0
-_RULES: Final = ("world.", "chair.", "reward.", "vary.")
 _USUAL = "This takes about 4 minutes on two free cores, half of them for training. The first run takes one minute more."
 
 
@@ -85,7 +85,8 @@ def run(words: list[str]) -> int:
         episodes=options.episodes,
         max_steps=options.max_steps,
         seed=options.seed,
-        set=tuple(text for text in options.set if text.startswith(_RULES)),  # a network is tested as it was trained
+        # A network is tested under the rules that it was trained with.
+        set=tuple(text for text in options.set if text.partition(".")[0] in RULES),
     )
     school, tested = _towns(options.train_town, trial)
     out = options.out if options.out is not None else _free_folder(Path("runs"), "demo")

@@ -11,7 +11,7 @@ class Column:
     """A column of a result's table."""
 
     heading: str
-    key: str  # of `Row`
+    key: str  # of `ResultRow`
     says: str
     form: str = "{:d}"
     interval: str = ""  # key of the interval that stands beside the figure
