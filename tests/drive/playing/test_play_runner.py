@@ -99,7 +99,7 @@ def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
     desk.say("pause", on=False)
     assert desk.state(lambda state: state["at"] < 100)["paused"] is False, "and begins again"
     desk.say("openepisode", policy="stop", block=0, seat=0)
-    assert "of no suite" in desk.said("notice")["told"]
+    assert "not of a suite" in desk.said("notice")["told"]
 
 
 def test_a_film_begins_without_the_marks_of_the_one_before(desk: Desk) -> None:

@@ -263,7 +263,9 @@ def test_garbage_is_refused_in_a_line_and_ends_the_connection(running: Served) -
 @pytest.mark.proof
 def test_ctrl_c_ends_it_with_a_line(running: Served) -> None:
     """The last test: the drive of this file is over then."""
-    _, process = running
+    address, process = running
+    with FakePage(address) as page:
+        page.state()  # the street is open, so there is a drive to tell of
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=120)
     assert process.returncode == 0
