@@ -12,6 +12,7 @@ import numpy as np
 from wcsim.physics.renderer.base import Pinhole
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances
+from wcsim.physics.renderer.models.catalog import actor_templates
 from wcsim.types import F32, F64, U8, Bool, ClassId
 
 
@@ -53,9 +54,9 @@ class RayOracle:
 
 def triangles(store: GeometryStore, instances: Instances) -> tuple[F64, U8]:
     """Everything as one soup: corners (T, 3, 3) in W and class (T,)."""
-    corners = [store.vertices_W_m[store.global_faces()].astype(np.float64)]
-    classes = [store.face_class]
-    table = store.templates
+    corners = [store.arrays.vertices[store.global_faces()].astype(np.float64)]
+    classes = [store.arrays.face_class]
+    table = actor_templates()
     for t, T_WM in zip(instances.template, instances.placed.T_WM, strict=True):
         vertices = table.vertices[table.vertices_of[t] : table.vertices_of[t + 1]].astype(np.float64)
         rows = slice(table.faces_of[t], table.faces_of[t + 1])

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.users.hand_habits import HandLog
 from benchmarks.users.table import RouteLog, meet
 from wcsim.bridge.ego.ego import Ego
 from wcsim.bridge.world import World
@@ -19,7 +20,6 @@ from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec, Snapshot
-from wcsim.users.fitting.hand_series import HandLog
 from wcsim.users.profiles import UserProfile, profile
 from wcsim.users.recorded import RecordedUser
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.users.hand_fit import HandFit, fit_hand
+from benchmarks.users.hand_habits import HandLog, Tremor, pauses, switch_holds, tremor
 from wcsim.core.frames import rad, wrap
 from wcsim.types import F64, ActorKind, UserView
-from wcsim.users.fitting.hand_series import HandLog, Tremor, correction_s, pauses, switch_holds, tremor
+from wcsim.users.fitting.hand_series import correction_s
 from wcsim.users.hand import DRIVE_ABOVE, PULSE_S, STEER_ABOVE
 from wcsim.users.perception import PERSON_SIGHT, Seen
 from wcsim.users.profiles import UserProfile

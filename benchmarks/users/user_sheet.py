@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.users.hand_habits import HandLog
 from wcsim.errors import ConfigError
 from wcsim.types import F64, U8
-from wcsim.users.fitting.hand_series import HandLog
 
 _WIDTH_PX, _HEIGHT_PX = 700, 150
 LEFT_PX, _GAP_PX, TOP_PX, BOTTOM_PX = 120, 30, 46, 34

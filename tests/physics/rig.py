@@ -7,9 +7,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+import pybullet
 
 from wcsim.config import ChairConfig, ImuConfig
-from wcsim.physics.engine import Engine
+from wcsim.physics.engine import PARK_Z_M, Engine
+from wcsim.physics.sensors.base import Surroundings
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import ActorKind, ActorState, ClassId, Contact, Joystick, PlantState, StreetMesh
 
@@ -131,3 +133,18 @@ def rig(street: StreetMesh | None = None, hz: int = 240, **chair):
     """A rig on a street (flat if none), placed at the origin."""
     with Engine(1.0 / hz) as engine:
         yield Rig(engine, flat_street() if street is None else street, ChairConfig(**chair)).place()
+
+
+def ray_down(engine: Engine, points_W_m: np.ndarray) -> np.ndarray:
+    """Height (N,) of the first thing below 300 m at points (N, 2); -inf where there is nothing."""
+    above, below = (np.c_[points_W_m, np.full(len(points_W_m), z_m)].tolist() for z_m in (300.0, 0.5 * PARK_Z_M))
+    hits = pybullet.rayTestBatch(above, below, physicsClientId=engine.client)
+    return np.array([hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits])
+
+
+def shoot(cameras, seat, tick, plant, actors, chairs, buffers=None, signals=(), counted=False):
+    """The images of one seat alone; see `Surroundings` for the arguments."""
+    scene = Surroundings(
+        tick=tick, plant=plant, actors=actors, chairs=chairs, signals=signals, buffers=buffers, counted=counted
+    )
+    return cameras.frames(seat, scene)

@@ -4,7 +4,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from tests.physics.rig import flat_street, mesh, rig, step_street
+from tests.physics.rig import flat_street, mesh, ray_down, rig, step_street
 from tests.support.samples import KERB_M, strip_street
 from wcsim.config import ChairConfig
 from wcsim.errors import ConfigError, PhysicsError
@@ -17,9 +17,9 @@ def test_the_street_is_a_few_bodies_and_stands_where_the_mesh_says():
     with Engine(1 / 240) as engine:
         engine.add_street(strip_street().mesh)
         assert pybullet.getNumBodies(physicsClientId=engine.client) == 4
-        roles = [engine.role_of(body) for body in range(4)]
+        roles = [engine.tag_of(body).role for body in range(4)]
         assert sorted(role.value for role in roles) == ["building", "ground", "kerb", "static"]
-        heights = engine.ray_down(np.array([[10.0, 0.0], [10.0, 5.5], [60.0, 14.0], [25.1, 6.7], [500.0, 0.0]]))
+        heights = ray_down(engine, np.array([[10.0, 0.0], [10.0, 5.5], [60.0, 14.0], [25.1, 6.7], [500.0, 0.0]]))
     assert heights == pytest.approx([0.0, KERB_M, 9.0, 5.0, -np.inf], abs=1e-6)
 
 
@@ -69,7 +69,7 @@ def test_steps_and_ids_out_of_bounds_are_refused():
     with pytest.raises(PhysicsError, match="solver_iterations"):
         Engine(1 / 240, solver_iterations=0)
     with Engine(1 / 240) as engine, pytest.raises(PhysicsError, match="unknown"):
-        engine.role_of(77)
+        engine.tag_of(77)
 
 
 def test_an_empty_street_is_no_street():
@@ -108,7 +108,7 @@ def test_roles_cover_every_class_of_the_street():
         for class_id in ClassId:
             before = pybullet.getNumBodies(physicsClientId=engine.client)
             engine.add_street(mesh(corners, [[0, 1, 2]], class_id))
-            found[class_id] = engine.role_of(before)
+            found[class_id] = engine.tag_of(before).role
     assert {c for c, role in found.items() if role is Role.KERB} == {ClassId.KERB, ClassId.LOWERED_KERB}
     assert found[ClassId.CROSSWALK] is found[ClassId.TERRAIN] is Role.GROUND
     assert found[ClassId.FENCE] is Role.BUILDING and found[ClassId.POLE] is Role.STATIC

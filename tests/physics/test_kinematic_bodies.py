@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.physics.rig import actor
+from tests.physics.rig import actor, ray_down
 from wcsim.core import frames
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import Engine, Role
@@ -38,9 +38,9 @@ def test_a_body_stands_where_its_actor_stands(engine):
     assert poses["a"][0] == pytest.approx([3.0, 4.0, 0.0], abs=1e-9)
     assert poses["a"][1] == pytest.approx(0.5)
     assert poses["p"][0] == pytest.approx([1.0, 1.0, 0.0], abs=1e-9)
-    tops = engine.ray_down(np.array([[3.0, 4.0], [1.0, 1.0]]))
+    tops = ray_down(engine, np.array([[3.0, 4.0], [1.0, 1.0]]))
     assert tops == pytest.approx([1.5, 1.7], abs=0.01)
-    assert engine.role_of(pool.body_of("a")) is Role.ACTOR
+    assert engine.tag_of(pool.body_of("a")).role is Role.ACTOR
 
 
 def test_it_is_carried_through_the_tick_by_its_velocity(engine):
@@ -59,7 +59,7 @@ def test_a_car_on_a_slope_is_pitched(engine):
     tilted = type(car)(**{name: getattr(car, name) for name in car.__slots__ if name != "pitch_rad"}, pitch_rad=0.2)
     pool.place([move(tilted)])
     assert pool.poses()["a"][0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-    front, back = engine.ray_down(np.array([[1.5, 0.0], [-1.5, 0.0]]))
+    front, back = ray_down(engine, np.array([[1.5, 0.0], [-1.5, 0.0]]))
     assert front - back == pytest.approx(3.0 * math.tan(0.2), rel=0.05)
 
 
@@ -69,7 +69,7 @@ def test_who_leaves_is_parked_and_the_body_is_used_again(engine):
     first = pool.body_of("a")
     pool.place([move(actor("b", 10.0, 0.0))])
     assert pool.count == 1 and pool.made == 2
-    assert engine.ray_down(np.array([[0.0, 0.0]]))[0] == -np.inf
+    assert ray_down(engine, np.array([[0.0, 0.0]]))[0] == -np.inf
     pool.place([move(actor("b", 10.0, 0.0)), move(actor("c", 20.0, 0.0))])
     assert pool.made == 2 and pool.body_of("c") == first
     assert engine.tag_of(first).actor_id == "c"
@@ -99,7 +99,7 @@ def test_every_kind_gets_a_body_of_its_size(engine):
     pool = BodyPool(engine)
     size = (2.0, 0.8, 1.2)
     pool.place([move(actor(kind.value, 20.0 * i, 0.0, kind=kind, size=size)) for i, kind in enumerate(KINDS)])
-    heights = engine.ray_down(np.array([[20.0 * i, 0.0] for i in range(len(KINDS))]))
+    heights = ray_down(engine, np.array([[20.0 * i, 0.0] for i in range(len(KINDS))]))
     assert heights == pytest.approx(np.full(len(KINDS), 1.2), abs=0.01)
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
 from wcsim.chair_check.row import TICK_S, Setup
+from wcsim.core.closing import Closing
 from wcsim.core.frames import forward
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import Engine
@@ -86,7 +86,7 @@ class Ride:
         return float(np.max(self.peaks_mps2))
 
 
-class Rig:
+class Rig(Closing):
     """An engine with a street and one chair, placed at the origin.
 
     Args:
@@ -102,12 +102,8 @@ class Rig:
         self.chair: Final = Wheelchair(self.engine, setup.chair, setup.imu, seat=0)
         self.place(0.0)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """End the engine."""
         self.engine.close()
 
     @property

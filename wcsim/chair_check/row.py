@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
 from wcsim.config import ChairConfig, ImuConfig
@@ -65,8 +65,8 @@ plants that come with it felt, or an experiment with a rear-wheel drive."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
-    """One row before it was measured.
+class Expected:
+    """What is expected of one value.
 
     Args:
         name: The row's name, unique in a table.
@@ -76,8 +76,6 @@ class Trial:
         high: Largest value that is expected.
         method: How the value is taken, in a sentence.
         source: Where the expectation comes from.
-        measure: A pure function from chair and rate to the value.
-        speed_mps: Top speed that the chair is set to; None keeps its own.
         impact: Whether the value is the peak of an impact, which depends on the step more than others do.
         judged: Whether a value out of its range is a fault; it is none where the range is another kind of chair's.
     """
@@ -89,28 +87,25 @@ class Trial:
     high: float
     method: str
     source: str
-    measure: Measure
-    speed_mps: float | None = None
     impact: bool = False
     judged: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One row of the table: a value beside the range that is expected, the method and its source."""
+class Trial(Expected):
+    """One row before it was measured."""
 
-    name: str
+    measure: Measure  # a pure function from chair and rate to the value
+    speed_mps: float | None = None  # top speed that the chair is set to; None keeps its own
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row(Expected):
+    """One row of the table: a value beside what is expected."""
+
     value: float
-    unit: str
-    bound: Bound
-    low: float
-    high: float
-    method: str
-    source: str
     ok: bool
     note: str = ""  # what happened, where the value does not say it
-    impact: bool = False
-    judged: bool = True
 
     @property
     def red(self) -> bool:
@@ -124,20 +119,8 @@ def measured(trial: Trial, setup: Setup) -> Row:
     value, note = (found.value, found.what) if isinstance(found, Unfinished) else (float(found), "")
     if not math.isfinite(value):
         raise PhysicsError(f"trial {trial.name}: the value is {value}; expected a finite number: check the plant")
-    return Row(
-        name=trial.name,
-        value=value,
-        unit=trial.unit,
-        bound=trial.bound,
-        low=trial.low,
-        high=trial.high,
-        method=trial.method,
-        source=trial.source,
-        ok=not note and trial.low <= value <= trial.high,
-        note=note,
-        impact=trial.impact,
-        judged=trial.judged,
-    )
+    expected = {item.name: getattr(trial, item.name) for item in fields(Expected)}
+    return Row(**expected, value=value, ok=not note and trial.low <= value <= trial.high, note=note)
 
 
 _MOST_CHANGE: Final = 0.10

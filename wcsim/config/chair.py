@@ -1,4 +1,4 @@
-"""Section `[chair]`: the wheelchair as it is driven."""
+"""Section `[chair]`: the wheelchair as it is driven. `core/joystick.py` applies its speed and acceleration limits."""
 
 from __future__ import annotations
 

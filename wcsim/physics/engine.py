@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.core.closing import Closing
 from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
@@ -87,10 +87,8 @@ def _compact(points_m: F64, faces: npt.NDArray[np.int64]) -> _Soup:
 
 
 PARK_Z_M: Final = -500.0
-_MAX_RAYS: Final = 16_000  # below pybullet's MAX_RAY_INTERSECTION_BATCH_SIZE_STREAMING
 # Short, so that a ray meets neither a roof above nor the street under a bridge.
 _GROUND_REACH_M: Final = 0.5
-_RAY_FROM_M: Final = 300.0
 # Wheels ride by this much above the ground that is drawn. Bullet's usual 0.04 m would be seen, and felt at kerbs.
 _STREET_MARGIN_M: Final = 0.001
 # With PyBullet's 20 mm a wheel meets the edge of every triangle just ahead of it at a slant and is pushed back: 0.6
@@ -147,7 +145,7 @@ _ROLE_OF_CLASS: Final = {
 }
 
 
-class Engine:
+class Engine(Closing):
     """One PyBullet world without a window.
 
     Args:
@@ -181,14 +179,6 @@ class Engine:
             enableFileCaching=0,
             physicsClientId=client,
         )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Give the client back; a second call does nothing."""
@@ -308,10 +298,6 @@ class Engine:
         except KeyError:
             raise PhysicsError(f"body {body_id} is unknown; expected one made through this engine") from None
 
-    def role_of(self, body_id: int) -> Role:
-        """The role of a body. Raises PhysicsError for an id that was never told."""
-        return self.tag_of(body_id).role
-
     @property
     def rolling_ids(self) -> set[int]:
         """Ids of the bodies that wheels are meant to touch: ground and kerbs."""
@@ -324,19 +310,6 @@ class Engine:
         hits = pybullet.rayTestBatch(above, below, physicsClientId=self.client)
         # Nobody stands on what else a ray meets, such as a vehicle or a parked bicycle.
         return np.array([hit[3][2] if hit[0] in self._rolling else np.nan for hit in hits])
-
-    def ray_down(self, points_W_m: F64) -> F64:
-        """Height (N,) of the first thing below 300 m at points (N, 2); -inf where there is nothing."""
-        points = np.asarray(points_W_m, np.float64)
-        heights = np.full(len(points), -np.inf)
-        for start in range(0, len(points), _MAX_RAYS):
-            part = points[start : start + _MAX_RAYS]
-            above = np.c_[part[:, :2], np.full(len(part), _RAY_FROM_M)]
-            # Only halfway to the parked bodies, which a longer ray would find.
-            below = np.c_[part[:, :2], np.full(len(part), 0.5 * PARK_Z_M)]
-            hits = pybullet.rayTestBatch(above.tolist(), below.tolist(), physicsClientId=self.client)
-            heights[start : start + _MAX_RAYS] = [hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits]
-        return heights
 
 
 def role_of_class(class_id: int) -> Role:

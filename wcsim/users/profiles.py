@@ -1,4 +1,4 @@
-"""Six kinds of users as parameters of one model, and files of profiles: TOML over those of a profile it is based on.
+"""Kinds of users as parameters of one model (`profiles.toml`), and files of profiles: TOML over those of a base.
 
 The values follow published ranges for reaction times and tremor; they are plausible and not fitted to recorded driving.
 `ataxic` is meant to be held out of training.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,27 +23,10 @@ from wcsim.errors import ConfigError, meant
 PROFILE_SUFFIX = ".toml"
 """Of the file of a profile, where else the name of one stands."""
 
+_DATA: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
 PROFILE_LIMITS: dict[str, tuple[float, float]] = {
-    "reaction_s": (0.0, 3.0),
-    "lag_s": (0.0, 2.0),
-    "lookahead_m": (0.1, 5.0),
-    "noise": (0.0, 1.0),
-    "noise_rate": (0.05, 50.0),
-    "tremor": (0.0, 1.0),
-    "tremor_hz": (0.5, 15.0),
-    "gain": (0.05, 5.0),
-    "bias": (-1.0, 1.0),
-    "see_share": (0.0, 1.0),
-    "see_m": (0.5, 50.0),
-    "away_share": (0.0, 0.9),
-    "away_s": (0.1, 30.0),
-    "correct_every_s": (0.0, 5.0),
-    "speed_share": (0.05, 1.0),
-    "law_share": (0.0, 1.0),
-    "give_up_s": (1.0, 3600.0),
-    "ask_share": (0.0, 1.0),
-    "hold_s": (0.05, 5.0),
-    "spread": (0.0, 0.9),
+    name: (low, high) for name, (low, high) in _DATA.pop("limits").items()
 }
 """Least and most of each number of a profile; of both its parts where it has two."""
 
@@ -83,14 +67,15 @@ class UserProfile:
 
 def profile(name: str) -> UserProfile:
     """The profile called `name`. Raises ConfigError with the known names."""
-    for known in _PROFILES:
-        if known.name == name:
-            return known
-    names = ", ".join(profile_names())
-    raise ConfigError(
-        f"unknown user profile {name!r}; expected one of: {names}, FILE.toml, or recorded:FILE"
-        f"{meant(name, profile_names())}"
-    )
+    if name not in _DATA:
+        names = ", ".join(profile_names())
+        raise ConfigError(
+            f"unknown user profile {name!r}; expected one of: {names}, FILE.toml, or recorded:FILE"
+            f"{meant(name, profile_names())}"
+        )
+    numbers = _DATA["competent"] | _DATA[name]
+    pairs = {key: tuple(numbers[key]) for key in PAIRS}
+    return UserProfile(name=name, **numbers | pairs)
 
 
 def is_of_file(name: str) -> bool:
@@ -105,7 +90,7 @@ def recordings(profiles: Iterable[str]) -> tuple[str, ...]:
 
 def profile_names() -> tuple[str, ...]:
     """The names of all profiles."""
-    return tuple(item.name for item in _PROFILES)
+    return tuple(_DATA)
 
 
 def sample(base: UserProfile, rng: np.random.Generator) -> UserProfile:
@@ -152,58 +137,6 @@ def _bounded(user: UserProfile) -> UserProfile:
         return tuple(parts) if name in PAIRS else parts[0]
 
     return replace(user, **{name: held(name, getattr(user, name)) for name in PROFILE_LIMITS})
-
-
-_COMPETENT = UserProfile(
-    name="competent",
-    reaction_s=0.25,
-    lag_s=0.12,
-    lookahead_m=0.6,
-    noise=0.03,
-    noise_rate=4.0,
-    tremor=0.0,
-    tremor_hz=4.5,
-    gain=(1.0, 1.0),
-    bias=(0.0, 0.0),
-    see_share=0.98,
-    see_m=6.0,
-    away_share=0.0,
-    away_s=2.0,
-    correct_every_s=0.0,
-    speed_share=0.8,
-    law_share=0.98,
-    give_up_s=15.0,
-    discrete=False,
-    hold_s=0.3,
-)
-
-_PROFILES: tuple[UserProfile, ...] = (
-    _COMPETENT,
-    replace(
-        _COMPETENT,
-        name="slow",
-        reaction_s=0.6,
-        lag_s=0.3,
-        lookahead_m=0.9,
-        see_share=0.9,
-        speed_share=0.6,
-        ask_share=0.3,
-    ),
-    replace(_COMPETENT, name="tremor", reaction_s=0.35, noise=0.06, tremor=0.25, tremor_hz=4.5),
-    replace(
-        _COMPETENT,
-        name="ataxic",
-        reaction_s=0.45,
-        lag_s=0.2,
-        noise=0.18,
-        noise_rate=2.0,
-        gain=(0.8, 1.2),
-        bias=(0.12, 0.0),
-        correct_every_s=0.4,
-    ),
-    replace(_COMPETENT, name="inattentive", reaction_s=0.45, see_share=0.35, see_m=3.0, away_share=0.3, law_share=0.8),
-    replace(_COMPETENT, name="switch", reaction_s=0.6, noise=0.0, see_share=0.9, discrete=True, ask_share=0.3),
-)
 
 
 _NAME = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}")

@@ -84,7 +84,7 @@ def test_the_contributors_change_can_be_made(tmp_path: Path) -> None:
     apply = ["git", "apply", "-"]
     done = subprocess.run(apply, input=patch, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert 'name="tired"' in (tmp_path / names[1]).read_text(encoding="utf-8")
+    assert "[tired]" in (tmp_path / names[1]).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda page: page.stem)

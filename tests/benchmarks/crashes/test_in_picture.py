@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.crashes.in_picture import BODY_M, Sight, actor_points, clipped, in_picture, street_points
 from tests.bridge.reaction.roads import actor, walker
+from tests.physics.rig import shoot
 from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from wcsim.config import CameraConfig
@@ -27,7 +28,7 @@ def plant(x, y, yaw_deg=0.0, z=0.0):
 
 def sight(chair, actors=(), camera=CAMERA):
     with CameraRig(STREET.mesh, (camera,), seats=1) as rig:
-        depth_m = rig.shoot(0, 1, chair, tuple(actors), ())[0].depth_m.copy()
+        depth_m = shoot(rig, 0, 1, chair, tuple(actors), ())[0].depth_m.copy()
     T_CW = camera_matrix(pose_matrix(chair.p_WB_m, chair.q_WB), mount(camera))
     return Sight(depth_m=depth_m, T_CW=T_CW)
 

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from benchmarks.users.hand_fit import fit_hand
+from benchmarks.users.hand_habits import HandLog, Pauses, pauses, switch_holds, tremor
 from benchmarks.users.table import RouteLog, meet, statistics
 from tests.support.samples import strip_street
 from tests.users.actors import actor, make_user
 from tests.users.kinematics import Chair, Sim, polyline
 from wcsim.core.seeding import generator
 from wcsim.types import ActorKind, Joystick
-from wcsim.users.fitting.hand_series import HandLog, Pauses, correction_s, pauses, switch_holds, tremor
+from wcsim.users.fitting.hand_series import correction_s
 from wcsim.users.hand import Hand
 from wcsim.users.profiles import profile
 

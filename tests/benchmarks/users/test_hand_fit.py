@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.users.hand_fit import fit_hand
+from benchmarks.users.hand_habits import HandLog
 from benchmarks.users.table import RouteLog, statistics
 from tests.benchmarks.users.test_drives import off
 from tests.users.actors import make_user
 from tests.users.kinematics import SUBSTEPS, TICK_S, Chair, Sim, polyline
 from wcsim.types import Route
-from wcsim.users.fitting.hand_series import HandLog
 from wcsim.users.profiles import profile
 
 ZIGZAG = polyline(*((8.0 * k, 5.0 * (k % 2)) for k in range(12)))

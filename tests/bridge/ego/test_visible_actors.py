@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.physics.rig import shoot
 from tests.physics.sensors.test_camera import SMALL, plant
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from tests.support.worlds import follow, open_world
@@ -74,7 +75,7 @@ def said(place, others, history=()) -> tuple[np.ndarray, np.ndarray]:
     shown = ShownActors(WorldConfig())
     with CameraRig(street.mesh, (SMALL,), seats=1) as rig:
         for tick, at, actors in (*history, (100, place, others)):
-            rig.shoot(0, tick, at, actors, (), counted=True)
+            shoot(rig, 0, tick, at, actors, (), counted=True)
             shown.see(tick, rig.shown_px(0))
     full = oracle.assess(place, AT_REST, others, known=shown.known(others))
     assert full.visible is not None

@@ -21,8 +21,7 @@ from wcsim.physics.renderer.instances import (
     rotation_of,
     rotation_quaternion,
 )
-from wcsim.physics.renderer.models import people
-from wcsim.physics.renderer.models.catalog import FIGURES, Template, actor_templates, template_of
+from wcsim.physics.renderer.models.catalog import FIGURES, Template, actor_templates, body_parts, template_of
 from wcsim.physics.renderer.models.paint import Paint
 from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
 from wcsim.physics.sensors.camera import FreeCamera
@@ -49,7 +48,7 @@ def test_regrouping_keeps_every_triangle_and_its_class(store):
         soup = np.c_[vertices[faces].reshape(len(faces), 9), classes]
         return soup[np.lexsort(soup.T)]
 
-    mine = rows(store.vertices_W_m, store.global_faces(), store.face_class)
+    mine = rows(store.arrays.vertices, store.global_faces(), store.arrays.face_class)
     assert np.array_equal(mine, rows(mesh.vertices_W_m, mesh.faces, mesh.face_class))
 
 
@@ -101,12 +100,13 @@ def chunks_of(mesh, chunks):
 
 
 def test_spheres_hold_their_chunks_and_chunks_are_small(store):
-    assert store.chunk_count > 4
-    for c in range(store.chunk_count):
-        vertices = store.vertices_W_m[store.chunk_vertices[c] : store.chunk_vertices[c + 1]]
-        faces = store.faces[store.chunk_faces[c] : store.chunk_faces[c + 1]]
-        away = np.linalg.norm(vertices - store.spheres_W_m[c, :3], axis=1)
-        assert away.max() <= store.spheres_W_m[c, 3] < 40.0
+    street = store.arrays
+    assert len(street.spheres) > 4
+    for c, sphere in enumerate(street.spheres):
+        vertices = street.vertices[street.chunk_vertices[c] : street.chunk_vertices[c + 1]]
+        faces = street.faces[street.chunk_faces[c] : street.chunk_faces[c + 1]]
+        away = np.linalg.norm(vertices - sphere[:3], axis=1)
+        assert away.max() <= sphere[3] < 40.0
         assert faces.min() == 0 and faces.max() == len(vertices) - 1
 
 
@@ -143,7 +143,7 @@ def test_templates_keep_their_triangle_budget(table, template, most):
 
 def test_solids_are_closed_and_look_outward(table):
     """What the rasteriser needs to skip back faces: every edge of a piece is run once each way; decals lie on skin."""
-    for t in range(table.count):
+    for t in range(len(table.faces_of) - 1):
         faces = table.faces[table.faces_of[t] : table.faces_of[t + 1]]
         edges = {}
         for face in faces.tolist():
@@ -169,10 +169,10 @@ def test_every_kind_has_a_template_and_its_classes(table):
 
 
 def test_a_seat_s_wheelchair_has_the_size_of_its_model_and_its_axle_at_the_origin():
-    points = np.concatenate([piece.part.vertices_m for piece in people.wheelchair()])
+    points = np.concatenate([piece.part.vertices_m for piece in body_parts("WHEELCHAIR")])
     assert np.ptp(points, axis=0) == pytest.approx((1.12, 0.62, 1.45), abs=0.03)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    wheels = np.concatenate([p.part.vertices_m for p in people.wheelchair() if p.paint is Paint.TYRE])
+    wheels = np.concatenate([p.part.vertices_m for p in body_parts("WHEELCHAIR") if p.paint is Paint.TYRE])
     drive = wheels[wheels[:, 2] > 0.25]  # only the drive wheels are so high
     assert drive[:, 0].mean() - middle[0] == pytest.approx(-USUAL_OUTLINE.middle_x_m, abs=0.02)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
+from tests.physics.rig import shoot
 from tests.support.plants import plant_state
 from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
@@ -109,9 +110,9 @@ def test_a_rig_shows_the_lights_of_now():
     with CameraRig(strip_street().mesh, (camera,), 1, near) as rig:
         seen = []
         for tick, letter in enumerate("rgO"):
-            frame = rig.shoot(0, tick, plant, (), (), signals=state(letter))[0]
+            frame = shoot(rig, 0, tick, plant, (), (), signals=state(letter))[0]
             seen.append(lit(frame.rgb, frame.class_id)[0])
-        dark = rig.shoot(0, 9, plant, (), ())[0]
+        dark = shoot(rig, 0, 9, plant, (), ())[0]
     assert seen == [{"red"}, {"green"}, set()]
     assert (dark.class_id == ClassId.TRAFFIC_LIGHT).any() and lit(dark.rgb, dark.class_id)[0] == set()
 

@@ -92,9 +92,9 @@ def test_without_embree_its_column_stays_empty(store, monkeypatch):
 
 
 def test_a_wrong_picture_does_not_agree(store, monkeypatch):
-    faces = store.faces.copy()
+    faces = store.arrays.faces.copy()
     faces[::7] = 0  # every seventh triangle of the street is lost
-    monkeypatch.setattr(store, "faces", faces)
+    monkeypatch.setattr(store, "arrays", store.arrays._replace(faces=faces))
     raster = RasterRenderer(store)
     monkeypatch.undo()
     monkeypatch.setattr(compare, "RasterRenderer", lambda _: raster)

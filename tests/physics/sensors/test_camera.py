@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.physics.renderer.render_oracle import actor
+from tests.physics.rig import shoot
 from tests.support.plants import plant_state
 from tests.support.samples import USUAL_OUTLINE, strip_street
 from wcsim.agents.policies.depth_check import viewing_rays
@@ -79,9 +80,9 @@ def test_focal_length_gives_the_field_of_view():
 
 def test_the_camera_is_fixed_to_the_chair_in_pitch_and_roll(mesh):
     with CameraRig(mesh, (SMALL,), seats=1) as rig:
-        level = rig.shoot(0, 0, plant(), (), ())[0].depth_m.copy()
-        nose_up = rig.shoot(0, 1, plant(pitch=math.radians(10)), (), ())[0].depth_m.copy()
-        rolled = rig.shoot(0, 2, plant(roll=math.radians(10)), (), ())[0].depth_m
+        level = shoot(rig, 0, 0, plant(), (), ())[0].depth_m.copy()
+        nose_up = shoot(rig, 0, 1, plant(pitch=math.radians(10)), (), ())[0].depth_m.copy()
+        rolled = shoot(rig, 0, 2, plant(roll=math.radians(10)), (), ())[0].depth_m
         assert nose_up[59, 40] > level[59, 40]  # looks less steeply at the ground
         # Rolled to the right, the right half looks at nearer ground.
         assert rolled[59, 79] < level[59, 79] and rolled[59, 0] > level[59, 0]
@@ -90,21 +91,21 @@ def test_the_camera_is_fixed_to_the_chair_in_pitch_and_roll(mesh):
 def test_a_slower_camera_repeats_its_image_and_reset_wakes_it(mesh):
     slow = CameraConfig(name="slow", width_px=40, height_px=30, every_ticks=3)
     with CameraRig(mesh, (SMALL, slow), seats=1) as rig:
-        taken = [rig.shoot(0, tick, plant(x=tick), (), ()) for tick in range(7)]
+        taken = [shoot(rig, 0, tick, plant(x=tick), (), ()) for tick in range(7)]
         assert [frames[0].taken_tick for frames in taken] == list(range(7))
         assert [frames[1].taken_tick for frames in taken] == [0, 0, 0, 3, 3, 3, 6]
         assert taken[4][1] is taken[3][1]
         rig.reset(0)
-        assert rig.shoot(0, 7, plant(), (), ())[1].taken_tick == 7
+        assert shoot(rig, 0, 7, plant(), (), ())[1].taken_tick == 7
 
 
 def test_a_lost_picture_leaves_the_one_before_and_each_tick_has_its_chance(mesh):
     lossy = CameraConfig(name="lossy", width_px=40, height_px=30, lost_share=0.4)
     with CameraRig(mesh, (lossy,), seats=2) as rig:
         rig.begin(5)
-        taken = [[rig.shoot(seat, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)] for seat in (0, 1)]
+        taken = [[shoot(rig, s, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)] for s in (0, 1)]
         rig.begin(5)
-        again = [rig.shoot(0, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)]
+        again = [shoot(rig, 0, tick, plant(x=tick), (), ())[0].taken_tick for tick in range(200)]
     assert taken[0] == again != taken[1]
     assert taken[0][0] == 0 and all(a in (b, tick) for tick, (b, a) in enumerate(itertools.pairwise(taken[0]), 1))
     assert sum(at != tick for tick, at in enumerate(taken[0])) == pytest.approx(80, abs=25)
@@ -112,13 +113,13 @@ def test_a_lost_picture_leaves_the_one_before_and_each_tick_has_its_chance(mesh)
 
 def test_frames_outlive_two_more_shots_of_their_camera(mesh):
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
-        first = rig.shoot(0, 0, plant(), (), ())[0]
+        first = shoot(rig, 0, 0, plant(), (), ())[0]
         kept = first.depth_m.copy()
-        rig.shoot(0, 1, plant(x=50.0, yaw=0.5), (), ())
-        rig.shoot(0, 2, plant(x=50.0, yaw=0.7), (), ())
-        rig.shoot(1, 2, plant(x=50.0, yaw=1.0), (), ())
+        shoot(rig, 0, 1, plant(x=50.0, yaw=0.5), (), ())
+        shoot(rig, 0, 2, plant(x=50.0, yaw=0.7), (), ())
+        shoot(rig, 1, 2, plant(x=50.0, yaw=1.0), (), ())
         assert np.array_equal(first.depth_m, kept)
-        rig.shoot(0, 3, plant(x=50.0, yaw=0.5), (), ())
+        shoot(rig, 0, 3, plant(x=50.0, yaw=0.5), (), ())
         assert not np.array_equal(first.depth_m, kept)
 
 
@@ -126,21 +127,21 @@ def test_images_go_into_given_buffers_also_when_they_are_repeated(mesh):
     slow = CameraConfig(width_px=40, height_px=30, every_ticks=2, rgb=True)
     with CameraRig(mesh, (slow,), seats=1) as rig:
         a, b = new_images(40, 30, True), new_images(40, 30, True)
-        first = rig.shoot(0, 0, plant(), (), (), SeatBuffers(images=(a,)))[0]
-        again = rig.shoot(0, 1, plant(), (), (), SeatBuffers(images=(b,)))[0]
+        first = shoot(rig, 0, 0, plant(), (), (), SeatBuffers(images=(a,)))[0]
+        again = shoot(rig, 0, 1, plant(), (), (), SeatBuffers(images=(b,)))[0]
         assert np.may_share_memory(first.depth_m, a.depth_m) and np.may_share_memory(again.depth_m, b.depth_m)
         assert again.taken_tick == 0
         for name in ("depth_m", "class_id", "rgb"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
         assert np.may_share_memory(again.rgb, b.rgb)
         with pytest.raises(ConfigError, match="new_images"):
-            rig.shoot(0, 2, plant(), (), (), SeatBuffers(images=(new_images(41, 30, True),)))
+            shoot(rig, 0, 2, plant(), (), (), SeatBuffers(images=(new_images(41, 30, True),)))
 
 
 def test_colours_are_taken_only_when_asked_for(mesh):
     coloured = CameraConfig(name="colour", width_px=40, height_px=30, rgb=True)
     with CameraRig(mesh, (SMALL, coloured), seats=1) as rig:
-        plain, colour = rig.shoot(0, 0, plant(), (), ())
+        plain, colour = shoot(rig, 0, 0, plant(), (), ())
         assert plain.rgb is None
         assert colour.rgb is not None and colour.rgb.shape == (30, 40, 3) and colour.rgb.std() > 5
 
@@ -151,8 +152,8 @@ def test_a_chair_sees_the_others_but_not_itself(mesh):
         return ChairPose(seat=seat, p_WB_m=np.array([x, 5.5, 0.12]), q_WB=q_WB, outline=USUAL_OUTLINE)
 
     with CameraRig(mesh, (SMALL,), seats=2) as rig:
-        me = rig.shoot(0, 0, plant(), (), [chair(0, 0.0)])[0].class_id.copy()
-        both = rig.shoot(0, 1, plant(), (), [chair(0, 0.0), chair(1, 3.0)])[0].class_id
+        me = shoot(rig, 0, 0, plant(), (), [chair(0, 0.0)])[0].class_id.copy()
+        both = shoot(rig, 0, 1, plant(), (), [chair(0, 0.0), chair(1, 3.0)])[0].class_id
         assert not np.isin(me, (ClassId.PERSON, ClassId.DYNAMIC)).any()
         assert (both == ClassId.PERSON).any() and (both == ClassId.DYNAMIC).any()
 
@@ -160,19 +161,19 @@ def test_a_chair_sees_the_others_but_not_itself(mesh):
 def test_new_actors_are_seen_at_once_and_a_changed_list_too(mesh):
     with CameraRig(mesh, (SMALL,), seats=1) as rig:
         cars = [actor(ActorKind.CAR, 6.0, 5.5, 0.12)]
-        assert (rig.shoot(0, 0, plant(), tuple(cars), ())[0].class_id == ClassId.CAR).any()
-        assert not (rig.shoot(0, 1, plant(), (), ())[0].class_id == ClassId.CAR).any()
+        assert (shoot(rig, 0, 0, plant(), tuple(cars), ())[0].class_id == ClassId.CAR).any()
+        assert not (shoot(rig, 0, 1, plant(), (), ())[0].class_id == ClassId.CAR).any()
         moving = []
-        rig.shoot(0, 2, plant(), moving, ())
+        shoot(rig, 0, 2, plant(), moving, ())
         moving.append(cars[0])
-        assert (rig.shoot(0, 3, plant(), moving, ())[0].class_id == ClassId.CAR).any()
+        assert (shoot(rig, 0, 3, plant(), moving, ())[0].class_id == ClassId.CAR).any()
 
 
 def test_two_rigs_draw_the_same_bytes(mesh):
     cars = (actor(ActorKind.CAR, 6.0, 2.0, 0.0, 0.4), actor(ActorKind.PEDESTRIAN, 5.0, 5.0, 0.12, 2.0))
     camera = SMALL.model_copy(update={"rgb": True})
     with CameraRig(mesh, (camera,), seats=1) as one, CameraRig(mesh, (camera,), seats=1) as two:
-        a, b = one.shoot(0, 0, plant(), cars, ())[0], two.shoot(0, 0, plant(), cars, ())[0]
+        a, b = shoot(one, 0, 0, plant(), cars, ())[0], shoot(two, 0, 0, plant(), cars, ())[0]
         assert a.depth_m.tobytes() == b.depth_m.tobytes()
         assert a.class_id.tobytes() == b.class_id.tobytes() and a.rgb.tobytes() == b.rgb.tobytes()
 
@@ -180,7 +181,7 @@ def test_two_rigs_draw_the_same_bytes(mesh):
 def test_the_reference_back_end_is_one_word_in_the_configuration(mesh):
     tiny = SMALL.model_copy(update={"renderer": "pybullet", "name": "tiny"})
     with CameraRig(mesh, (SMALL, tiny), seats=1) as rig:
-        mine, other = rig.shoot(0, 0, plant(), (actor(ActorKind.CAR, 6.0, 5.5, 0.12),), ())
+        mine, other = shoot(rig, 0, 0, plant(), (actor(ActorKind.CAR, 6.0, 5.5, 0.12),), ())
         assert (mine.class_id == other.class_id).mean() > 0.95  # sample points differ by half a pixel
 
 
@@ -280,4 +281,4 @@ def test_buffers_that_do_not_fit_are_refused_in_every_thread(mesh):
         wrong = SeatBuffers(images=(new_images(40, 30, False),))
         with pytest.raises(ConfigError, match="new_images"):
             rig.shoot_all({seat: replace(scene, buffers=wrong) for seat, scene in scenes(0).items()})
-        assert rig.shoot(0, 1, plant(), (), ())[0].taken_tick == 1
+        assert shoot(rig, 0, 1, plant(), (), ())[0].taken_tick == 1

@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 
+from tests.physics.rig import shoot
 from tests.physics.sensors.test_camera import plant
 from tests.support.samples import strip_street
 from tests.support.yardstick import multiple
 from wcsim.config import CameraConfig
 from wcsim.physics.buffers import Images
-from wcsim.physics.sensors.camera import CameraRig, _camera_noise
+from wcsim.physics.sensors.camera import CameraRig, _CameraNoise
 from wcsim.physics.sensors.camera_geometry import pinhole
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.types import ClassId
@@ -36,7 +37,7 @@ def laid_over(config: CameraConfig, depth_m=None, class_id=None, rgb=None, key: 
         class_id=np.full(shape, ClassId.ROAD, np.uint8) if class_id is None else np.array(class_id, np.uint8),
         rgb=None if rgb is None else np.array(rgb, np.uint8),
     )
-    _camera_noise(config, pinhole(config)).lay_over(images, key)
+    _CameraNoise(config, pinhole(config)).lay_over(images, key)
     return images
 
 
@@ -177,8 +178,8 @@ def test_parts_that_are_not_asked_for_stay_exact():
     got = laid_over(stereo(sigma_px=0.1), wall(4.0), classes, rgb)
     assert np.array_equal(got.class_id, classes) and np.array_equal(got.rgb, rgb)
     for noise in (None, "none", {}):
-        config = camera(noise)
-        assert _camera_noise(config, pinhole(config)) is None
+        exact = laid_over(camera(noise), wall(4.0), classes, rgb)
+        assert np.array_equal(exact.depth_m, wall(4.0)) and np.array_equal(exact.class_id, classes)
 
 
 TYPICAL = CameraConfig(name="front", width_px=80, height_px=60, rgb=True, noise="typical")
@@ -187,7 +188,7 @@ TYPICAL = CameraConfig(name="front", width_px=80, height_px=60, rgb=True, noise=
 def shots(rig: CameraRig, seat: int, ticks) -> list[bytes]:
     out = []
     for tick in ticks:
-        frame = rig.shoot(seat, tick, plant(), (), ())[0]
+        frame = shoot(rig, seat, tick, plant(), (), ())[0]
         out.append(frame.depth_m.tobytes() + frame.class_id.tobytes() + frame.rgb.tobytes())
     return out
 
@@ -212,7 +213,7 @@ def test_noise_is_that_of_seed_seat_camera_and_tick_alone(mesh):
         assert shots(rig, 0, range(4))[1] != seen[1]
         other.begin(5)  # another rig, with another camera beside it
         for tick in range(4):
-            frame, front = other.shoot(0, tick, plant(), (), ())
+            frame, front = shoot(other, 0, tick, plant(), (), ())
             assert front.depth_m.tobytes() == seen[tick][: front.depth_m.nbytes]
             assert not np.array_equal(frame.depth_m, front.depth_m)
 
@@ -239,7 +240,7 @@ def test_noise_is_quick():
     scene, classes = wall(3.0), np.full((240, 320), ClassId.ROAD, np.uint8)
     scene[60:200, 80:180] = 1.5
     images = laid_over(config, scene, classes)
-    noise, keys = _camera_noise(config, pinhole(config)), itertools.count()
+    noise, keys = _CameraNoise(config, pinhole(config)), itertools.count()
 
     def disturb():
         images.depth_m[:] = scene

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.physics.rig import ray_down
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
@@ -22,7 +23,7 @@ def felt_on_level_ground(engine: Engine, bare: Engine, chair: Wheelchair, way: n
     arc = np.r_[0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T))]
     at = lambda s: np.array([np.interp(s, arc, way[:, 0]), np.interp(s, arc, way[:, 1])])  # noqa: E731
     start, ahead, reached, felt = at(1.0), at(2.0), 1.0, []
-    chair.place(np.r_[start, bare.ray_down(start[None])], math.atan2(*(ahead - start)[::-1]))
+    chair.place(np.r_[start, ray_down(bare, start[None])], math.atan2(*(ahead - start)[::-1]))
     for tick in range(int(6.0 * min(arc[-1] - 3.0, 30.0))):
         state = chair.state()
         while reached < arc[-1] and np.hypot(*(at(reached) - state.p_WB_m[:2])) < 1.5:
@@ -37,7 +38,7 @@ def felt_on_level_ground(engine: Engine, bare: Engine, chair: Wheelchair, way: n
         chair.end_tick(None)
         if chair.contacts():
             break
-        level = np.ptp(bare.ray_down(state.p_WB_m[:2] + AROUND_M)) < 1e-6
+        level = np.ptp(ray_down(bare, state.p_WB_m[:2] + AROUND_M)) < 1e-6
         if level and tick >= WARM_TICKS and abs(turn) < 0.15:
             felt.append(chair.sensors._sensors["imu"].lowpass_mps2)
     return felt

@@ -1,4 +1,5 @@
-"""How SUMO's drivers, cyclists and pedestrians react to a wheelchair.
+"""How SUMO's drivers, cyclists and pedestrians react to a wheelchair, and how long vehicles keep off the pavement.
 
-And how long vehicles keep off the pavement. Pure; no libsumo.
+Pure; no libsumo. `drivers.py` is the driver model: who gives way, who changes lanes. `conflict.py` has its arithmetic:
+when bodies meet, and the speed that avoids it. `bridge/sumo/vehicle_control.py` tells SUMO.
 """

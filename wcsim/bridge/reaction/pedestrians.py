@@ -199,6 +199,14 @@ class _Chair(NamedTuple):
     people: Attention
 
 
+class _Others(NamedTuple):
+    """Whom a person could run into; a walker of the crowd is among them itself."""
+
+    chairs: Sequence[_Chair]
+    crowd: Sequence[Walker]
+    vehicles: Sequence[Vehicle]
+
+
 class PedestrianAvoidance:
     """Offsets of all persons near a wheelchair, and who of them has to stand for now."""
 
@@ -237,8 +245,9 @@ class PedestrianAvoidance:
         for walker in crowd:
             # As fast as SUMO drives them: the velocity that is shown has the step aside in it.
             walker.speed_mps = self._speeds.get(walker.id, walker.speed_mps)
-        boxes = self._boxes(chairs, self._tick_s)
-        vehicles = vehicles_near(actors, crowd) if self._offsets else []
+        others = _Others(
+            self._boxes(chairs, self._tick_s), crowd, vehicles_near(actors, crowd) if self._offsets else ()
+        )
         still = {
             walker.id
             for walker in crowd
@@ -247,7 +256,7 @@ class PedestrianAvoidance:
         standing_s: dict[str, float] = {}
         behind: dict[str, str] = {}
         for walker in crowd:
-            holder = self._held_by(walker, boxes, crowd, vehicles)
+            holder = self._held_by(walker, others)
             if holder is not None:
                 standing_s[walker.id] = self._standing_s.get(walker.id, 0.0) + self._tick_s
                 behind[walker.id] = holder
@@ -260,25 +269,21 @@ class PedestrianAvoidance:
     def update(self, actors: Sequence[ActorState], chairs: Sequence[ChairInStreet]) -> None:
         """Move every offset by one tick; `actors` as SUMO has them, without offsets."""
         crowd = crowd_of(actors, chairs, self._offsets, shifted=False)
-        boxes = self._boxes(chairs, 0.0) if crowd else []
-        vehicles = vehicles_near(actors, crowd) if crowd else []
+        others = _Others(self._boxes(chairs, 0.0), crowd, vehicles_near(actors, crowd) if crowd else ())
         self._stuck.intersection_update([walker.id for walker in crowd])
         bare = {walker.id: (walker.x, walker.y) for walker in crowd}
         self._halted = {name for name, place in bare.items() if self._bare.get(name) == place}
         self._bare, self._speeds = bare, {walker.id: walker.speed_mps for walker in crowd}
         for walker in crowd:
-            self._stay_clear(walker, boxes, crowd, vehicles)
+            self._stay_clear(walker, others)
         # The nearer to a chair, the earlier: the others see where these have gone. The id decides between equals.
         for walker in sorted(crowd, key=lambda walker: (walker.chair_m, walker.id)):
-            desired_m = self._desired_left_m(walker, boxes, crowd, vehicles)
-            self._move(walker, desired_m, boxes, crowd, vehicles)
+            self._move(walker, self._desired_left_m(walker, others), others)
         self._offsets = {walker.id: (walker.ox, walker.oy) for walker in crowd if walker.aside}
         self._places = {walker.id: walker.at for walker in crowd}
         self._seen = {actor.id for actor in actors}
 
-    def _stay_clear(
-        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
-    ) -> None:
+    def _stay_clear(self, walker: Walker, others: _Others) -> None:
         """SUMO lets people jump a little at the ends of lanes; a body does not jump into a chair or another body."""
         before = self._places.get(walker.id)
         jumped = before is not None and math.dist(before, walker.at) > FURTHEST_M
@@ -286,22 +291,20 @@ class PedestrianAvoidance:
             walker.ox = walker.oy = 0.0
         if before is None or jumped:
             fresh = jumped or walker.id not in self._seen
-            if fresh and self._overlaps(walker, walker.at, chairs, crowd, vehicles):
-                self._begin_beside(walker, chairs, crowd, vehicles)
+            if fresh and self._overlaps(walker, walker.at, others):
+                self._begin_beside(walker, others)
             return
-        hits = self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+        hits = self._overlaps(walker, walker.at, others)
         # Only a jump into somebody is undone: who overlaps already has to get out.
-        if hits and not self._overlaps(walker, before, chairs, crowd, vehicles):
+        if hits and not self._overlaps(walker, before, others):
             walker.ox, walker.oy = before[0] - walker.x, before[1] - walker.y
 
-    def _begin_beside(
-        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
-    ) -> None:
+    def _begin_beside(self, walker: Walker, others: _Others) -> None:
         """SUMO has just put this person where somebody is that it does not see there: it comes into being beside."""
         # Near before far, and right before left, as people keep to the right.
         for left_m in BEGIN_BESIDE_M:
             walker.ox, walker.oy = -left_m * walker.sin, left_m * walker.cos
-            free = not self._overlaps(walker, walker.at, chairs, crowd, vehicles)
+            free = not self._overlaps(walker, walker.at, others)
             if free and self._walkable(walker, *walker.at):
                 return
         walker.ox = walker.oy = 0.0
@@ -310,25 +313,23 @@ class PedestrianAvoidance:
         self,
         walker: Walker,
         at: tuple[float, float],
-        chairs: Sequence[_Chair],
-        crowd: Sequence[Walker],
-        vehicles: Sequence[Vehicle],
+        others: _Others,
     ) -> bool:
-        if any(gap_to_box(*at, *box) < walker.radius_m for box in _noticed_boxes(chairs, walker)):
+        if any(gap_to_box(*at, *box) < walker.radius_m for box in _noticed_boxes(others.chairs, walker)):
             return True
         if walker.aside and any(
-            gap_to_box(*at, *vehicle.box) < walker.radius_m for vehicle in near(vehicles, *at) if not vehicle.moves
+            gap_to_box(*at, *vehicle.box) < walker.radius_m
+            for vehicle in near(others.vehicles, *at)
+            if not vehicle.moves
         ):
             return True
         return any(
             math.dist(at, other.at) < walker.radius_m + other.radius_m
-            for other in crowd
+            for other in others.crowd
             if other.id != walker.id and (other.aside or walker.aside)
         )
 
-    def _held_by(
-        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
-    ) -> str | None:
+    def _held_by(self, walker: Walker, others: _Others) -> str | None:
         """What a step ahead would bring this person against: CHAIR, VEHICLE or somebody's id; None if nothing.
 
         Of people only those count that SUMO does not see where they are.
@@ -336,14 +337,14 @@ class PedestrianAvoidance:
         x, y = walker.at
         reach_m = max(FASTEST_MPS, 1.3 * walker.speed_mps) * self._tick_s
         nx, ny = x + reach_m * walker.cos, y + reach_m * walker.sin
-        for box in _noticed_boxes(chairs, walker):
+        for box in _noticed_boxes(others.chairs, walker):
             gap_m = gap_to_box(nx, ny, *box) - walker.radius_m
             # Only a step that leads nearer is held up: who is too near already may walk away.
             if gap_m < STOP_SHORT_M and gap_m < gap_to_box(x, y, *box) - walker.radius_m:
                 side_m = walker.radius_m + 0.5 * TIGHT_GAP_M  # less than who squeezes past keeps
                 if _block_around(x, y, walker.cos, walker.sin, box, side_m, walker.radius_m).blocks(0.0):
                     return CHAIR
-        for other in crowd:
+        for other in others.crowd:
             if other.id == walker.id or not (other.aside or walker.aside):
                 continue
             ax, ay = other.at
@@ -353,23 +354,21 @@ class PedestrianAvoidance:
                 return other.id
         hits = walker.aside and any(
             gap_to_box(nx, ny, *vehicle.box) < min(walker.radius_m + BRUSH_M, gap_to_box(x, y, *vehicle.box))
-            for vehicle in near(vehicles, x, y)
+            for vehicle in near(others.vehicles, x, y)
             if gap_to_box(walker.x, walker.y, *vehicle.box) > 0.0  # else SUMO itself leads it through
         )
         return VEHICLE if hits else None
 
-    def _desired_left_m(
-        self, walker: Walker, chairs: Sequence[_Chair], crowd: Sequence[Walker], vehicles: Sequence[Vehicle]
-    ) -> float:
+    def _desired_left_m(self, walker: Walker, others: _Others) -> float:
         """How far left of its line this person would like to be now."""
         now_m = walker.left_m
         tight = self._standing_s.get(walker.id, 0.0) > PATIENCE_S
-        blocks = self._blocks(walker, chairs, TIGHT_GAP_M if tight else CHAIR_GAP_M)
-        people = self._people(walker, crowd, TIGHT_PERSON_GAP_M if tight else PERSON_GAP_M)
+        blocks = self._blocks(walker, others.chairs, TIGHT_GAP_M if tight else CHAIR_GAP_M)
+        people = self._people(walker, others.crowd, TIGHT_PERSON_GAP_M if tight else PERSON_GAP_M)
         if not walker.aside and not any([block.blocks(0.0) for block in (*blocks, *people)]):
             self._stuck.discard(walker.id)
             return 0.0
-        stand, drive = self._riders(walker, vehicles)
+        stand, drive = self._riders(walker, others.vehicles)
         people += stand + drive
         ahead_m = max((min(block.far_m, LOOK_AHEAD_M) for block in (*blocks, *people)), default=0.0)
         past_m = self._way_round(walker, (*blocks, *people), ahead_m)
@@ -440,9 +439,7 @@ class PedestrianAvoidance:
         self,
         walker: Walker,
         desired_m: float,
-        chairs: Sequence[_Chair],
-        crowd: Sequence[Walker],
-        vehicles: Sequence[Vehicle],
+        others: _Others,
     ) -> None:
         """One tick's step of the offset, unless it leads too near to somebody or off the walkable ground."""
         wx, wy = -desired_m * walker.sin - walker.ox, desired_m * walker.cos - walker.oy
@@ -455,7 +452,7 @@ class PedestrianAvoidance:
         x, y = walker.at
         nx, ny = x + share * wx, y + share * wy
         back = math.hypot(nx - walker.x, ny - walker.y) < math.hypot(walker.ox, walker.oy)
-        if self._crowded(walker, (x, y), (nx, ny), [chair.box for chair in chairs], crowd, vehicles):
+        if self._crowded(walker, (x, y), (nx, ny), others):
             return
         leaves = not self._walkable(walker, nx, ny) and self._walkable(walker, x, y)
         if not back and leaves:  # SUMO itself may have it walk where one does not: from there it may step off
@@ -472,20 +469,18 @@ class PedestrianAvoidance:
         walker: Walker,
         here: tuple[float, float],
         there: tuple[float, float],
-        chairs: Sequence[Box],
-        crowd: Sequence[Walker],
-        vehicles: Sequence[Vehicle],
+        others: _Others,
     ) -> bool:
         """Whether a sideways step comes too near to a chair, a vehicle or a person, and nearer than before."""
-        for other in crowd:
+        for other in others.crowd:
             if other.id != walker.id:
                 ax, ay = other.at
                 near_m = math.hypot(there[0] - ax, there[1] - ay)
                 apart_m = walker.radius_m + other.radius_m + BRUSH_M
                 if near_m < apart_m and near_m < math.hypot(here[0] - ax, here[1] - ay):
                     return True
-        beside = [vehicle.box for vehicle in near(vehicles, *here)]
-        for boxes, gap_m in ((chairs, 0.5 * TIGHT_GAP_M), (beside, BRUSH_M)):
+        beside = [vehicle.box for vehicle in near(others.vehicles, *here)]
+        for boxes, gap_m in (([chair.box for chair in others.chairs], 0.5 * TIGHT_GAP_M), (beside, BRUSH_M)):
             for box in boxes:
                 near_m = gap_to_box(*there, *box)
                 if near_m < walker.radius_m + gap_m and near_m < gap_to_box(*here, *box):

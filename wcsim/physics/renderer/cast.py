@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_instances, joined
 from wcsim.physics.renderer.models.catalog import Template
-from wcsim.physics.renderer.models.vehicles import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
+from wcsim.physics.renderer.models.primitives import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
 from wcsim.types import F64, I32, ActorState, Bool, SignalHead, SignalState, chair_actor_id
 
 AHEAD_M = 0.16  # from the middle of a head to its lamps' backs: heads are 0.3 m deep

@@ -1,4 +1,4 @@
-"""The one geometry that all renderers draw: the standing street in small chunks, and the models of the actors.
+"""The one geometry that all renderers draw: the standing street in small chunks.
 
 How the standing street is painted: a shaded colour per face, and where stripes or windows are drawn (RGB only).
 """
@@ -6,27 +6,23 @@ How the standing street is painted: a shaded colour per face, and where stripes 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.physics.renderer.kernels import STRIPES, WINDOWS
-from wcsim.physics.renderer.models.catalog import ActorTemplates, actor_templates
+from wcsim.physics.renderer.kernels import STRIPES, WINDOWS, StreetArrays, U32Array
 from wcsim.physics.renderer.models.paint import (
     AMBIENT,
-    BUILDING_RGB,
     DIFFUSE,
     LEAF_RGB,
     MARK_CLASS,
     ROOF_RGB,
     SUN_W,
     TRUNK_RGB,
+    WALL_RGB,
     class_paint_table,
 )
 from wcsim.types import F32, F64, I32, I64, U8, Bool, ClassId, GroundPaint, StreetMesh
-
-U32 = npt.NDArray[np.uint32]
 
 WELD_M = 0.02
 BAY_M = 2.8
@@ -34,17 +30,8 @@ _TRUNK_WIDE_M = 0.6  # a green thing no wider than this is a tree's trunk
 _WINDOW_WALL_MIN_M = 4.0  # lower walls are sheds and get no windows
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _SurfacePaint:
-    """The painting of every face of the street."""
-
-    rgb: U32  # (F,) colour with the sun's shading in it, red in the lowest byte
-    pattern: U8  # (F,) PLAIN, STRIPES or WINDOWS
-    frame: F32  # (F, 4) a point's bay is x f[0] + y f[1] - f[2] (one bay a window or a pair of bars); foot of the house
-
-
-def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> _SurfacePaint:
-    """Paint (V, 3) vertices, (F, 3) faces with (F,) classes."""
+def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> tuple[U32Array, U8, F32]:
+    """Colour, pattern and frame, see `StreetArrays`, of (V, 3) vertices and (F, 3) faces with (F,) classes."""
     corners = vertices_W_m[faces].astype(np.float64)  # (F, 3 corners, 3)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # A face without area has no normal: zeros instead of a division by zero.
@@ -66,11 +53,8 @@ def _paint_street(vertices_W_m: F32, faces: I32, face_class: U8) -> _SurfacePain
     axis[stripes] = _walking_axes(vertices_W_m, faces, face_class, thing)[stripes]
     red, green, blue = np.clip(colour * shade[:, None], 0, 255).astype(np.uint32).T
     bays, start = _bays(corners, axis, windows)
-    return _SurfacePaint(
-        rgb=red | green << 8 | blue << 16,
-        pattern=pattern,
-        frame=np.concatenate([axis * bays, start, foot[:, None]], axis=1, dtype=np.float32),
-    )
+    frame = np.concatenate([axis * bays, start, foot[:, None]], axis=1, dtype=np.float32)
+    return red | green << 8 | blue << 16, pattern, frame
 
 
 def _bays(corners: F64, axis: F64, windows: Bool) -> tuple[F64, F64]:
@@ -144,14 +128,10 @@ def _colours(face_class: U8, dice: I64, steep: Bool, thin: Bool) -> F64:
     """Unshaded colour (F, 3) of every face: by class, and by chance for each building and tree."""
     colour = class_paint_table()[face_class]
     building, tree = face_class == ClassId.BUILDING, face_class == ClassId.VEGETATION
-    for where, choices in (
-        (building & steep, BUILDING_RGB),
-        (building & ~steep, ROOF_RGB),
-        (tree, LEAF_RGB),
-    ):
+    things = (building & steep, WALL_RGB), (building & ~steep, ROOF_RGB), (tree, LEAF_RGB), (tree & thin, TRUNK_RGB)
+    for where, choices in things:
         table = np.array(choices, np.float64)
         colour[where] = table[dice[where] % len(table)]
-    colour[tree & thin] = TRUNK_RGB
     return colour
 
 
@@ -178,50 +158,42 @@ CHUNK_M = 16.0  # a chunk much larger is mostly outside the view, one much small
 
 
 class GeometryStore:
-    """Immutable triangles of a street, regrouped into cells of `chunk_m`, and of the actor templates.
-
-    Faces of chunk c are `chunk_faces[c]:chunk_faces[c + 1]`; they index the chunk's own vertices from its first one on.
-    """
+    """Immutable triangles of a street, regrouped into cells of `chunk_m`; its marks are drawn in colours alone."""
 
     def __init__(self, mesh: StreetMesh, chunk_m: float = CHUNK_M) -> None:
-        paint = _paint_street(mesh.vertices_W_m, mesh.faces, mesh.face_class)
-        order, self.chunk_faces = _by_cell(mesh, chunk_m)
-        self.vertices_W_m, self.faces, self.chunk_vertices = _own_vertices(mesh, order, self.chunk_faces)
-        self.face_class: U8 = np.ascontiguousarray(mesh.face_class[order])  # (F,)
-        self.paint = _SurfacePaint(rgb=paint.rgb[order], pattern=paint.pattern[order], frame=paint.frame[order])
-        self.spheres_W_m = _spheres(self.vertices_W_m, self.chunk_vertices)  # (C, 4) x, y, z, radius
-        self.templates: ActorTemplates = actor_templates()
-        self.marks = GeometryStore(_as_mesh(mesh.paint)) if len(mesh.paint.mark) else None  # drawn in colours alone
+        rgb, pattern, frame = _paint_street(mesh.vertices_W_m, mesh.faces, mesh.face_class)
+        order, chunk_faces = _by_cell(mesh, chunk_m)
+        vertices, faces, chunk_vertices = _own_vertices(mesh, order, chunk_faces)
+        self.arrays = StreetArrays(
+            vertices=vertices,
+            faces=faces,
+            face_class=np.ascontiguousarray(mesh.face_class[order]),
+            chunk_vertices=chunk_vertices,
+            chunk_faces=chunk_faces,
+            spheres=_spheres(vertices, chunk_vertices),
+            rgb=rgb[order],
+            pattern=pattern[order],
+            frame=frame[order],
+        )
+        self.marks = GeometryStore(_as_mesh(mesh.paint)) if len(mesh.paint.mark) else None
 
     @classmethod
     def joined(cls, parts: Sequence[GeometryStore]) -> GeometryStore:
         """The parts as one; much cheaper than the store of a mesh joined from theirs. Raises ValueError without any."""
         store = cls.__new__(cls)
-        store.vertices_W_m = np.concatenate([part.vertices_W_m for part in parts])
-        store.faces = np.concatenate([part.faces for part in parts])
-        store.face_class = np.concatenate([part.face_class for part in parts])
-        store.chunk_vertices = _end_to_end([part.chunk_vertices for part in parts])
-        store.chunk_faces = _end_to_end([part.chunk_faces for part in parts])
-        store.paint = _SurfacePaint(
-            rgb=np.concatenate([part.paint.rgb for part in parts]),
-            pattern=np.concatenate([part.paint.pattern for part in parts]),
-            frame=np.concatenate([part.paint.frame for part in parts]),
+        columns = zip(*(part.arrays for part in parts), strict=True)
+        store.arrays = StreetArrays._make(
+            _end_to_end(column) if name.startswith("chunk") else np.concatenate(column)
+            for name, column in zip(StreetArrays._fields, columns, strict=True)
         )
-        store.spheres_W_m = np.concatenate([part.spheres_W_m for part in parts])
-        store.templates = actor_templates()
         marks = [part.marks for part in parts if part.marks is not None]
         store.marks = cls.joined(marks) if marks else None
         return store
 
-    @property
-    def chunk_count(self) -> int:
-        """Number of chunks."""
-        return len(self.chunk_faces) - 1
-
     def global_faces(self) -> I32:
-        """Faces (F, 3) that index `vertices_W_m` as a whole."""
-        start = np.repeat(self.chunk_vertices[:-1], np.diff(self.chunk_faces))
-        return np.asarray(self.faces + start[:, None], np.int32)
+        """Faces (F, 3) that index the vertices as a whole."""
+        start = np.repeat(self.arrays.chunk_vertices[:-1], np.diff(self.arrays.chunk_faces))
+        return np.asarray(self.arrays.faces + start[:, None], np.int32)
 
 
 def _as_mesh(paint: GroundPaint) -> StreetMesh:

@@ -66,29 +66,33 @@ LEFT_BITS, RIGHT_BITS, BRAKE_BIT = 6, 5, 8
 
 
 class StreetArrays(NamedTuple):
-    """The standing street, see `GeometryStore`."""
+    """The standing street in chunks; chunk c owns faces `chunk_faces[c]:chunk_faces[c + 1]`, likewise its vertices."""
 
-    vertices: F32
-    faces: I32
-    face_class: U8
-    chunk_vertices: I32
-    chunk_faces: I32
-    spheres: F32
-    rgb: U32Array  # (F,) packed
-    pattern: U8
-    frame: F32
+    vertices: F32  # (V, 3) in W
+    faces: I32  # (F, 3) indices from the chunk's first vertex on
+    face_class: U8  # (F,) ClassId
+    chunk_vertices: I32  # (C + 1,)
+    chunk_faces: I32  # (C + 1,)
+    spheres: F32  # (C, 4) x, y, z, radius: each chunk is inside
+    rgb: U32Array  # (F,) colour with the sun's shading in it, red in the lowest byte
+    pattern: U8  # (F,) PLAIN, STRIPES or WINDOWS
+    frame: F32  # (F, 4) a point's bay is x f[0] + y f[1] - f[2] (one bay a window or a pair of bars); foot of the house
 
 
 class ModelArrays(NamedTuple):
-    """The actor templates, see `ActorTemplates`, and their paints (paints, variants, 3)."""
+    """Triangles of all models; template t owns faces `faces_of[t]:faces_of[t + 1]`, likewise its vertices.
 
-    vertices: F32
-    faces: I32
-    face_class: U8
-    face_paint: U8
-    vertices_of: I32
-    faces_of: I32
-    paints: F32
+    A model fills x, y in [-0.5, 0.5] and z in [0, 1], x forward, so that scaling by `size_lwh_m` gives the actor's box;
+    the hands and feet of a walking pedestrian reach out of it to front and rear.
+    """
+
+    vertices: F32  # (V, 3)
+    faces: I32  # (T, 3) indices from the template's first vertex on, counter-clockwise seen from outside
+    face_class: U8  # (T,) ClassId
+    face_paint: U8  # (T,) Paint
+    vertices_of: I32  # (n + 1,)
+    faces_of: I32  # (n + 1,)
+    paints: F32  # (paints, variants, 3)
 
 
 class InstanceArrays(NamedTuple):

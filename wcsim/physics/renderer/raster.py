@@ -27,7 +27,8 @@ from wcsim.physics.renderer.kernels import (
     cull,
     draw_chunk,
 )  # fmt: skip
-from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB, paint_table
+from wcsim.physics.renderer.models.catalog import actor_templates
+from wcsim.physics.renderer.models.paint import AMBIENT, DIFFUSE, HORIZON_RGB, SUN_W, ZENITH_RGB
 from wcsim.types import F32, F64, I32, U8, Bool
 from wcsim.types.street import joined_mesh
 
@@ -41,18 +42,9 @@ class RasterRenderer:
     def __init__(self, store: GeometryStore, cull: bool = True) -> None:
         """`cull=False` draws what is out of view too; it is for tests."""
         self._cull = cull
-        self._street = _arrays(store)
-        self._marks = _arrays(store.marks or GeometryStore(joined_mesh(())))
-        templates = store.templates
-        self._models = kernels.ModelArrays(
-            vertices=templates.vertices,
-            faces=templates.faces,
-            face_class=templates.face_class,
-            face_paint=templates.face_paint,
-            vertices_of=templates.vertices_of,
-            faces_of=templates.faces_of,
-            paints=paint_table(),
-        )
+        self._street = store.arrays
+        self._marks = (store.marks or GeometryStore(joined_mesh(()))).arrays
+        self._models = actor_templates()
         self._light = np.array([AMBIENT, DIFFUSE, *HORIZON_RGB, *ZENITH_RGB])
 
     def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
@@ -84,20 +76,6 @@ class RasterRenderer:
             sun_C=T_CW[:, :3] @ SUN_W,
             light=self._light,
         )
-
-
-def _arrays(store: GeometryStore) -> kernels.StreetArrays:
-    return kernels.StreetArrays(
-        vertices=store.vertices_W_m,
-        faces=store.faces,
-        face_class=store.face_class,
-        chunk_vertices=store.chunk_vertices,
-        chunk_faces=store.chunk_faces,
-        spheres=store.spheres_W_m,
-        rgb=store.paint.rgb,
-        pattern=store.paint.pattern,
-        frame=store.paint.frame,
-    )
 
 
 def warm_up(renderer: RasterRenderer) -> None:

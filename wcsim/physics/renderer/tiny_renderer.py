@@ -9,18 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
 
+from wcsim.core.closing import Closing
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, rotation_quaternion
-from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table, paint_table
+from wcsim.physics.renderer.models.catalog import actor_templates
+from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table
 from wcsim.types import F64, U8, Bool, ClassId
 
 _FACES_PER_BODY = 30_000  # Bullet takes 131072 vertices and 524288 indices a mesh at most
@@ -38,12 +39,11 @@ class _Model:
     colour: int
 
 
-class TinyRenderer:
+class TinyRenderer(Closing):
     """Draws a `GeometryStore` with PyBullet in a DIRECT client of its own."""
 
     def __init__(self, store: GeometryStore) -> None:
         """Connect and load the street. Raises PhysicsError when PyBullet gives no client or refuses a mesh."""
-        self._store = store
         self._client: int = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise PhysicsError("PyBullet gave no DIRECT client for the TinyRenderer; close other clients and try again")
@@ -51,19 +51,11 @@ class TinyRenderer:
         self._instance_of: dict[int, int] = {}  # row of the instance that a body stands for in this picture
         self._pool: dict[_Model, list[tuple[int, ...]]] = {}
         self._used: dict[_Model, int] = {}
-        corners = store.vertices_W_m[store.global_faces()].astype(np.float64)
-        for class_id in np.unique(store.face_class):
-            mine = corners[store.face_class == class_id]
+        corners = store.arrays.vertices[store.global_faces()].astype(np.float64)
+        for class_id in np.unique(store.arrays.face_class):
+            mine = corners[store.arrays.face_class == class_id]
             for start in range(0, len(mine), _FACES_PER_BODY):
                 self._body(mine[start : start + _FACES_PER_BODY], int(class_id), class_paint_table()[class_id])
-
-    def __enter__(self) -> TinyRenderer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Disconnect; a second call does nothing."""
@@ -129,7 +121,7 @@ class TinyRenderer:
 
     def _actor(self, model: _Model) -> tuple[int, ...]:
         """Bodies of one new actor, one a class, and one a colour of what shines."""
-        table = self._store.templates
+        table = actor_templates()
         vertices = table.vertices[table.vertices_of[model.template] : table.vertices_of[model.template + 1]]
         rows = slice(table.faces_of[model.template], table.faces_of[model.template + 1])
         corners = (vertices.astype(np.float64) * model.scale_m)[table.faces[rows]]
@@ -138,7 +130,7 @@ class TinyRenderer:
         bodies = []
         for number in np.unique(part):
             mine, class_id = part == number, number // 256
-            colour = paint_table()[np.bincount(paints[mine]).argmax(), model.colour]
+            colour = table.paints[np.bincount(paints[mine]).argmax(), model.colour]
             bodies.append(self._body(corners[mine], int(class_id), colour.astype(np.float64)))
         return tuple(bodies)
 

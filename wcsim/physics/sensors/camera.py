@@ -10,23 +10,23 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.config import CameraConfig, CameraNoiseConfig, ClassNoiseConfig, DepthNoiseConfig
+from wcsim.config import CameraConfig, CameraNoiseConfig, DepthNoiseConfig
 from wcsim.core import frames, seeding
+from wcsim.core.closing import Closing
 from wcsim.core.jit import kernel
 from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images, SeatBuffers, new_images
 from wcsim.physics.renderer.base import Pinhole, Renderer
 from wcsim.physics.renderer.cast import Cast, names
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import ChairPose, Instances
+from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.raster import RasterRenderer, brighten, warm_up
 from wcsim.physics.sensors.base import Surroundings
-from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_matrix
+from wcsim.physics.sensors.camera_geometry import camera_matrix, focal_px, mount, pinhole, pose_matrix
 from wcsim.physics.sensors.drawing_threads import DrawingThreads, Work, cores
 from wcsim.physics.sensors.pixel_noise import (
     ClassNoise,
@@ -37,7 +37,7 @@ from wcsim.physics.sensors.pixel_noise import (
     disturb_depth,
     quantiles,
 )
-from wcsim.types import F64, I32, U8, ActorState, Bool, CameraFrame, PlantState, SignalHead, SignalState, StreetMesh
+from wcsim.types import F64, I32, U8, Bool, CameraFrame, SignalHead, StreetMesh
 
 _STATED_PX = 320 * 240
 """The picture for which numbers of pixels are stated; in one of another size they are scaled by its share of this."""
@@ -75,9 +75,10 @@ FULL_SCALE = 255.0
 class _CameraNoise:
     """Disturbs the pictures of one camera; keeps nothing between pictures."""
 
-    def __init__(self, camera: CameraConfig, noise: CameraNoiseConfig, pinhole: Pinhole) -> None:
+    def __init__(self, camera: CameraConfig, pinhole: Pinhole) -> None:
+        noise = camera.noise or CameraNoiseConfig()
         self._depth = None if noise.depth is None else _depth_noise(camera, noise.depth, pinhole)
-        self._classes = None if noise.classes is None else _class_noise(noise.classes)
+        self._classes = None if noise.classes is None else ClassNoise(**noise.classes.model_dump())
         self._sigma = None if noise.rgb is None else _sigma_of(noise.rgb.snr_db)
 
     def lay_over(self, images: Images, key: int) -> None:
@@ -90,41 +91,16 @@ class _CameraNoise:
             disturb_colours(images.rgb, np.uint64(child(key, RGB)), self._sigma, quantiles())
 
 
-def _camera_noise(camera: CameraConfig, pinhole: Pinhole) -> _CameraNoise | None:
-    """The errors of a camera, None when its pictures are exact."""
-    noise = camera.noise
-    if noise is None or (noise.depth is None and noise.classes is None and noise.rgb is None):
-        return None
-    return _CameraNoise(camera, noise, pinhole)
-
-
 def _depth_noise(camera: CameraConfig, depth: DepthNoiseConfig, pinhole: Pinhole) -> DepthNoise:
     """What the kernel needs of a stereo camera."""
-    matcher_focal_px = 0.5 * depth.matcher_width_px / math.tan(0.5 * frames.rad(camera.hfov_deg))
+    known = depth.model_dump(include=set(DepthNoise._fields))
     return DepthNoise(
         focal_px=pinhole.focal_px,
         shift_px_m=pinhole.focal_px * depth.baseline_m,
-        match_px_m=matcher_focal_px * depth.baseline_m,
-        sigma_px=depth.sigma_px,
-        step_px=depth.step_px,
+        match_px_m=focal_px(depth.matcher_width_px, frames.rad(camera.hfov_deg)) * depth.baseline_m,
         range_m=camera.range_m,
-        z_min_m=depth.z_min_m,
-        shadow=depth.shadow,
-        dropout=depth.dropout,
         grazing_sin=math.sin(frames.rad(depth.grazing_deg)),
-        grazing_dropout=depth.grazing_dropout,
-        patch_px=depth.patch_px,
-    )
-
-
-def _class_noise(classes: ClassNoiseConfig) -> ClassNoise:
-    """What the kernel needs of a network that names pixels."""
-    return ClassNoise(
-        border_px=classes.border_px,
-        border_share=classes.border_share,
-        grain_px=classes.grain_px,
-        dropout=classes.dropout,
-        patch_px=classes.patch_px,
+        **known,
     )
 
 
@@ -164,7 +140,7 @@ class _Shot:
     shown: Bool
     out: Images
     light: float
-    noise: _CameraNoise | None
+    noise: _CameraNoise
     noise_key: int
     names: Sequence[str] | None  # of the rows whose pixels are counted
 
@@ -181,11 +157,10 @@ class _Shot:
         self.shutter.shown_px = counts
         if self.out.rgb is not None and self.light != 1.0:
             brighten(self.out.rgb, _brightened(self.light))
-        if self.noise is not None:
-            self.noise.lay_over(self.out, self.noise_key)
+        self.noise.lay_over(self.out, self.noise_key)
 
 
-class CameraRig:
+class CameraRig(Closing):
     """The cameras of all seats: one geometry, one renderer of each kind, three buffers a camera.
 
     The arrays of a frame stay valid until the third new image of that camera after it: a tick that ends an episode
@@ -229,19 +204,11 @@ class CameraRig:
         self._pinholes = tuple(pinhole(camera) for camera in cameras)
         self._mounts = [tuple(mount(camera) for camera in cameras)] * seats
         self._light = [1.0] * seats
-        self._noises = tuple(_camera_noise(*pair) for pair in zip(cameras, self._pinholes, strict=True))
-        for noise in filter(None, self._noises):
+        self._noises = tuple(_CameraNoise(*pair) for pair in zip(cameras, self._pinholes, strict=True))
+        for noise in self._noises:
             noise.lay_over(new_images(16, 12, rgb=True), 0)  # compiled now, not at the first picture
         self._shutters = [tuple(_Shutter(_new_buffers(camera)) for camera in cameras) for _ in range(seats)]
         self.begin(0)
-
-    def __enter__(self) -> CameraRig:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the threads, let go of the renderers and their geometry; a second call does nothing."""
@@ -250,7 +217,7 @@ class CameraRig:
 
     def _let_go(self) -> None:
         for renderer in self._renderers.values():
-            if hasattr(renderer, "close"):
+            if isinstance(renderer, Closing):
                 renderer.close()
         self._renderers.clear()
 
@@ -277,23 +244,6 @@ class CameraRig:
         """Forget what the cameras of a seat saw, so that each takes a new image at its next shot."""
         for shutter in self._shutters[seat]:
             shutter.last = None
-
-    def shoot(
-        self,
-        seat: int,
-        tick: int,
-        plant: PlantState,
-        actors: Sequence[ActorState],
-        chairs: Sequence[ChairPose],
-        buffers: SeatBuffers | None = None,
-        signals: Sequence[SignalState] = (),
-        counted: bool = False,
-    ) -> tuple[CameraFrame, ...]:
-        """Take the images of one seat alone; see `Surroundings` for the arguments and `shoot_all` for the rest."""
-        scene = Surroundings(
-            tick=tick, plant=plant, actors=actors, chairs=chairs, signals=signals, buffers=buffers, counted=counted
-        )
-        return self.frames(seat, scene)
 
     def frames(self, seat: int, scene: Surroundings) -> tuple[CameraFrame, ...]:
         """What the cameras of a seat see; those taken in this very scene by `shoot_all`, or else taken now."""

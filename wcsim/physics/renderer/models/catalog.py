@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
-from functools import cache, partial
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from wcsim.physics.renderer.models import people, vehicles
-from wcsim.physics.renderer.models.paint import Paint
-from wcsim.physics.renderer.models.people import CHILD, GROWN, LONG_HAIRED, POSTURES, STANDING, walker
-from wcsim.physics.renderer.models.primitives import BodyPart
-from wcsim.types import F32, F64, I32, U8, ActorKind, ActorLook, ClassId
+from wcsim.physics.renderer.kernels import ModelArrays
+from wcsim.physics.renderer.models import primitives
+from wcsim.physics.renderer.models.paint import Paint, paint_table
+from wcsim.physics.renderer.models.people import CHILD, GROWN, HELMETED, LONG_HAIRED, STANDING, Posture, figure
+from wcsim.physics.renderer.models.primitives import BodyPart, Part
+from wcsim.types import F64, U8, ActorKind, ActorLook, ClassId
 
 FIGURES = (GROWN, LONG_HAIRED, CHILD)  # the builds of those on foot
 
@@ -76,80 +80,50 @@ LOOKS = {
 """Models of looks; what is not listed looks as usual for its kind."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ActorTemplates:
-    """Triangles of all models; template t owns faces `faces_of[t]:faces_of[t + 1]`, likewise its vertices.
-
-    A model fills x, y in [-0.5, 0.5] and z in [0, 1], x forward, so that scaling by `size_lwh_m` gives the actor's box;
-    the hands and feet of a walking pedestrian reach out of it to front and rear.
-    """
-
-    vertices: F32  # (V, 3)
-    faces: I32  # (T, 3) indices from the template's first vertex on, counter-clockwise seen from outside
-    face_class: U8  # (T,) ClassId
-    face_paint: U8  # (T,) Paint
-    vertices_of: I32  # (n + 1,)
-    faces_of: I32  # (n + 1,)
-
-    @property
-    def count(self) -> int:
-        """Number of templates."""
-        return len(self.faces_of) - 1
-
-
 def template_of(kind: ActorKind, look: ActorLook = ActorLook.USUAL) -> Template:
     """The model of a kind and look; a pedestrian's first one."""
     return LOOKS.get((kind, look), Template[kind.name])
 
 
 @cache
-def actor_templates() -> ActorTemplates:
+def actor_templates() -> ModelArrays:
     """The table; it takes some tens of milliseconds to build, so it is built once a process and never changes."""
-    makers = _makers()
-    models = [(model, _bounds(model)) for model in (makers[template]() for template in list(Template)[:-1])]
+    models = [(model, _bounds(model)) for model in (body_parts(template.name) for template in list(Template)[:-1])]
     for build in FIGURES:
-        postures = [walker(posture, build) for posture in range(POSTURES)]
+        postures = [figure(ClassId.PERSON, build, Posture(**row)) for row in _shapes()["gait"]]
         box = _bounds(postures[STANDING])  # a stride reaches beyond it: SUMO's length of a person is that of the trunk
         models += [(model, box) for model in postures]
     return _table(models)
 
 
-def _makers() -> dict[Template, Callable[[], list[BodyPart]]]:
-    red_amber_green = (Paint.RED_LIGHT, Paint.AMBER_LIGHT, Paint.GREEN_LIGHT)
-    red_green = (Paint.RED_LIGHT, Paint.GREEN_LIGHT)
-    return {
-        Template.CAR: vehicles.car,
-        Template.TRUCK: vehicles.truck,
-        Template.BUS: vehicles.bus,
-        Template.TRAM: vehicles.tram,
-        Template.MOTORCYCLE: people.motorcycle,
-        Template.BICYCLE: people.bicycle,
-        Template.SCOOTER: people.scooter,
-        Template.WHEELCHAIR: people.wheelchair,
-        Template.OTHER: vehicles.other,
-        Template.VAN: partial(vehicles.van, ClassId.CAR),
-        Template.TAXI: vehicles.taxi,
-        Template.POLICE: vehicles.police,
-        Template.AMBULANCE: vehicles.ambulance,
-        Template.DELIVERY: partial(vehicles.van, ClassId.TRUCK),
-        Template.COACH: vehicles.coach,
-        Template.MOPED: people.moped,
-        Template.TRACTOR: vehicles.tractor,
-        Template.TRAILER: vehicles.trailer,
-        Template.BUS_FRONT: vehicles.bus_front,
-        Template.BUS_REAR: vehicles.bus_rear,
-        Template.TRAM_FRONT: vehicles.tram_front,
-        Template.TRAM_MIDDLE: vehicles.tram_middle,
-        Template.TRAM_REAR: vehicles.tram_rear,
-        Template.SIGNAL_OFF: partial(vehicles.signal_lamps, (False, False, False), red_amber_green),
-        Template.SIGNAL_RED: partial(vehicles.signal_lamps, (True, False, False), red_amber_green),
-        Template.SIGNAL_RED_AMBER: partial(vehicles.signal_lamps, (True, True, False), red_amber_green),
-        Template.SIGNAL_AMBER: partial(vehicles.signal_lamps, (False, True, False), red_amber_green),
-        Template.SIGNAL_GREEN: partial(vehicles.signal_lamps, (False, False, True), red_amber_green),
-        Template.WALK_OFF: partial(vehicles.signal_lamps, (False, False), red_green),
-        Template.WALK_RED: partial(vehicles.signal_lamps, (True, False), red_green),
-        Template.WALK_GREEN: partial(vehicles.signal_lamps, (False, True), red_green),
-    }
+@cache
+def _shapes() -> dict[str, Any]:
+    return tomllib.loads((Path(__file__).parent / "shapes.toml").read_text(encoding="utf-8"))
+
+
+def body_parts(model: str, class_name: str = "", body: str = "BODY") -> list[BodyPart]:
+    """The parts of a model of `shapes.toml`, if wanted of another class, and with another paint for its BODY."""
+    class_name = class_name or _shapes()[model]["class"]
+    found = []
+    for row in _shapes()[model]["parts"]:
+        part = dict(row)
+        if "like" in part:
+            found += body_parts(part["like"], class_name, part["body"])
+        elif "person" in part:
+            build = HELMETED if part.pop("helmet", False) else GROWN
+            found += figure(ClassId[part.pop("person")], build, Posture(**part))
+        else:
+            name = part.pop("paint")
+            paint, top = (Paint[body if one == "BODY" else one] for one in (name, part.pop("top", name)))
+            found += [BodyPart(solid, ClassId[class_name], paint, top) for solid in _solids(**part)]
+    return found
+
+
+def _solids(shape: str, **numbers: Any) -> Iterator[Part]:
+    """A shape once for each of the numbers that its `x` and its `y` list."""
+    lists = {name: numbers[name] for name in ("x", "y") if isinstance(numbers.get(name), list)}
+    for place in product(*lists.values()):
+        yield getattr(primitives, shape)(**numbers | dict(zip(lists, place, strict=True)))
 
 
 def _bounds(pieces: Sequence[BodyPart]) -> tuple[F64, F64]:
@@ -157,7 +131,7 @@ def _bounds(pieces: Sequence[BodyPart]) -> tuple[F64, F64]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _table(models: Sequence[tuple[Sequence[BodyPart], tuple[F64, F64]]]) -> ActorTemplates:
+def _table(models: Sequence[tuple[Sequence[BodyPart], tuple[F64, F64]]]) -> ModelArrays:
     vertices, faces, classes, paints = [], [], [], []
     vertices_of, faces_of = [0], [0]
     for pieces, (low, high) in models:
@@ -171,16 +145,17 @@ def _table(models: Sequence[tuple[Sequence[BodyPart], tuple[F64, F64]]]) -> Acto
             start += len(unit)
         vertices_of.append(vertices_of[-1] + start)
         faces_of.append(faces_of[-1] + sum(len(piece.part.faces) for piece in pieces))
-    table = ActorTemplates(
+    table = ModelArrays(
         vertices=np.concatenate(vertices).astype(np.float32),
         faces=np.concatenate(faces).astype(np.int32),
         face_class=np.concatenate(classes).astype(np.uint8),
         face_paint=np.concatenate(paints).astype(np.uint8),
         vertices_of=np.array(vertices_of, np.int32),
         faces_of=np.array(faces_of, np.int32),
+        paints=paint_table(),
     )
     # All renderers of the process share it, some of them in threads.
-    for array in (table.vertices, table.faces, table.face_class, table.face_paint, table.vertices_of, table.faces_of):
+    for array in table:
         array.setflags(write=False)
     return table
 
@@ -191,5 +166,4 @@ def _paints(piece: BodyPart) -> U8:
     normal = np.cross(b - a, c - a)
     # The cosine times the length, not divided by it: a face without area has no top.
     upward = normal @ piece.top_along > piece.top_from * np.linalg.norm(normal, axis=1)
-    top = piece.paint if piece.top is None else piece.top
-    return np.where(upward, top, piece.paint).astype(np.uint8)
+    return np.where(upward, piece.paint if piece.top is None else piece.top, piece.paint).astype(np.uint8)

@@ -5,6 +5,7 @@ Every primitive is closed and its faces are counter-clockwise seen from outside:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,11 @@ from wcsim.physics.renderer.models.paint import Paint
 from wcsim.types import F64, ClassId
 
 Point = tuple[float, float, float]
+
+LAMP_RADIUS_M = 0.1  # of a traffic light
+LAMP_APART_M = 0.26
+LAMP_DEPTH_M = 0.05
+_SKIN_M = 0.01  # plates and panes float this far above the body, enough for the depth buffer within a camera's range
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +44,11 @@ class BodyPart:
     top_from: float = 0.9  # least cosine between a face's normal and it
 
 
-def box(low: Point, high: Point, top: float = 1.0) -> Part:
-    """A box between two corners; `top` shrinks its upper face about its middle (1 = straight walls)."""
+def box(low: Point, high: Point) -> Part:
+    """A box between two corners."""
     (x0, y0, z0), (x1, y1, z1) = low, high
-    cx, cy = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-    lower = [(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z0)]
-    upper = [(cx + top * (x - cx), cy + top * (y - cy), z1) for x, y, _ in lower]
-    return _between_rings(lower, upper)
+    ring = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    return _between_rings([(x, y, z0) for x, y in ring], [(x, y, z1) for x, y in ring])
 
 
 def prism(profile_xz: Sequence[tuple[float, float]], half_width: float, taper: float = 1.0) -> Part:
@@ -83,6 +87,11 @@ def limb(start: Point, end: Point, start_radius: float, end_radius: float, sides
     return _between_rings(a + start_radius * around, b + end_radius * around)
 
 
+def rod(start: Point, end: Point, radius: float = 0.022) -> Part:
+    """A tube."""
+    return limb(start, end, radius, radius, sides=4)
+
+
 def barrel(
     low_z: float, high_z: float, low: tuple[float, float], high: tuple[float, float], x: float, lean: float, sides: int
 ) -> Part:
@@ -116,6 +125,26 @@ def decal(corners: Sequence[Point]) -> Part:
     return Part(np.array(corners, np.float64), np.array([(0, 1, 2), (0, 2, 3)], np.int64))
 
 
+def plate(x: float, y: float, z: float, half_width: float, half_height: float, facing: int) -> Part:
+    """A rectangle across x that faces forward (1) or backward (-1)."""
+    x += _SKIN_M * facing
+    near, far = y - half_width * facing, y + half_width * facing
+    low, high = z - half_height, z + half_height
+    return decal([(x, near, low), (x, far, low), (x, far, high), (x, near, high)])
+
+
+def pane(x0: float, x1: float, y: float, low: float, high: float) -> Part:
+    """A rectangle along x on the left (y > 0) or right side of a body."""
+    y += math.copysign(_SKIN_M, y)
+    start, end = (x1, x0) if y > 0 else (x0, x1)
+    return decal([(start, y, low), (end, y, low), (end, y, high), (start, y, high)])
+
+
+def lamp(z: float) -> Part:
+    """A lamp of a traffic light, its middle at a height; it shines along x."""
+    return limb((0.0, 0.0, z), (LAMP_DEPTH_M, 0.0, z), LAMP_RADIUS_M, LAMP_RADIUS_M, sides=8)
+
+
 def _between_rings(first: Any, second: Any) -> Part:
     """The hull between two convex rings of as many corners."""
     n = len(first)
@@ -136,13 +165,3 @@ def _outward(vertices: F64, faces: Sequence[tuple[int, int, int]]) -> Part:
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0 - vertices.mean(axis=0)) < 0.0
     index[inward] = index[inward][:, [0, 2, 1]]
     return Part(vertices, index)
-
-
-def each(parts: list[Part], class_id: ClassId, paint: Paint) -> list[BodyPart]:
-    """Parts of one class and paint."""
-    return [BodyPart(part, class_id, paint) for part in parts]
-
-
-def rod(start: Point, end: Point, radius: float = 0.022) -> Part:
-    """A tube."""
-    return limb(start, end, radius, radius, sides=4)
