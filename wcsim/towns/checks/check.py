@@ -110,13 +110,13 @@ def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[s
 
 def _projection_faults(town: Town, net: Net) -> tuple[str, ...]:
     """Nets whose coordinates are no metres."""
-    points_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
-    size_m = np.ptp(points_m, axis=0)
+    low_m, high_m = net.corners_m()
+    size_m = high_m - low_m
     size = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
     if size_m.max() > LARGEST_M:
         return (f"{size}, so its projection is wrong; {_PROJECT}",)
-    drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for edge in net.edges for lane in edge.lanes)
-    noted_m = sum(lane.length_m for edge in net.edges for lane in edge.lanes if lane.kind is not LaneKind.WALKINGAREA)
+    drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for lane in net.every_lane)
+    noted_m = sum(lane.length_m for lane in net.every_lane if lane.kind is not LaneKind.WALKINGAREA)
     if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
         return (f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}",)
     return ()
@@ -127,11 +127,10 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
     poly = _polygons(town)
     if poly is None:
         return []
-    streets_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
-    low_m, high_m = streets_m.min(axis=0) - AROUND_M, streets_m.max(axis=0) + AROUND_M
+    low_m, high_m = net.corners_m()
     files = with_included((poly,), town.border)
     things_m = [item.points_W_m for item in read_items(files, town.file.origin_m, net)]
-    if not things_m or any(((low_m <= at) & (at <= high_m)).all(axis=1).any() for at in things_m):
+    if not things_m or any(((low_m - AROUND_M <= at) & (at <= high_m + AROUND_M)).all(axis=1).any() for at in things_m):
         return []
     problem = f"none of the {len(things_m)} objects of {poly.name} is near the streets, so it belongs to another net; "
     if town.file.rebuild:
@@ -416,7 +415,7 @@ def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
 
 
 def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
-    edges = [e for e in net.edges if not e.function and any(wanted(lane.kind) for lane in e.lanes)]
+    edges = [e for e in net.streets if any(wanted(lane.kind) for lane in e.lanes)]
     return edges, [shapely.union_all([lane_area(lane) for lane in e.lanes if wanted(lane.kind)]) for e in edges]
 
 

@@ -19,10 +19,10 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import yaw_from_sumo
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
-from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood, stood_if_free
+from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood, stood_if_free
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.plane_geometry import Patches, valid
+from wcsim.towns.ground.plane_geometry import Patches, left_of, unit, valid, yaw_of
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import AUTHOR_PREFIX, Item
@@ -173,28 +173,24 @@ _TYPE_KEYS = {
 }
 
 
-def _place_mapped(
-    items: list[Item], place: FreeGround, standing: list[StandingObject] | None = None
-) -> list[StandingObject]:
+def _place_mapped(items: list[Item], place: FreeGround) -> list[StandingObject]:
     """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
-    site = _Site(place, standing or [])
+    site = _Site(place)
     found: list[StandingObject] = []
     for item in items:
         if item.author or item.group in _FLAT_GROUPS or off_ground(item.tags):
             continue
         for thing in _made(item, site):
-            site.taken.add(thing.footprint)
+            place.taken.add(thing.footprint)
             found.append(thing)
     return found
 
 
 class _Site:
-    """A place with what stands there, and quick answers about what lies near a point of it."""
+    """A place, and quick answers about what lies near a point of it."""
 
-    def __init__(self, place: FreeGround, standing: list[StandingObject]) -> None:
-        place.prepare()
+    def __init__(self, place: FreeGround) -> None:
         self.place = place
-        self.taken = Taken(standing)
         self.near = tuple(Patches(area) for area in (place.lines, place.low, place.solids))
         parts = shapely.get_parts(place.lines)
         self._ways = parts[shapely.length(parts) > 0.0]
@@ -245,9 +241,9 @@ def _stood(item: Item, kind: str, middle: F64, site: _Site) -> StandingObject | 
     away = site.away(middle)
     facing = _mapped_direction(item.tags)
     if facing is None:
-        facing = float(np.arctan2(-away[1], -away[0]))  # things look at those who walk by
+        facing = yaw_of(-away)  # things look at those who walk by
     for shift_m in SHIFTS_M:
-        thing = stood_if_free(kind, middle + shift_m * away, facing - np.pi / 2, site.place, site.taken)
+        thing = stood_if_free(kind, middle + shift_m * away, facing - np.pi / 2, site.place)
         if thing is not None:
             return thing
     return None
@@ -353,51 +349,43 @@ STEP_M = 0.35
 ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
 
 
-def _stop_things(
-    items: list[Item], place: FreeGround, standing: Iterable[StandingObject], lefthand: bool
-) -> list[StandingObject]:
+def _stop_things(items: list[Item], place: FreeGround, lefthand: bool) -> list[StandingObject]:
     """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
-    place.prepare()
-    taken = Taken(standing)
     found: list[StandingObject] = []
     known = [item for item in items if item.group == "stop"]
     middles = shapely.MultiPoint([item.points_W_m[1] for item in known])
     for item in known:
-        found += _at_stop(item, place, taken, lefthand)
+        found += _at_stop(item, place, lefthand)
     for item in items:
         if item.group == "highway" and item.kind == "bus_stop" and not item.author:
             here = shapely.Point(item.points_W_m.mean(axis=0))
             if middles.is_empty or not shapely.dwithin(middles, here, _SAME_STOP_M):
-                found += _mapped(item, place, taken)
+                found += _mapped(item, place)
     return found
 
 
-def _at_stop(item: Item, place: FreeGround, taken: Taken, lefthand: bool) -> list[StandingObject]:
+def _at_stop(item: Item, place: FreeGround, lefthand: bool) -> list[StandingObject]:
     """A pole near the front of the stop and a shelter near its middle, both on the side where people wait."""
     start, middle, end = item.points_W_m
-    along = (end - start) / max(1e-6, float(np.hypot(*(end - start))))
-    aside = np.array([along[1], -along[0]]) * (-1.0 if lefthand else 1.0)
-    front_yaw = float(np.arctan2(-aside[1], -aside[0]))  # both look at the road
+    along = unit(end - start)
+    aside = left_of(along) * (1.0 if lefthand else -1.0)
     pole_at = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
-    pole = _first("stop_pole", _outward(pole_at, along, aside), float(np.arctan2(-along[1], -along[0])), place, taken)
-    shelter = _first("shelter", _outward(middle, along, aside, 1.2), front_yaw, place, taken)
+    pole = _first("stop_pole", _outward(pole_at, along, aside), yaw_of(-along), place)
+    shelter = _first("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside), place)  # it looks at the road
     return [*pole, *shelter]
 
 
-def _mapped(item: Item, place: FreeGround, taken: Taken) -> list[StandingObject]:
+def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
     """A pole where the map has it, or near by; a shelter only where the map says so."""
     middle = item.points_W_m.mean(axis=0)
     nearest = shapely.get_coordinates(shapely.shortest_line(place.low, shapely.Point(middle)))
     towards = nearest[0] - middle if len(nearest) else np.array([0.0, 1.0])
     distance_m = float(np.hypot(*towards))
     aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
-    along = np.array([-aside[1], aside[0]])
-    facing = float(np.arctan2(-aside[1], -aside[0]))
-    if item.tags.get("shelter") == "yes":
-        shelter = _first("shelter", _outward(middle, along, aside, 0.0, 3.0), facing, place, taken)
-        if shelter:
-            return shelter
-    return _first("stop_pole", _outward(middle, along, aside, 0.0, 3.0), facing, place, taken)
+    along = left_of(aside)
+    kinds = ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",)
+    found = (_first(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside), place) for kind in kinds)
+    return next(filter(None, found), [])
 
 
 def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M) -> Iterator[F64]:
@@ -407,14 +395,12 @@ def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m:
             yield start_m + aside_m * aside + along_m * along
 
 
-def _first(
-    kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround, taken: Taken
-) -> list[StandingObject]:
+def _first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
     """A thing at the first place that is free, if there is one."""
     for xy_m in places_m:
-        thing = stood_if_free(kind, xy_m, facing_rad - np.pi / 2, place, taken)
+        thing = stood_if_free(kind, xy_m, facing_rad - np.pi / 2, place)
         if thing is not None:
-            taken.add(thing.footprint)
+            place.taken.add(thing.footprint)
             return [thing]
     return []
 
@@ -423,9 +409,12 @@ def place_furniture(
     items: list[Item], net: Net, additional: tuple[Path, ...], place: FreeGround, placed: list[StandingObject]
 ) -> list[StandingObject]:
     """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
-    things = list(placed)
-    things += signal_things(net, additional, place, things)
-    things += _stop_things(items, place, things, net.lefthand)
-    things += sign_things(items, net, place, things)
-    things += _place_mapped(items, place, things)
-    return things
+    for thing in placed:
+        place.taken.add(thing.footprint)
+    return [
+        *placed,
+        *signal_things(net, additional, place),
+        *_stop_things(items, place, net.lefthand),
+        *sign_things(items, net, place),
+        *_place_mapped(items, place),
+    ]

@@ -27,6 +27,21 @@ def cross_z(a: F64, b: F64) -> F64:
     return area
 
 
+def left_of(way: F64) -> F64:
+    """A plane vector (2,) turned a quarter to the left."""
+    return np.array([-way[1], way[0]])
+
+
+def unit(way: F64) -> F64:
+    """A plane vector (2,) of length 1 in the same direction; that of nothing stays nothing."""
+    return np.asarray(way / max(1e-6, float(np.hypot(*way))))
+
+
+def yaw_of(way: F64) -> float:
+    """The direction of a plane vector (2,), in rad counter-clockwise from east."""
+    return float(np.arctan2(way[1], way[0]))
+
+
 def length_of(points_m: F64) -> float:
     """Length in metres of a polyline (K, 2)."""
     return float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())

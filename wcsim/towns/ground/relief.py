@@ -89,7 +89,7 @@ def on_land(net: Net, relief: Relief) -> Net:
 
 
 def _ways(net: Net) -> list[Lane]:
-    return [lane for edge in net.edges for lane in edge.lanes if len(lane.points_m) > 1]
+    return [lane for lane in net.every_lane if len(lane.points_m) > 1]
 
 
 def _samples(ways: list[Lane]) -> _Samples:
@@ -213,6 +213,6 @@ def steepest_run(heights_m: list[F64], runs_m: list[F64], driven: list[bool]) ->
 
 def steepest_grade(net: Net) -> float:
     """The largest rise over run along any lane of a net."""
-    lanes = [lane for edge in net.edges for lane in edge.lanes]
+    lanes = net.every_lane
     runs_m = [np.hypot(*np.diff(lane.points_m, axis=0).T) for lane in lanes]
     return steepest_run([lane.z_m for lane in lanes], runs_m, [True] * len(lanes))

@@ -13,7 +13,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, unit, valid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 
@@ -136,8 +136,7 @@ def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -
     for lane in crossings:
         area = lane_area(lane)
         for end, inner in ((0, 1), (-1, -2)):
-            along = lane.points_m[end] - lane.points_m[inner]
-            along = along / max(1e-6, float(np.hypot(*along)))
+            along = unit(lane.points_m[end] - lane.points_m[inner])
             ahead = shapely.LineString([lane.points_m[end] - 0.1 * along, lane.points_m[end] + REACH_M * along])
             strip = ahead.buffer(lane.width_m / 2, cap_style="flat")
             strip = strip.difference(pavements.near(strip.bounds)).intersection(roads.near(strip.bounds))

@@ -124,10 +124,7 @@ def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[st
 
 def _usable_km(net: Net, vclass: str) -> float:
     """Kilometres of street lane that a class may use."""
-    return (
-        sum(lane.length_m for edge in net.edges if not edge.function for lane in edge.lanes if lane.permits(vclass))
-        / 1e3
-    )
+    return sum(lane.length_m for edge in net.streets for lane in edge.lanes if lane.permits(vclass)) / 1e3
 
 
 def _wanted_flows(net: Net, traffic: _Traffic) -> int:
@@ -137,7 +134,7 @@ def _wanted_flows(net: Net, traffic: _Traffic) -> int:
 
 def _draw(net: Net, traffic: _Traffic, seed: int) -> list[tuple[str, str]]:
     """Pairs of edge ids, several times more than wanted: some cannot be routed or turn out too short."""
-    edges = [e for e in net.edges if not e.function and any(lane.permits(traffic.vclass) for lane in e.lanes)]
+    edges = [e for e in net.streets if any(lane.permits(traffic.vclass) for lane in e.lanes)]
     wanted = _wanted_flows(net, traffic) * 5
     if len(edges) < 2 or not wanted:
         return []

@@ -15,8 +15,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from wcsim.core.files import whole_folder
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.demand import (
@@ -490,8 +488,8 @@ def _write_folder(order: ImportOrder, extract: Extract, work: Path, elements: tu
 
 
 def _write_manifest(order: ImportOrder, side: Side, work: Path, built: _BuiltNet, box: Box) -> None:
-    corners_m = np.concatenate([lane.points_m for edge in built.net.edges for lane in edge.lanes])
-    middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
+    low_m, high_m = built.net.corners_m()
+    middle_m = 0.5 * (low_m + high_m)
     text = town_toml_text(
         name=order.name,
         split=order.split,

@@ -21,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import deg
 from wcsim.core.seeding import generator
 from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
+from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.ground.surfaces import NOT_ON_GROUND, lane_area
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
@@ -73,7 +74,7 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
 
 def _stops(net: Net, poles: list[Element]) -> list[str]:
     """A stop on the lane that each pole stands beside, on the side where people wait; each place once."""
-    lanes = [lane for edge in net.edges if not edge.function if (lane := _bus_lane(edge)) is not None]
+    lanes = [lane for edge in net.streets if (lane := _bus_lane(edge)) is not None]
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
     tree = shapely.STRtree(lines)
     found: list[str] = []
@@ -159,7 +160,7 @@ class _Space:
 def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
     lots = sorted(_lots(poly))
-    lanes = [lane for edge in net.edges if not edge.function for lane in edge.lanes if _leads_there(lane)]
+    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
     if not lots or taken <= 0.0 or not lanes:
         return Parking()
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
@@ -183,7 +184,7 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
 
 def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
     """Where there is ground, which ends not far outside of the streets, and where something is on it."""
-    lanes = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
+    lanes = shapely.union_all([lane_area(lane) for lane in net.every_lane]).buffer(FREE_M)
     town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
@@ -233,7 +234,7 @@ def _spaces(lot: Polygon) -> list[_Space]:
     if wide_m < _PARALLEL_M[1] or long_m < _PARALLEL_M[0]:
         return []
     along, aside = sides[0] / long_m, sides[1] / wide_m
-    yaw_rad = float(np.arctan2(along[1], along[0]))
+    yaw_rad = yaw_of(along)
     found: list[_Space] = []
     if wide_m < _SPACE_M[0]:
         rows, size_m, turn_rad = [wide_m / 2], _PARALLEL_M, 0.0

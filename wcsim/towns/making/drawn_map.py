@@ -18,6 +18,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.furniture.placement import Taken
+from wcsim.towns.ground.plane_geometry import left_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import MARGIN_M, lane_area
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
@@ -80,9 +81,7 @@ def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
     found = _Dressing()
     left_per_m = rng.uniform(0.0, 0.02)
     since_stop_m = float(rng.uniform(0.0, _STOP_EVERY_M))
-    for edge in net.edges:
-        if edge.function:
-            continue
+    for edge in net.streets:
         for lane in edge.lanes:
             if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or len(lane.points_m) < 2:
                 continue
@@ -132,8 +131,8 @@ def _beside(line: shapely.LineString, along_m: float, left_m: float) -> tuple[F6
         shapely.get_coordinates(line.interpolate(min(max(s_m, 0.0), line.length)))[0]
         for s_m in (along_m - 0.1, along_m + 0.1)
     )
-    way = (ahead - here) / max(1e-9, float(np.hypot(*(ahead - here))))
-    place = 0.5 * (here + ahead) + left_m * np.array([-way[1], way[0]])
+    way = unit(ahead - here)
+    place = 0.5 * (here + ahead) + left_m * left_of(way)
     return place, float(np.degrees(np.arctan2(way[0], way[1])) % 360.0)
 
 
@@ -240,7 +239,7 @@ def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
 
 def _street_area(net: Net) -> BaseGeometry:
     """Everything between the outer edges of all pavements."""
-    lanes = [lane_area(lane) for edge in net.edges for lane in edge.lanes]
+    lanes = [lane_area(lane) for lane in net.every_lane]
     junctions = [shapely.make_valid(Polygon(j.outline_m)) for j in net.junctions if len(j.outline_m) > 2]
     whole: BaseGeometry = shapely.union_all([*lanes, *junctions]).buffer(0.4, quad_segs=2).buffer(-0.4, quad_segs=2)
     return shapely.set_precision(whole, 0.01)
@@ -286,7 +285,7 @@ def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: _Bloc
         _houses(plot, start, end, found, rng)
         if style.green and not parks and setback_m > _HEDGED_M and rng.random() < 0.5:
             along = (end - start) / length_m
-            line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * np.array([-along[1], along[0]])
+            line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * left_of(along)
             found.hedges.append((str(rng.choice(["hedge", "fence", "wall"])), line_m))
 
 
@@ -310,7 +309,7 @@ def _car_park(plot: _Plot, start: F64, end: F64, found: _Blocks) -> None:
     """A row of cars between the pavement and where houses would be."""
     length_m = float(np.hypot(*(end - start)))
     along = (end - start) / length_m
-    back = np.array([-along[1], along[0]])
+    back = left_of(along)
     corner = start + 2.0 * along - (plot.setback_m - _CAR_PARK_GAP_M) * back
     outline = _rectangle(corner, along, (min(length_m - 4.0, 40.0), _CAR_PARK_M))
     if plot.block.contains(outline) and plot.taken.free(outline):
@@ -331,9 +330,8 @@ def _fronts(block: Polygon, setback_m: float, streets: BaseGeometry) -> Iterator
 
 def _rectangle(corner: F64, along: F64, size_m: tuple[float, float]) -> Polygon:
     """A rectangle with its front from `corner` along a way, to the left of it."""
-    back = np.array([-along[1], along[0]])
-    middle = corner + 0.5 * size_m[0] * along + 0.5 * size_m[1] * back
-    return rectangle(middle, size_m[0], size_m[1], float(np.arctan2(along[1], along[0])))
+    middle = corner + 0.5 * size_m[0] * along + 0.5 * size_m[1] * left_of(along)
+    return rectangle(middle, *size_m, yaw_of(along))
 
 
 def _largest(area: BaseGeometry) -> Polygon:
@@ -425,7 +423,7 @@ def _write_blocks(blocks: _Blocks, poly: _Writer, ground: _Writer, rng: np.rando
 
 def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
     """Paint and kerbs of all crossings: those at signals are painted, and their kerbs never stay high."""
-    lit = {name for link in net.connections if link.tls_id for name in (link.start, link.end)}
+    lit = net.signalled()
     painted = rng.uniform(0.3, 1.0)
     for lane in net.lanes(LaneKind.CROSSING):
         if len(lane.points_m) < 2:

@@ -21,6 +21,7 @@ from wcsim.core.files import whole_folder
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
+from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text, write_tried
 from wcsim.towns.importing.elevation import Heights, hill_over, lift_net
 from wcsim.towns.importing.folder_texts import (
@@ -170,7 +171,7 @@ def _chains(shaped: ShapedPlan) -> list[tuple[int, ...]]:
     arms: dict[int, list[tuple[int, float]]] = {}
     for number, ((a, b), line) in enumerate(zip(shaped.plan.links, shaped.lines_m, strict=True)):
         for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            arms.setdefault(node, []).append((number, float(np.arctan2(way[1], way[0]))))
+            arms.setdefault(node, []).append((number, yaw_of(way)))
     for node in sorted(arms):
         pairs = sorted(
             (_bend_rad(one[1], other[1]), one[0], other[0])
@@ -412,9 +413,8 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
     hill_m, grade = float(rng.choice(_HILLS_M)), float(rng.uniform(*_GRADES))
     hill_m = hill_m if wishes.hill_m is None else wishes.hill_m
     if hill_m > 0.0:
-        points_m = np.concatenate([lane.points_m for edge in read_net(path).edges for lane in edge.lanes])
-        low_m, high_m = points_m.min(axis=0) - _LAND_M, points_m.max(axis=0) + _LAND_M
-        box_m = (float(low_m[0]), float(low_m[1]), float(high_m[0]), float(high_m[1]))
+        (west, south), (east, north) = (corner_m.tolist() for corner_m in read_net(path).corners_m())
+        box_m = (west - _LAND_M, south - _LAND_M, east + _LAND_M, north + _LAND_M)
         land = hill_over(hill_m, box_m, seed)
         lift_net(path, land, Heights(hill_m=hill_m, max_grade=grade), on_globe=False)
     return read_net(path)

@@ -16,6 +16,7 @@ import shapely
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive
 from wcsim.errors import SumoError
+from wcsim.towns.ground.plane_geometry import left_of, yaw_of
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
@@ -295,7 +296,7 @@ def _bent(plan: StreetPlan, share: float, rng: np.random.Generator) -> list[F64]
 
 def _bowed(line: F64, bow: float) -> F64:
     along = line[1] - line[0]
-    aside = np.array([-along[1], along[0]])
+    aside = left_of(along)
     share = np.linspace(0.0, 1.0, _BOW_POINTS)[:, None]
     return np.asarray(line[0] + share * along + 4.0 * bow * share * (1.0 - share) * aside)
 
@@ -323,7 +324,7 @@ def _least_angle_rad(plan: StreetPlan, lines: Sequence[F64]) -> float:
     ways: dict[int, list[float]] = {}
     for (a, b), line in zip(plan.links, lines, strict=True):
         for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            ways.setdefault(node, []).append(float(np.arctan2(way[1], way[0])))
+            ways.setdefault(node, []).append(yaw_of(way))
     gaps = [
         float(np.diff([*sorted(angles), min(angles) + 2.0 * np.pi]).min())
         for angles in ways.values()

@@ -189,11 +189,7 @@ def _count(net: Element, function: str) -> int:
 
 def _unpaved(net: Net) -> list[str]:
     """Edges that are closed to cars, so that they get no pavement: tracks, paths and closed ones."""
-    return [
-        edge.id
-        for edge in net.edges
-        if not edge.function and not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)
-    ]
+    return [edge.id for edge in net.streets if not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)]
 
 
 def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:

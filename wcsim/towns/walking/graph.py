@@ -131,12 +131,9 @@ def _lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
 def _signals(net: Net) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Traffic light and signal numbers of each crossing that has one."""
     found: dict[str, tuple[str, tuple[int, ...]]] = {}
-    crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
-    for link in net.connections:
-        edge = link.end if link.end in crossings else link.start
-        if link.tls_id and edge in crossings:
-            known = found.get(edge, (link.tls_id, ()))[1]
-            found[edge] = (link.tls_id, tuple(sorted({*known, link.tls_link})))
+    for edge, link in net.crossing_links():
+        known = found.get(edge, (link.tls_id, ()))[1]
+        found[edge] = (link.tls_id, tuple(sorted({*known, link.tls_link})))
     return found
 
 

@@ -82,9 +82,7 @@ def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[i
     made_of = osm_ways_by_edge(net_path)
     kept: set[str] = set()
     stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
-    for edge in net.edges:
-        if edge.function:
-            continue
+    for edge in net.streets:
         for way in made_of.get(edge.id, ()):
             if part_of.get(edge.id, main) == main:
                 kept.add(way)
