@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -127,17 +127,6 @@ def print_report(report: TownReport) -> int:
 
 def report_json(report: TownReport, seconds: float) -> dict[str, Any]:
     """A report as a result file holds it."""
-    return {
-        "town": report.town,
-        "seconds": round(seconds, 3),
-        "crossings": report.crossings,
-        "walkingareas": report.walkingareas,
-        "walkable_largest_share": report.walkable_largest_share,
-        "walk_km": report.walk_km,
-        "classes": list(report.classes),
-        "unroutable": report.unroutable,
-        "mesh_faults": report.mesh_faults,
-        "lefthand": report.lefthand,
-        "notes": list(report.notes),
-        "faults": list(report.faults),
-    }
+    told = asdict(report)
+    del told["overlaps"], told["cut_off"]  # the notes and faults say them
+    return {"seconds": round(seconds, 3), **told}

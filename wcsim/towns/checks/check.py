@@ -9,7 +9,7 @@ import re
 import shlex
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
 
@@ -40,7 +40,7 @@ from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.ground.tiles import CELL_M
 from wcsim.towns.scenario.files import FilteredFiles, OutputNames, with_included
 from wcsim.towns.scenario.manifest import find_changes
-from wcsim.towns.scenario.stage import require_files
+from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import Town, polygons_among
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.additional import read_items
@@ -62,27 +62,12 @@ LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
 APART_M = 2.0  # ways with more between their heights pass over each other
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Findings:
-    """What a check measured."""
-
-    crossings: int
-    walkingareas: int
-    walkable_largest_share: float
-    unroutable: int
-    mesh_faults: int
-    rays: int  # that were sent down for `mesh_faults`
-    classes: tuple[str, ...]
-    overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
-    cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
-
-
-def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
+def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
     """The faults of a town; none when all is well."""
     lines = [*_ways(town, net, found), *_demand(town, net, found), *_projection_faults(town, net)]
-    if found.mesh_faults > found.rays // 1000:
+    if found.mesh_faults > RAYS // 1000:
         lines.append(
-            f"{found.mesh_faults} of {found.rays} vertical rays missed the ground; build the street "
+            f"{found.mesh_faults} of {RAYS} vertical rays missed the ground; build the street "
             "again: wcsim cache --clear"
         )
     lines += _foreign_polygons(town, net)
@@ -96,11 +81,11 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
 
 def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
-    changes = find_changes(town)
-    notes = [f"changed since the import: {name}" for name in changes.others]
-    for name in changes.net:
+    changed, net_file = find_changes(town), town.net.resolve()
+    notes = [f"changed since the import: {path.name}" for path in changed if path.resolve() != net_file]
+    for path in (path for path in changed if path.resolve() == net_file):  # the demand was routed through it
         again = f"; to route the traffic over the new net, {routes_cure(town)}" if town.routes else ""
-        notes.append(f"changed since the import: {name}{again}")
+        notes.append(f"changed since the import: {path.name}{again}")
     if over:
         notes.append(_overlap(town, over))
     if _polygons(town) is None and not _built_up(town, net):
@@ -149,7 +134,7 @@ def _built_up(town: Town, net: Net) -> bool:
     return any(item.kind in _BUILT_UP for item in read_items(files, town.file.origin_m, net))
 
 
-def _ways(town: Town, net: Net, found: Findings) -> list[str]:
+def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
     imported = "town import" in town.file.rebuild
 
     def paving() -> str:
@@ -171,11 +156,11 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     return lines
 
 
-def _lacks_crossings(net: Net, found: Findings) -> bool:
+def _lacks_crossings(net: Net, found: TownReport) -> bool:
     return not found.crossings and bool(net.lanes(LaneKind.MOTOR))
 
 
-def _walkers_later(town: Town, net: Net, found: Findings) -> bool:
+def _walkers_later(town: Town, net: Net, found: TownReport) -> bool:
     """Whether there are no walkers, and adding them needs a paved copy of the scenario first."""
     unpaved = not found.walkingareas or _lacks_crossings(net, found)
     can_be = "town import" not in town.file.rebuild and slowest_street_mps(net) is not None
@@ -189,7 +174,7 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
     return f"cut off: the parts around {parts}{more}; " if parts else ""
 
 
-def _demand(town: Town, net: Net, found: Findings) -> list[str]:
+def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
     lines = []
     if _WALKER not in found.classes and (found.walkingareas or slowest_street_mps(net) is not None):
         later = _walkers_later(town, net, found)
@@ -244,7 +229,9 @@ class TownReport:
     unroutable: int  # trips of the first ten minutes that have no way
     mesh_faults: int  # of RAYS rays straight down that did not meet the ground that the grid says
     lefthand: bool
-    faults: tuple[str, ...]  # each with the command that cures it; empty when all is well
+    overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
+    cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
+    faults: tuple[str, ...] = ()  # each with the command that cures it; empty when all is well
     notes: tuple[str, ...] = ()
 
 
@@ -253,37 +240,27 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
 
     Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
-    require_files(town, RunConfig())  # missing files are reported before SUMO opens a large net
+    files_of(town, RunConfig())  # missing files are reported before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
     if wrong := _projection_faults(town, net):
         raise TownError(f"{town.net}: {wrong[0]}")
     validate_net(town.net, border=town.border)
     street = load_street(town)
     parts = walkable_parts(net, town.file.chair_ways) if share is None else []
-    found = Findings(
+    found = TownReport(
+        town=town.name,
         crossings=len(net.lanes(LaneKind.CROSSING)),
         walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
         walkable_largest_share=largest_share(parts) if share is None else share,
+        walk_km=sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3,
+        classes=_demand_classes(town),
         unroutable=_unroutable_trips(town),
         mesh_faults=_mesh_faults(street),
-        rays=RAYS,
-        classes=_demand_classes(town),
+        lefthand=net.lefthand,
         overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
     )
-    return TownReport(
-        town=town.name,
-        crossings=found.crossings,
-        walkingareas=found.walkingareas,
-        walkable_largest_share=found.walkable_largest_share,
-        walk_km=_walk_km(street),
-        classes=found.classes,
-        unroutable=found.unroutable,
-        mesh_faults=found.mesh_faults,
-        lefthand=net.lefthand,
-        faults=faults_of(town, net, found),
-        notes=_find_notes(town, net, found.overlaps),
-    )
+    return replace(found, faults=faults_of(town, net, found), notes=_find_notes(town, net, found.overlaps))
 
 
 def _demand_classes(town: Town) -> tuple[str, ...]:
@@ -382,10 +359,6 @@ def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
 def _members(element: Element) -> tuple[str, ...]:
     inner = [child.get("id", child.get("refId", "")) for child in element.iterfind("vType")]
     return tuple([*inner, *element.get("vTypes", "").split()])
-
-
-def _walk_km(street: Street) -> float:
-    return sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

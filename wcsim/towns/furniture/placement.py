@@ -76,6 +76,11 @@ class FreeGround:
         for geometry in (self.low, self.solids, self.lines, self.hull):
             shapely.prepare(geometry)
 
+    def take(self, things: Iterable[StandingObject]) -> None:
+        """Things stand there from now on."""
+        for thing in things:
+            self.taken.add(thing.footprint)
+
     def free(self, footprint: Polygon) -> bool:
         """True when a footprint is off the road, out of all things, inside the town and clear of the walking lines."""
         return bool(
@@ -117,10 +122,20 @@ def _footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float,
     return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)
 
 
-def stood_if_free(kind: str, xy_m: F64, yaw_rad: float, place: FreeGround) -> StandingObject | None:
-    """One thing of a kind, or None where there is no room for it."""
-    footprint = _footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)
-    return stood(kind, xy_m, yaw_rad) if place.free(footprint) else None
+def stood_at_first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
+    """One thing of a kind at the first of some places where there is room for it, if there is one."""
+    yaw_rad = facing_rad - np.pi / 2
+    for xy_m in places_m:
+        if place.free(_footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)):
+            return [stood(kind, xy_m, yaw_rad)]
+    return []
+
+
+def put_at_first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
+    """The same, and its ground is taken."""
+    things = stood_at_first(kind, places_m, facing_rad, place)
+    place.take(things)
+    return things
 
 
 def collect_footprints(things: Iterable[StandingObject]) -> list[Polygon]:

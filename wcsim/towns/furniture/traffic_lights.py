@@ -13,7 +13,7 @@ import shapely
 from shapely import Polygon
 
 from wcsim.towns.furniture.models import FOOT_M
-from wcsim.towns.furniture.placement import FreeGround, StandingObject, stood_if_free
+from wcsim.towns.furniture.placement import FreeGround, StandingObject, put_at_first
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.plane_geometry import left_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import Solid
@@ -60,7 +60,7 @@ def signal_things(net: Net, additional: tuple[Path, ...], place: FreeGround) -> 
     found: list[StandingObject] = []
     columns = _columns(all_phases(net, additional))
     for thing in chain(_vehicle_signals(net, columns, place), _walk_signals(net, place)):
-        place.taken.add(thing.footprint)
+        place.take([thing])
         found.append(thing)
     return found
 
@@ -76,13 +76,7 @@ def sign_things(items: list[Item], net: Net, place: FreeGround) -> list[Standing
     for item in wanted:
         nearest = tree.query_nearest(shapely.Point(item.points_W_m[0]), max_distance=_SIGN_REACH_M)
         for approach in (approaches[i] for i in nearest[:1].tolist()):
-            facing = yaw_of(-approach.ahead)
-            for xy_m in _beside(approach):
-                sign = stood_if_free("sign", xy_m, facing - np.pi / 2, place)
-                if sign is not None:
-                    place.taken.add(sign.footprint)
-                    found.append(sign)
-                    break
+            found += put_at_first("sign", _beside(approach), yaw_of(-approach.ahead), place)
     return found
 
 

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import shapely
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.types import F64
@@ -52,6 +53,12 @@ def valid(area: BaseGeometry) -> BaseGeometry:
     return area if area.is_valid else shapely.make_valid(area, method="structure", keep_collapsed=False)
 
 
+def polygons_of(area: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
+    """The polygons in a geometry that are larger than so much; its lines and points are left out."""
+    parts = [part for whole in shapely.get_parts(area) for part in shapely.get_parts(whole)]
+    return [part for part in parts if part.geom_type == "Polygon" and part.area > least_m2]
+
+
 def _clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
     """The part of an area inside a rectangle; GEOS 3.14's fast clipping fails where an area only touches it."""
     try:
@@ -75,7 +82,7 @@ class Patches:
         """The part of the area inside a rectangle (x0, y0, x1, y1); none in the bounds of nothing, all NaN."""
         x0, y0, x1, y1 = bounds
         if np.isnan(x0):
-            return shapely.Polygon()
+            return Polygon()
         size_m = max(x1 - x0, y1 - y0, _FINEST_M)
         level = int(np.ceil(np.log2(size_m / _FINEST_M)))
         edge_m = _FINEST_M * 2.0**level

@@ -13,7 +13,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, unit, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, polygons_of, unit, valid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 
@@ -24,6 +24,7 @@ _STRIP_M = 0.35  # half of the width below which a strip of road or between road
 _POCKET_M2 = 12.0
 _HOLE_M2 = 150.0  # grass inside a turning loop
 _CRUMB_M2 = 1.0
+_LEAST_PART_M2 = 0.05
 REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
 _DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
 MARGIN_M = 15.0  # terrain beyond the outermost street
@@ -140,7 +141,7 @@ def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -
             ahead = shapely.LineString([lane.points_m[end] - 0.1 * along, lane.points_m[end] + REACH_M * along])
             strip = ahead.buffer(lane.width_m / 2, cap_style="flat")
             strip = strip.difference(pavements.near(strip.bounds)).intersection(roads.near(strip.bounds))
-            parts = [part for part in shapely.get_parts(strip) if part.geom_type == "Polygon" and part.intersects(area)]
+            parts = [part for part in polygons_of(strip) if part.intersects(area)]
             found += [part for part in parts if shapely.dwithin(pavement, part, 2 * GRID_M)]
     return found
 
@@ -225,9 +226,7 @@ def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
 
 def _areas(geometry: BaseGeometry) -> BaseGeometry:
     """Only the polygons of a geometry, crumbs left out."""
-    parts = [part for part in shapely.get_parts(geometry) if part.geom_type in ("Polygon", "MultiPolygon")]
-    flat = [p for part in parts for p in shapely.get_parts(part) if p.area > 0.05]
-    return MultiPolygon(flat)
+    return MultiPolygon(polygons_of(geometry, _LEAST_PART_M2))
 
 
 def covered(surfaces: Surfaces, items: Iterable[Item]) -> Surfaces:
@@ -267,5 +266,4 @@ def _on_land(area: BaseGeometry, surfaces: Surfaces) -> BaseGeometry:
 
 
 def _polygons(area: BaseGeometry) -> BaseGeometry:
-    flat = [part for whole in shapely.get_parts(area) for part in shapely.get_parts(whole)]
-    return MultiPolygon([part for part in flat if part.geom_type == "Polygon" and part.area > LEAST_M2])
+    return MultiPolygon(polygons_of(area, LEAST_M2))

@@ -88,7 +88,15 @@ def adopt_scenario(
         base, files = copy_scenario(config, border, work)
         names = [path.relative_to(base) for path in files]
         hashes = {str(place): content_digest(work / place) for place in names}
-        toml = _town_toml(config, name, (split, source), config.path.relative_to(base), hashes, cycle_paths)
+        toml = town_toml_text(
+            name=name,
+            split=split,
+            origin_m=net_middle(_net_of(config, None)),
+            cycle_paths=cycle_paths,
+            hashes=hashes,
+            sumocfg=str(config.path.relative_to(base)),
+            source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
+        )
         (work / "town.toml").write_text(toml, encoding="utf-8")
     return open_town(out)
 
@@ -160,25 +168,6 @@ def _net_of(config: Configuration, border: Path | None) -> Path:
         raise TownError(f"{config.path}: expected one <net-file value=...> that exists, got {_listed(nets)}")
     check_file(nets[0], border, config.path)
     return nets[0]
-
-
-def _town_toml(
-    config: Configuration, name: str, labels: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
-) -> str:
-    split, source = labels
-    text = town_toml_text(
-        name=name,
-        split=split,
-        origin_m=net_middle(_net_of(config, None)),
-        source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
-        hashes=hashes,
-    )
-    text = text.replace('"shared"]', '"shared", "cycleway"]', int(cycle_paths))
-    return text.replace("\nsource = ", f"\nsumocfg = {_toml(sumocfg)}\nsource = ", 1)
-
-
-def _toml(path: Path) -> str:
-    return '"' + str(path).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _stay_inside(config: Configuration, folder: Path) -> None:

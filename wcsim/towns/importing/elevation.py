@@ -326,11 +326,10 @@ def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) ->
         TownError: The net has no place on the globe, and needs one.
     """
     root = read_root(path)
-    return _lifted(root, path, dem, relief, lambda points_m: _places(root, points_m, path) if on_globe else points_m)
 
+    def places_of(points_m: F64) -> F64:
+        return _places(root, points_m, path) if on_globe else points_m
 
-def _lifted(root: Element, path: Path, dem: Dem, relief: Heights, places_of: Callable[[F64], F64]) -> Dem:
-    """`places_of` turns points (n, 2) of the net into places of the land."""
     found = [(element, _points(element)) for element in root.iter() if element.get("shape")]
     ends = np.cumsum([len(points_m) for _, points_m in found])
     places = places_of(np.concatenate([points_m for _, points_m in found]))

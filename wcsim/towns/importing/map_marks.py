@@ -22,6 +22,7 @@ from wcsim.core.frames import deg
 from wcsim.core.seeding import generator
 from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
 from wcsim.towns.ground.plane_geometry import yaw_of
+from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import NOT_ON_GROUND, lane_area
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
@@ -152,9 +153,7 @@ class _Space:
     width_m: float
 
     def footprint(self) -> Polygon:
-        along = np.array([np.cos(self.yaw_rad), np.sin(self.yaw_rad)]) * self.length_m / 2
-        aside = np.array([-np.sin(self.yaw_rad), np.cos(self.yaw_rad)]) * self.width_m / 2
-        return Polygon([self.middle_m + a * along + b * aside for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+        return rectangle(self.middle_m, self.length_m, self.width_m, self.yaw_rad)
 
 
 def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
@@ -237,18 +236,14 @@ def _spaces(lot: Polygon) -> list[_Space]:
     yaw_rad = yaw_of(along)
     found: list[_Space] = []
     if wide_m < _SPACE_M[0]:
-        rows, size_m, turn_rad = [wide_m / 2], _PARALLEL_M, 0.0
+        rows, car_m, every_m, turn_rad = [wide_m / 2], _PARALLEL_M, _PARALLEL_M[0], 0.0
     else:
-        rows, size_m, turn_rad = _rows(wide_m), (_SPACE_M[1], _SPACE_M[0]), np.pi / 2
+        rows, car_m, every_m, turn_rad = _rows(wide_m), _SPACE_M, _SPACE_M[1], np.pi / 2
     for number, across_m in enumerate(rows):
         facing_rad = yaw_rad + (turn_rad if number % 2 else -turn_rad)
-        for k in range(int(long_m // size_m[0])):
-            middle_m = corners[0] + (k + 0.5) * size_m[0] * along + across_m * aside
-            space = (
-                _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=_SPACE_M[0], width_m=_SPACE_M[1])
-                if turn_rad
-                else _Space(middle_m=middle_m, yaw_rad=yaw_rad, length_m=_PARALLEL_M[0], width_m=_PARALLEL_M[1])
-            )
+        for k in range(int(long_m // every_m)):
+            middle_m = corners[0] + (k + 0.5) * every_m * along + across_m * aside
+            space = _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=car_m[0], width_m=car_m[1])
             if lot.buffer(FREE_M).contains(space.footprint()):
                 found.append(space)
     return found

@@ -18,7 +18,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.furniture.placement import Taken
-from wcsim.towns.ground.plane_geometry import left_of, unit, yaw_of
+from wcsim.towns.ground.plane_geometry import left_of, polygons_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import MARGIN_M, lane_area
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
@@ -80,7 +80,7 @@ def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
     """Things along all pavements of a net, drawn for each pavement."""
     found = _Dressing()
     left_per_m = rng.uniform(0.0, 0.02)
-    since_stop_m = float(rng.uniform(0.0, _STOP_EVERY_M))
+    since_stop_m = rng.uniform(0.0, _STOP_EVERY_M)
     for edge in net.streets:
         for lane in edge.lanes:
             if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or len(lane.points_m) < 2:
@@ -97,7 +97,7 @@ def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
 
 def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: _Dressing, rng: np.random.Generator) -> None:
     for row in _ROWS:
-        has, every_m = rng.random() < row.share, float(rng.uniform(*row.every_m))
+        has, every_m = rng.random() < row.share, rng.uniform(*row.every_m)
         if not has or lane.width_m < row.least_m:
             continue
         aside_m = 0.5 * lane.width_m - (_KERB_M if row.at_kerb else _WALL_M)
@@ -119,7 +119,7 @@ def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: _Dres
 
 
 def _places(line: shapely.LineString, every_m: float, rng: np.random.Generator) -> Iterator[float]:
-    at_m = _ENDS_M + float(rng.uniform(0.0, 0.5 * every_m))
+    at_m = _ENDS_M + rng.uniform(0.0, 0.5 * every_m)
     while at_m < line.length - _ENDS_M:
         yield at_m
         at_m += every_m
@@ -224,10 +224,8 @@ def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
     styles = rng.dirichlet((1.2, 1.0, 1.0))
     open_share = rng.uniform(0.08, 0.25)
     found = _Blocks()
-    parts = [part for part in shapely.get_parts(hull.difference(streets)) if part.geom_type == "Polygon"]
+    parts = polygons_of(hull.difference(streets), _LEAST_BLOCK_M2)
     for block in sorted(parts, key=lambda part: tuple(np.round(part.bounds, 1).tolist())):
-        if block.area < _LEAST_BLOCK_M2:
-            continue
         rim = block.exterior.distance(hull.exterior) < 0.1
         if not rim and rng.random() < open_share:
             use = str(rng.choice(_OPEN))
@@ -268,7 +266,7 @@ def _near_front(inner: Polygon) -> shapely.Point:
 
 def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: _Blocks, rng: np.random.Generator) -> None:
     """Houses along all fronts of a block that lie at a street, some with a row of parked cars before them."""
-    setback_m = float(rng.uniform(*style.setback_m))
+    setback_m = rng.uniform(*style.setback_m)
     inner = block.buffer(-setback_m + 0.05, join_style="mitre", mitre_limit=2.0)
     shapely.prepare(inner)
     plot = _Plot(block=block, inner=inner, style=style, setback_m=setback_m, taken=Taken())
@@ -294,13 +292,13 @@ def _houses(plot: _Plot, start: F64, end: F64, found: _Blocks, rng: np.random.Ge
     length_m, at_m = float(np.hypot(*(end - start))), 0.0
     along = (end - start) / length_m
     while at_m < length_m - _SHORTEST_FRONT_M:
-        front_m = min(float(rng.uniform(*plot.style.front_m)), length_m - at_m)
-        size_m = (front_m, float(rng.uniform(*plot.style.depth_m)))
+        front_m = min(rng.uniform(*plot.style.front_m), length_m - at_m)
+        size_m = (front_m, rng.uniform(*plot.style.depth_m))
         outline = _rectangle(start + at_m * along, along, size_m)
         if plot.inner.contains(outline) and plot.taken.free(outline.buffer(-0.02)):
             plot.taken.add(outline)
             found.houses.append(_House(outline=outline, levels=int(rng.integers(*plot.style.levels, endpoint=True))))
-            at_m += front_m + float(rng.uniform(*plot.style.gap_m))
+            at_m += front_m + rng.uniform(*plot.style.gap_m)
         else:
             at_m += _STEP_M
 
@@ -335,8 +333,7 @@ def _rectangle(corner: F64, along: F64, size_m: tuple[float, float]) -> Polygon:
 
 
 def _largest(area: BaseGeometry) -> Polygon:
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    return max(parts, key=lambda part: float(part.area), default=Polygon())
+    return max(polygons_of(area), key=lambda part: part.area, default=Polygon())
 
 
 _KERBS = ("flush", "lowered", "rolled", "sloped", "raised")
@@ -345,8 +342,8 @@ _GARDEN_M2 = 400.0  # a garden that is smaller has no trees
 _Pairs = list[tuple[str, str]]
 
 
-def draw_map(net: Net, folder: Path, rng: np.random.Generator) -> tuple[Path, Path, tuple[str, ...]]:
-    """Write made.poly.xml and made.ground.xml of a net into `folder`.
+def draw_map(net: Net, name: str, folder: Path, rng: np.random.Generator) -> tuple[Path, Path, tuple[str, ...]]:
+    """Write <name>.poly.xml and <name>.ground.xml of a net into `folder`.
 
     Returns:
         Both files, and elements for the town's additional file: what stands exactly where it is placed.
@@ -357,7 +354,7 @@ def draw_map(net: Net, folder: Path, rng: np.random.Generator) -> tuple[Path, Pa
     for kind, xy_m in dressing.mapped:
         poly.point(kind, xy_m, [])
     _write_kerbs(net, poly, ground, rng)
-    paths = folder / "made.poly.xml", folder / "made.ground.xml"
+    paths = folder / f"{name}.poly.xml", folder / f"{name}.ground.xml"
     for writer, path in zip((poly, ground), paths, strict=True):
         path.write_text(writer.text(), encoding="utf-8")
     return *paths, _left_things(dressing)

@@ -30,10 +30,12 @@ NOWHERE = ("", "NUL", "nul", "/dev/null")  # "NULL" is a file of that name to SU
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _MAX_LENGTH = 120
 _SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names
+# Elements and attributes that name XML files that SUMO reads.
 _READ = {("rerouter", "file"), ("variableSpeedSign", "file"), ("calibrator", "file"), ("include", "href")}
-_TEXTS = ("edgesFile",)  # not XML: a line for each edge
-_PICTURES = ("imgFile", "osgFile", "href")
+_TEXTS = ("edgesFile",)  # it reads them too, and they are no XML: a line for each edge
+_PICTURES = ("imgFile", "osgFile", "href")  # sumo-gui shows them, SUMO itself never opens them
 _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
+# What is not read is written.
 _WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
 _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
 _GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
@@ -206,26 +208,6 @@ def _may_name(key: str) -> bool:
     return key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
 
 
-def _reads(tag: str, key: str) -> bool:
-    """Whether SUMO reads the file that this attribute names, as XML."""
-    return (tag, key) in _READ
-
-
-def _reads_text(key: str) -> bool:
-    """Whether SUMO reads the file that this attribute names, and it is no XML."""
-    return key in _TEXTS
-
-
-def _shows(key: str) -> bool:
-    """Whether sumo-gui shows the picture that this attribute names, which SUMO itself never opens."""
-    return key in _PICTURES
-
-
-def _writes(key: str) -> bool:
-    """Whether SUMO writes the file that this attribute names, when it does not read it."""
-    return _WRITTEN.match(key) is not None
-
-
 def _reads_parameter(key: str) -> bool:
     """Whether the value of a <param> with this key names a file that SUMO reads."""
     return key.strip() in _READ_PARAMETERS
@@ -322,14 +304,14 @@ class FilteredFiles:
         before = dict(element.attrib)
         for key, value in before.items():
             there = path.parent / value
-            if _reads(element.tag, key):
+            if (element.tag, key) in _READ:
                 if value and (filtered := self._place(there, path, above)) != there.absolute():
                     element.set(key, str(filtered))
-            elif _reads_text(key):
+            elif key in _TEXTS:
                 element.set(key, str(self.place_text(there, path)))
-            elif _shows(key):
+            elif key in _PICTURES:
                 self.pictures[there.absolute()] = None
-            elif _writes(key) and value not in NOWHERE:
+            elif _WRITTEN.match(key) and value not in NOWHERE:
                 element.set(key, str(self._names.place(value, path.parent, f"{element.tag}.xml")))
         if element.tag == "param" and before.get("value"):
             self._change_parameter(element, path, above)
@@ -354,7 +336,7 @@ class FilteredFiles:
 def _make_absolute(element: Element, path: Path) -> None:
     """Names that are read are found from another folder too."""
     for key, value in element.attrib.items():
-        if value and (_reads(element.tag, key) or _shows(key)):
+        if value and ((element.tag, key) in _READ or key in _PICTURES):
             element.set(key, str((path.parent / value).absolute()))
 
 

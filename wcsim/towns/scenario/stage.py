@@ -99,20 +99,11 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     )
 
 
-def require_files(town: Town, config: RunConfig) -> None:
-    """Return when every file that a scenario names is there and can be read; SUMO opens none of them.
-
-    Raises:
-        TownError: as `stage_scenario`.
-    """
-    files_of(town, config)
-
-
 def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
     """Every file that a scenario is made of, its .sumocfg first, and what wcsim itself knows of it.
 
     Raises:
-        TownError: as `stage_scenario`.
+        TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of them.
     """
     with tempfile.TemporaryDirectory(prefix="wcsim-files-", ignore_cleanup_errors=True) as folder:
         inputs = stage_scenario(town, settings_of(config, 1), Path(folder)).inputs

@@ -15,7 +15,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, polygons_of, valid
 from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
@@ -98,8 +98,8 @@ def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry
     for obstacle, gap_m in ((kerbs, KERB_M), (solids, _SOLID_M)):
         if not obstacle.is_empty:
             space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
-    areas = [part for part in shapely.get_parts(valid(space.simplify(0.02))) if part.geom_type == "Polygon"]
-    return shapely.set_precision(MultiPolygon(areas), 0.0)  # on a 1 cm grid the slack of later tests would vanish
+    areas = MultiPolygon(polygons_of(valid(space.simplify(0.02))))
+    return shapely.set_precision(areas, 0.0)  # on a 1 cm grid the slack of later tests would vanish
 
 
 def build_walk_graph(

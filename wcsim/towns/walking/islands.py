@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import buffered
+from wcsim.towns.ground.plane_geometry import buffered, polygons_of
 from wcsim.towns.ground.relief import fit_relief, on_land
 from wcsim.towns.ground.surfaces import lane_area, make_surfaces
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
@@ -36,7 +36,7 @@ def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
     """The connected parts of all pavements and crossings together."""
     surfaces = make_surfaces(on_land(net, fit_relief(net)), chair_ways)
     joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
-    return [part for part in shapely.get_parts(joined) if part.area > 0.0]
+    return polygons_of(joined)
 
 
 def islands_by_links(net: Net, net_path: Path) -> Islands:

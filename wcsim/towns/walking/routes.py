@@ -76,7 +76,7 @@ class Router:
         index = int(self._starts[rng.choice(len(weights), p=weights / weights.sum())])
         length_m = float(self._length_m[index])
         margin_m = min(_START_MARGIN_M, 0.25 * length_m)
-        at_m = float(rng.uniform(margin_m, length_m - margin_m))
+        at_m = rng.uniform(margin_m, length_m - margin_m)
         here, ahead = self._at(index, at_m), self._at(index, min(length_m, at_m + 0.1))
         if np.allclose(here, ahead):
             here = self._at(index, at_m - 0.1)
@@ -109,7 +109,7 @@ class Router:
             np.clip(bound - near_m[self._starts == index][0], 0.1 * length_m, 0.9 * length_m)
             for bound in (min_m, max_m)
         )
-        along_m = float(rng.uniform(low_m, max(low_m, high_m)))
+        along_m = rng.uniform(low_m, max(low_m, high_m))
         starts_nearer = reach_m.get(edge.start, np.inf) <= reach_m.get(edge.end, np.inf)
         at_m = along_m if starts_nearer else length_m - along_m
         goal = self._at(index, at_m)
