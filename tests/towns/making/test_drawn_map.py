@@ -29,7 +29,7 @@ def net(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None:
     blocks = _build_blocks(net, generator(2, "blocks"))
-    outlines = [house.outline for house in blocks.houses]
+    outlines = [outline for outline, _ in blocks.houses]
     assert len(outlines) > 40
     streets = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes])
     assert shapely.distance(streets, outlines).min() > 0.05

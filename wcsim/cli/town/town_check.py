@@ -16,7 +16,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import resolve
-from wcsim.core.reading import counted
+from wcsim.core.reading import counted, listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import traffic_alone
 from wcsim.towns.scenario.options import read_configuration
@@ -88,7 +88,7 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
     hits = {frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in told}
     if not hits:
         return ()
-    who = ", ".join(list(hits.values())[:_TOLD]) + " and more" * (len(hits) > _TOLD)
+    who = listed(hits.values(), _TOLD)
     return (
         f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this traffic: {who}; "
         f"its junction rules permit that, mostly for bicycles, and the vehicles pass through each other; half the "

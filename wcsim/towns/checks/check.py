@@ -36,9 +36,9 @@ from wcsim.towns.checks.cures import (
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
-from wcsim.towns.ground.surfaces import lane_area
+from wcsim.towns.ground.surfaces import ground_of
 from wcsim.towns.ground.tiles import CELL_M
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames, with_included
+from wcsim.towns.scenario.files import FilteredFiles, with_included
 from wcsim.towns.scenario.manifest import find_changes
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import Town, polygons_among
@@ -285,8 +285,7 @@ def _unroutable_trips(town: Town) -> int:
     if not town.routes:
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        names = OutputNames(Path(folder))
-        met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
+        met = FilteredFiles(Path(folder), town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
@@ -389,7 +388,7 @@ def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
 
 def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
     edges = [e for e in net.streets if any(wanted(lane.kind) for lane in e.lanes)]
-    return edges, [shapely.union_all([lane_area(lane) for lane in e.lanes if wanted(lane.kind)]) for e in edges]
+    return edges, [ground_of(lane for lane in e.lanes if wanted(lane.kind)) for e in edges]
 
 
 def _z_m(edge: Edge) -> float:

@@ -22,7 +22,7 @@ from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, put_at_first, stood, stood_at_first
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.plane_geometry import Patches, left_of, polygons_of, unit, valid, yaw_of
+from wcsim.towns.ground.plane_geometry import Patches, distinct, left_of, polygons_of, unit, valid, yaw_of
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import AUTHOR_PREFIX, Item
@@ -53,7 +53,7 @@ def author_things(items: list[Item], hull: BaseGeometry) -> list[StandingObject]
 def _things(item: Item) -> list[StandingObject]:
     length_m, width_m, height_m = (_size(item, key) for key in ("length", "width", "height"))
     usual = LOOKS[item.kind].size_lwh_m
-    points_m = _without_doubles(item.points_W_m)
+    points_m = distinct(item.points_W_m)
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
         return [stood(item.kind, points_m[0], yaw_from_sumo(_angle_deg(item)), size if size != usual else None)]
@@ -110,11 +110,6 @@ def _corners(area: BaseGeometry) -> list[F64]:
     return [xy for ring in rings for xy in shapely.get_coordinates(ring)[:-1]]
 
 
-def _without_doubles(points_m: F64) -> F64:
-    kept = np.r_[True, np.any(np.diff(points_m, axis=0) != 0.0, axis=1)]
-    return points_m[kept]
-
-
 def _size(item: Item, key: str) -> float | None:
     """A length that the author gave, or None."""
     text = item.tags.get(key, "").strip()
@@ -152,19 +147,19 @@ POST_STEP_M = 1.5
 LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
 _FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
 _COMPASS = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
-_KNOWN_TYPES = {
-    "tourism.information": {"board": "info", "map": "info", "tactile_map": "info", "terminal": "info",
-                            "guidepost": "sign"},
-    "amenity.vending_machine": {"parking_tickets": "meter", "public_transport_tickets": "meter"},
-    "historic.memorial": {"statue": "statue", "bust": "statue", "stele": "block", "stone": "block", "stolperstein": ""},
-    "tourism.artwork": {"mural": "", "graffiti": "", "mosaic": "", "relief": "", "painting": "", "azulejo": ""},
+# Looks of some types by the value of one of their tags.
+_LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = {
+    "tourism.information": ("information", {
+        "board": "info", "map": "info", "tactile_map": "info", "terminal": "info", "guidepost": "sign",
+    }),
+    "amenity.vending_machine": ("vending", {"parking_tickets": "meter", "public_transport_tickets": "meter"}),
+    "historic.memorial": ("memorial", {
+        "statue": "statue", "bust": "statue", "stele": "block", "stone": "block", "stolperstein": "",
+    }),
+    "tourism.artwork": ("artwork_type", {
+        "mural": "", "graffiti": "", "mosaic": "", "relief": "", "painting": "", "azulejo": "",
+    }),
 }  # fmt: skip
-_TYPE_KEYS = {
-    "tourism.information": "information",
-    "amenity.vending_machine": "vending",
-    "historic.memorial": "memorial",
-    "tourism.artwork": "artwork_type",
-}
 
 
 def _place_mapped(items: list[Item], place: FreeGround) -> list[StandingObject]:
@@ -218,14 +213,10 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
 
 def _pick_look(item: Item) -> str:
     """The look of a mapped point, "" for what would not be visible there."""
-    full = f"{item.group}.{item.detail}"
-    if full in _KNOWN_TYPES:
-        by_type = _KNOWN_TYPES[full]
-        known = by_type.get(item.tags.get(_TYPE_KEYS[full], ""))
-        if known is not None:
-            return known
-    if item.kind in LOOK_OF:
-        return LOOK_OF[item.kind]
+    key, looks = _LOOK_BY_TAG.get(f"{item.group}.{item.detail}", ("", {}))
+    look = looks.get(item.tags.get(key, ""), LOOK_OF.get(item.kind))
+    if look is not None:
+        return look
     return "bollard" if item.group == "barrier" and len(item.points_W_m) == 1 else ""
 
 

@@ -6,7 +6,7 @@ Height 0 is the ground; whatever stands on it reaches a little deeper, because g
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class _FurnitureModel:
     """How one kind of thing is made."""
 
     size_lwh_m: tuple[float, float, float]  # as it is made; its length and width are its footprint
-    pieces: list[Solid]
+    pieces: list[Solid] = field(default_factory=list)
     make: Make | None = None  # instead, where no two are alike
     round: bool = False  # takes a disc of the ground, not a rectangle
 
@@ -101,10 +101,6 @@ _BARRIER = [
 
 def _look(size: tuple[float, float, float], *pieces: Solid, round: bool = False) -> _FurnitureModel:
     return _FurnitureModel(size_lwh_m=size, pieces=list(pieces), round=round)
-
-
-def _drawn(size: tuple[float, float, float], make: Make, *, round: bool = False) -> _FurnitureModel:
-    return _FurnitureModel(size_lwh_m=size, pieces=[], make=make, round=round)
 
 
 def _solid(size: tuple[float, float, float], class_id: int = ClassId.STATIC) -> _FurnitureModel:
@@ -191,7 +187,7 @@ LOOKS: dict[str, _FurnitureModel] = {
     "pole": _pillar(0.12, 6.0),
     "post_box": _solid((0.5, 0.45, 1.3)),
     "poster": _solid((1.4, 0.3, 2.6)),
-    "rack": _drawn((3.1, 1.8, 1.05), _rack),
+    "rack": _FurnitureModel(size_lwh_m=(3.1, 1.8, 1.05), make=_rack),
     "recycling": _solid((1.6, 1.0, 1.5)),
     "roadworks": _look(
         (2.0, 1.2, 1.0),
@@ -214,7 +210,7 @@ LOOKS: dict[str, _FurnitureModel] = {
         _box((1.8, 0.35, 0.07), at=(-0.4, -0.38), low_m=0.42),
         *(_box((0.07, 0.3, 0.42), at=(x, -0.38)) for x in (-1.1, 0.3)),
     ),
-    "shrub": _drawn((1.0, 1.0, 1.0), _shrub, round=True),
+    "shrub": _FurnitureModel(size_lwh_m=(1.0, 1.0, 1.0), make=_shrub, round=True),
     "sign": _look(
         (0.1, 0.1, 2.75),
         _post(0.04, 2.75, sides=5),
@@ -243,7 +239,7 @@ LOOKS: dict[str, _FurnitureModel] = {
         _box((0.1, 0.3, 0.72)),
     ),
     "tap": _pillar(0.18, 1.0, ClassId.STATIC),
-    "tree": _drawn((0.3, 0.3, 7.0), _tree, round=True),
+    "tree": _FurnitureModel(size_lwh_m=(0.3, 0.3, 7.0), make=_tree, round=True),
     "wall": _solid((2.0, 0.2, 1.5), ClassId.WALL),
 }
 

@@ -164,12 +164,12 @@ def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround) -> Standin
     foot_m = _foot_of_arm(over, place)
     held_m = foot_m if foot_m is not None else _wall(over, place)
     pieces += [_arm(over, last), *([_arm(held_m, over)] if held_m is not None else [])]
-    if foot_m is None:
-        return StandingObject(piece=solid_shapes.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
-    pieces.append(
-        solid_shapes.post(foot_m, _POST_M, FOOT_M, _HANGING_LOW_M + _HEAD_LWH_M[2] + _ARM_M, ClassId.POLE, sides=5)
-    )
-    return StandingObject(piece=solid_shapes.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
+    base_m, footprint = over, Polygon()
+    if foot_m is not None:
+        top_m = _HANGING_LOW_M + _HEAD_LWH_M[2] + _ARM_M
+        pieces.append(solid_shapes.post(foot_m, _POST_M, FOOT_M, top_m, ClassId.POLE, sides=5))
+        base_m, footprint = foot_m, _disc(foot_m)
+    return StandingObject(piece=solid_shapes.joined(pieces), footprint=footprint, base_m=base_m, heads=heads)
 
 
 def _foot_of_arm(over_m: F64, place: FreeGround) -> F64 | None:

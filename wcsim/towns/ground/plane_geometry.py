@@ -43,6 +43,16 @@ def yaw_of(way: F64) -> float:
     return float(np.arctan2(way[1], way[0]))
 
 
+def distinct(points_m: F64) -> F64:
+    """A polyline (K, 2) without points that repeat the one before; it has one at least."""
+    return np.asarray(points_m[np.r_[True, np.any(np.diff(points_m, axis=0) != 0.0, axis=1)]])
+
+
+def arc_of(points_m: F64) -> F64:
+    """The length (K,) of a polyline (K, 2) up to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
+
+
 def length_of(points_m: F64) -> float:
     """Length in metres of a polyline (K, 2)."""
     return float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())

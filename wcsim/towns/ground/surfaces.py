@@ -13,7 +13,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, polygons_of, unit, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, distinct, polygons_of, unit, valid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 
@@ -71,18 +71,16 @@ def make_surfaces(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[st
         unmarked: Edges of crossings without paint.
     """
     low_lanes, walk_lanes = _split(net, chair_ways)
-    motor = shapely.union_all(
-        [lane_area(lane) for lane in low_lanes if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL) and not lane.internal]
-    )
-    other = shapely.union_all([lane_area(lane) for lane in low_lanes])
-    crossing = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.CROSSING)])
-    walk = shapely.union_all([lane_area(lane) for lane in walk_lanes] + _outlines(net))
+    streets = [lane for lane in low_lanes if not lane.internal]
+    motor = ground_of(lane for lane in streets if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL))
+    other, crossing = ground_of(low_lanes), ground_of(net.lanes(LaneKind.CROSSING))
+    walk = ground_of([*walk_lanes, *net.lanes(LaneKind.WALKINGAREA)])
     junctions = shapely.union_all([_polygon(j.outline_m) for j in net.junctions if j.kind != "internal"])
     walk = walk.union(_corners(junctions, other, walk))
     inner = shapely.union_all([junctions, other]).difference(buffered(walk, GRID_M))
     low = shapely.union_all([motor, inner, crossing])
     both = _cleaned(shapely.union_all([low, walk]))
-    narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * _STRIP_M and not lane.internal]
+    narrow = [lane_area(lane) for lane in streets if lane.width_m < 2.1 * _STRIP_M]
     low = shapely.union_all([_opened(_closed(low, _STRIP_M), _STRIP_M), *narrow])
     low = _without_small_holes(_cleaned(_without_pockets(low, motor)), walk)
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
@@ -104,7 +102,7 @@ def make_surfaces(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[st
 
 def _with_ends(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> BaseGeometry:
     """The areas of crossings, drawn out to meet the pavement."""
-    areas = shapely.union_all([lane_area(lane) for lane in crossings])
+    areas = ground_of(crossings)
     reaches = _reaches(crossings, low, pavement)
     whole: BaseGeometry = shapely.set_precision(shapely.union_all([areas.intersection(low), *reaches]), GRID_M)
     return whole
@@ -112,7 +110,7 @@ def _with_ends(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry)
 
 def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> BaseGeometry:
     """Where only rail vehicles drive, between junctions."""
-    rail = shapely.union_all([lane_area(lane) for lane in lanes if lane.kind is LaneKind.RAIL and not lane.internal])
+    rail = ground_of(lane for lane in lanes if lane.kind is LaneKind.RAIL and not lane.internal)
     if rail.is_empty:
         return MultiPolygon()
     others = [lane_area(lane) for lane in lanes if lane.kind is not LaneKind.RAIL]
@@ -151,13 +149,18 @@ def walkable_lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
     return _split(net, chair_ways)[1]
 
 
+def ground_of(lanes: Iterable[Lane]) -> BaseGeometry:
+    """The ground that lanes cover together."""
+    return shapely.union_all([lane_area(lane) for lane in lanes])
+
+
 def lane_area(lane: Lane) -> BaseGeometry:
     """The ground that a lane covers: its centre line made as wide as it is; a walking area's own outline."""
     if lane.kind is LaneKind.WALKINGAREA:
         return _polygon(lane.points_m)
     if len(lane.points_m) < 2:
         return Polygon()
-    points_m = lane.points_m[np.r_[True, np.any(np.diff(lane.points_m, axis=0) != 0.0, axis=1)]]
+    points_m = distinct(lane.points_m)
     if len(points_m) < 2:
         return Polygon()
     return shapely.LineString(points_m).buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2.0)
@@ -175,10 +178,6 @@ def _split(net: Net, chair_ways: tuple[str, ...]) -> tuple[list[Lane], list[Lane
             elif lane.kind in (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE):
                 low.append(lane)
     return low, walk
-
-
-def _outlines(net: Net) -> list[BaseGeometry]:
-    return [_polygon(lane.points_m) for lane in net.lanes(LaneKind.WALKINGAREA)]
 
 
 def _polygon(points_m: np.ndarray) -> BaseGeometry:

@@ -92,7 +92,6 @@ class Way:
 
     traffic: _Traffic
     edges: tuple[str, ...]
-    length_m: float
 
 
 def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, ...]:
@@ -216,7 +215,7 @@ def _choose(net: Net, drawn: list[tuple[_Traffic, tuple[str, str]]], routed: dic
         way_m = sum(length_m[edge] for edge in edges)
         if left[traffic.types] and edges and way_m >= traffic.shortest_m:
             left[traffic.types] -= 1
-            ways.append(Way(traffic=traffic, edges=tuple(edges), length_m=way_m))
+            ways.append(Way(traffic=traffic, edges=tuple(edges)))
     return tuple(ways)
 
 
@@ -257,8 +256,6 @@ def _per_hour(net: Net, traffic: _Traffic, per_hour: Mapping[str, float]) -> flo
 
 
 def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
-    if not ways:
-        return []
     lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
     used = max(1, round(_SLICE_SHARE * len(ways)))
     rate = f'period="exp({per_s / used:.6f})"'

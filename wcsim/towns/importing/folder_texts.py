@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from wcsim.core.reading import listed
 from wcsim.errors import TownError
 from wcsim.towns.scenario.manifest import chair_ways, own_work
 from wcsim.towns.scenario.town import NOT_TOWNS
@@ -138,6 +139,12 @@ def check_words(name: str, split: str) -> None:
         raise TownError(f"unknown split {split!r} of town {name}; expected train or test")
 
 
+def check_new(out: Path) -> None:
+    """Raise TownError when a folder is there and not empty."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise TownError(f"{out} already exists; remove it, or choose another folder")
+
+
 def check_place(out: Path, *, overwrite: bool) -> None:
     """Raise TownError when a folder holds something else than a town, or a town that was edited."""
     if out.exists() and not out.is_dir():
@@ -147,6 +154,6 @@ def check_place(out: Path, *, overwrite: bool) -> None:
     work = own_work(out) if (out / "town.toml").is_file() and not overwrite else ()
     if work:
         raise TownError(
-            f"{out} contains files that were changed or added later: {', '.join(work[:5])}"
-            f"{' and more' * (len(work) > 5)}; choose another name or --out, or use --replace, which discards them"
+            f"{out} contains files that were changed or added later: {listed(work, 5)}; choose another name "
+            "or --out, or use --replace, which discards them"
         )

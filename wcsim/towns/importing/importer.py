@@ -16,6 +16,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.core.files import whole_folder
+from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.demand import (
     Way,
@@ -319,7 +320,10 @@ def import_town(
     _check(order)
     stage(f"reading {order.osm}")
     extract = read_extract(order.osm, order.bbox)
-    side = _side(order, extract.box)
+    if order.lefthand is None:
+        side = side_at(*box_centre(extract.box))
+    else:
+        side = Side(lefthand=order.lefthand, why="as ordered")
     order = replace(order, bbox=extract.box, lefthand=side.lefthand)
     try:
         with whole_folder(order.out) as work:
@@ -340,10 +344,6 @@ def _check(order: ImportOrder) -> None:
     if order.relief.dem is not None or order.relief.hill_m:
         check_rasterio()
     check_place(order.out, overwrite=order.overwrite)
-
-
-def _side(order: ImportOrder, box: Box) -> Side:
-    return side_at(*box_centre(box)) if order.lefthand is None else Side(lefthand=order.lefthand, why="as ordered")
 
 
 def _build(
@@ -435,7 +435,7 @@ def _notes(order: ImportOrder, built: _BuiltNet, ways: tuple[Way, ...]) -> tuple
     """What the map or the order has and the town has not."""
     found = []
     if built.bridges:
-        names = ", ".join(built.bridges[:8]) + " and more" * (len(built.bridges) > 8)
+        names = listed(built.bridges, 8)
         found.append(f"left out: bridges over other streets, because a town has one level: {names}")
     idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
     found += [f"no traffic of class {vclass}: no street or track of this town allows it" for vclass in idle]

@@ -23,7 +23,7 @@ from wcsim.core.seeding import generator
 from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
 from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
-from wcsim.towns.ground.surfaces import NOT_ON_GROUND, lane_area
+from wcsim.towns.ground.surfaces import NOT_ON_GROUND, ground_of
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
@@ -169,7 +169,8 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     areas: list[str] = []
     vehicles: list[str] = []
     for lot_id, lot in lots:
-        spaces = [space for space in _spaces(lot) if _is_free(space.footprint(), town, used)][:left]
+        marks = ((space, space.footprint()) for space in _spaces(lot))
+        spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
         nearest = int(tree.nearest(lot))
         if not spaces or lines[nearest].distance(lot) > NEAR_M:
             continue
@@ -183,14 +184,10 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
 
 def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
     """Where there is ground, which ends not far outside of the streets, and where something is on it."""
-    lanes = shapely.union_all([lane_area(lane) for lane in net.every_lane]).buffer(FREE_M)
+    lanes = ground_of(net.every_lane).buffer(FREE_M)
     town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
-
-
-def _is_free(mark: Polygon, town: BaseGeometry, used: BaseGeometry) -> bool:
-    return bool(town.contains(mark) and not used.intersects(mark))
 
 
 def _leads_there(lane: Lane) -> bool:
@@ -200,7 +197,7 @@ def _leads_there(lane: Lane) -> bool:
 def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
     """Ids and outlines of the car parks at ground level."""
     for element in read_root(poly).iterfind("poly"):
-        tags = {param.get("key", ""): param.get("value", "") for param in element.iterfind("param")}
+        tags = _tags(element)
         if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
             lot = Polygon(outline_m) if len(outline_m) > 3 else Polygon()

@@ -197,19 +197,11 @@ class _Plot:
     taken: Taken
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _House:
-    """One building."""
-
-    outline: Polygon
-    levels: int
-
-
 @dataclass(slots=True, kw_only=True)
 class _Blocks:
     """What stands and lies between a town's streets, in net coordinates."""
 
-    houses: list[_House] = field(default_factory=list)
+    houses: list[tuple[Polygon, int]] = field(default_factory=list)  # outline, and levels
     greens: list[tuple[str, Polygon]] = field(default_factory=list)  # SUMO's type, and outline
     squares: list[Polygon] = field(default_factory=list)
     car_parks: list[Polygon] = field(default_factory=list)
@@ -297,7 +289,7 @@ def _houses(plot: _Plot, start: F64, end: F64, found: _Blocks, rng: np.random.Ge
         outline = _rectangle(start + at_m * along, along, size_m)
         if plot.inner.contains(outline) and plot.taken.free(outline.buffer(-0.02)):
             plot.taken.add(outline)
-            found.houses.append(_House(outline=outline, levels=int(rng.integers(*plot.style.levels, endpoint=True))))
+            found.houses.append((outline, int(rng.integers(*plot.style.levels, endpoint=True))))
             at_m += front_m + rng.uniform(*plot.style.gap_m)
         else:
             at_m += _STEP_M
@@ -399,9 +391,9 @@ def _colour(kind: str) -> str:
 
 
 def _write_blocks(blocks: _Blocks, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
-    for house in blocks.houses:
-        poly.area("building.yes", house.outline, [("building", "yes"), ("building:levels", str(house.levels))])
-    used = shapely.union_all([*(house.outline for house in blocks.houses), *blocks.car_parks]).buffer(1.5, quad_segs=1)
+    for outline, levels in blocks.houses:
+        poly.area("building.yes", outline, [("building", "yes"), ("building:levels", str(levels))])
+    used = shapely.union_all([*(outline for outline, _ in blocks.houses), *blocks.car_parks]).buffer(1.5, quad_segs=1)
     for kind, green in blocks.greens:
         poly.area(kind, green, [])
         free = green.difference(used)

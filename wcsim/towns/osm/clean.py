@@ -32,6 +32,7 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
+from wcsim.core.reading import listed
 from wcsim.towns.osm.area import Box, is_within, size_m
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
@@ -467,21 +468,21 @@ def left_out_notes(found: LeftOut) -> tuple[str, ...]:
     """What is left out: streets where they are more than next to nothing, and each way on foot or the longest."""
     notes = []
     if found.streets_left_out_m >= LEAST_M:
-        names = ", ".join(found.names[:TOLD]) + " and more" * (len(found.names) > TOLD)
+        names = listed(found.names, TOLD)
         notes.append(
             f"left out: {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and streets "
             f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox or "
             "--keep-service may connect them"
         )
     if lost := found.footways:
-        listed = ", ".join(
+        told = ", ".join(
             f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
         )
         more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
         more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
         notes.append(
             f"left out: {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of footways in the box, by map id: "
-            f"{listed}{more}"
+            f"{told}{more}"
         )
     return tuple(notes)
 

@@ -27,6 +27,7 @@ from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
 _ALLOW = "--allow-outside"
 MAX_DEPTH = 16  # of files that include each other
 NOWHERE = ("", "NUL", "nul", "/dev/null")  # "NULL" is a file of that name to SUMO
+_COPIES = "inputs"
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _MAX_LENGTH = 120
 _SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names
@@ -225,16 +226,16 @@ _PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # s
 class FilteredFiles:
     """The files of one scenario on their way into a folder."""
 
-    def __init__(self, names: OutputNames, copies: Path, border: Path | None) -> None:
+    def __init__(self, folder: Path, border: Path | None) -> None:
         """Begin with none.
 
         Args:
-            names: For what is written.
-            copies: The folder for files that need changes.
+            folder: For what is written, and a folder in it for files that need changes.
             border: The folder outside of which nothing is opened; None for none.
         """
-        self._names = names
-        self._copies = OutputNames(copies)
+        self.names = OutputNames(folder)
+        """Of what is written."""
+        self._copies = OutputNames(folder / self.names.unique(_COPIES))
         self._border = border
         self._done: dict[Path, Path] = {}
         self.read: dict[Path, None] = {}
@@ -312,7 +313,7 @@ class FilteredFiles:
             elif key in _PICTURES:
                 self.pictures[there.absolute()] = None
             elif _WRITTEN.match(key) and value not in NOWHERE:
-                element.set(key, str(self._names.place(value, path.parent, f"{element.tag}.xml")))
+                element.set(key, str(self.names.place(value, path.parent, f"{element.tag}.xml")))
         if element.tag == "param" and before.get("value"):
             self._change_parameter(element, path, above)
         return before != element.attrib
@@ -320,7 +321,7 @@ class FilteredFiles:
     def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
         key, value = element.get("key", ""), element.attrib["value"]
         if _writes_parameter(key) and value not in NOWHERE:
-            element.set("value", str(self._names.place(value, path.parent, f"{key.strip()}.xml")))
+            element.set("value", str(self.names.place(value, path.parent, f"{key.strip()}.xml")))
         elif _reads_parameter(key):
             found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]
             element.set("value", ",".join(map(str, found)))

@@ -266,14 +266,11 @@ def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
 
 def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
     """Only the connected part with the greatest length; its nodes are numbered anew."""
-    graph = networkx.Graph()
-    for edge in edges:
-        graph.add_edge(edge.start, edge.end)
-    long_m = {id(edge): length_of(edge.points_W_m) for edge in edges}
+    graph = networkx.Graph((edge.start, edge.end) for edge in edges)
     part_of = {node: i for i, part in enumerate(networkx.connected_components(graph)) for node in part}
     total_m: dict[int, float] = defaultdict(float)
     for edge in edges:
-        total_m[part_of[edge.start]] += long_m[id(edge)]
+        total_m[part_of[edge.start]] += length_of(edge.points_W_m)
     if not total_m:
         return WalkGraph(nodes_W_m=np.zeros((0, 2)), edges=())
     best = max(total_m, key=lambda part: (total_m[part], -part))
@@ -282,9 +279,5 @@ def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
     number = {node: i for i, node in enumerate(used)}
     return WalkGraph(
         nodes_W_m=np.array([nodes[node] for node in used]),
-        edges=tuple(_renumbered(edge, number) for edge in kept),
+        edges=tuple(replace(edge, start=number[edge.start], end=number[edge.end]) for edge in kept),
     )
-
-
-def _renumbered(edge: WalkEdge, number: dict[int, int]) -> WalkEdge:
-    return replace(edge, start=number[edge.start], end=number[edge.end])

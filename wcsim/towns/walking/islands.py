@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.ground.plane_geometry import buffered, polygons_of
 from wcsim.towns.ground.relief import fit_relief, on_land
-from wcsim.towns.ground.surfaces import lane_area, make_surfaces
+from wcsim.towns.ground.surfaces import ground_of, make_surfaces
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 from wcsim.towns.sumo.xml_io import read_root
 
@@ -101,7 +101,7 @@ def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[i
 def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
     """The part of the walkable ground on which most of each edge lies."""
     edges = [
-        (edge.id, shapely.union_all([lane_area(lane) for lane in edge.lanes if lane.kind in _WALKABLE]))
+        (edge.id, ground_of(lane for lane in edge.lanes if lane.kind in _WALKABLE))
         for edge in net.edges
         if any(lane.kind in _WALKABLE for lane in edge.lanes)
     ]
