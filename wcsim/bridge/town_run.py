@@ -26,7 +26,7 @@ from wcsim.log.records import Header
 from wcsim.log.writer import TRACE, LogWriter
 from wcsim.supervisor.rewards import fault
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.scenario.stage import Scenario, require_files
+from wcsim.towns.scenario.stage import Scenario, files_of
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.net import read_net
@@ -158,7 +158,7 @@ def record_town(
     place = RunPlace(folder=order.folder, outputs=order.outputs, hook=order.hook)
     ticks = round(order.seconds / config.world.tick_s)
     stage(f"reading the scenario files of {town.name}")
-    require_files(town, config)
+    files_of(town, config)
     if not order.chairs:
         stage("starting SUMO")
         with _TownTraffic(town, config, order.seed, place) as traffic:

@@ -13,7 +13,7 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -234,6 +234,15 @@ def counted(count: int, one: str, several: str = "") -> str:
     if count == 1:
         return f"1 {one}"
     return f"{count} {several or one + ('es' if one.endswith(('s', 'sh', 'ch')) else 's')}"
+
+
+def listed(names: Collection[str], most: int) -> str:
+    """Names for a message, and whether there are more of them.
+
+    >>> listed(["a", "b", "c"], 2), listed(["a", "b"], 2)
+    ('a, b and more', 'a, b')
+    """
+    return ", ".join(list(names)[:most]) + " and more" * (len(names) > most)
 
 
 def escaped_value(value: object, most: int = 60) -> str:

@@ -86,9 +86,9 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
 
 def _work_s(net: Net) -> tuple[float, float]:
     """About how long an idle core works on the areas of a net, and on its tiles."""
-    lanes = [lane for edge in net.edges for lane in edge.lanes]
-    km = sum(lane.length_m for lane in lanes) / 1e3
-    wide_m, high_m = np.ptp(np.concatenate([np.zeros((1, 2)), *(lane.points_m for lane in lanes)]), axis=0).tolist()
+    km = sum(lane.length_m for lane in net.every_lane) / 1e3
+    low, high = net.corners_m()
+    wide_m, high_m = (high - low).tolist()
     return _AREAS_S * km, _TILES_S * km + _GROUND_S * wide_m * high_m / 1e6
 
 

@@ -13,8 +13,8 @@ from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
 from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import Findings, Overlap, _demand_classes, _find_notes, check_town, faults_of
-from wcsim.towns.importing.importer import _build_net, _convert_net, _NetOrder
+from wcsim.towns.checks.check import Overlap, TownReport, _demand_classes, _find_notes, check_town, faults_of
+from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
 from wcsim.towns.scenario.manifest import chair_ways
@@ -24,14 +24,16 @@ from wcsim.towns.sumo.xml_io import read_bytes
 from wcsim.towns.walking.islands import islands_by_links, largest_share, walkable_parts
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-FINE = Findings(
+FINE = TownReport(
+    town="corner",
     crossings=4,
     walkingareas=4,
     walkable_largest_share=1.0,
+    walk_km=1.0,
+    classes=("passenger", "pedestrian"),
     unroutable=0,
     mesh_faults=0,
-    rays=4000,
-    classes=("passenger", "pedestrian"),
+    lefthand=False,
 )
 
 
@@ -115,7 +117,7 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     if not osm.is_file():
         pytest.skip("the extract lies in the development material beside the checkout, which is not here")
     extract = read_extract(osm, (-1.538528, 53.795722, -1.531532, 53.799858))
-    order = _NetOrder(name="x", box=extract.box, lefthand=True)
+    order = ImportOrder(osm=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=True)
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())
     whole = _convert_net(order, "all.osm.xml", tmp_path)
@@ -131,7 +133,11 @@ def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:
     text = tiny_osm().replace('<tag k="sidewalk" v="both"/>', '<tag k="maxspeed" v="40 mph"/>')
     osm.write_text(text.replace('v="residential"', 'v="primary"'), encoding="utf-8")
     extract = read_extract(osm)
-    net = _build_net(_NetOrder(name="x", box=extract.box, lefthand=False), extract.root, tmp_path).net
+    net = _build_net(
+        ImportOrder(osm=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=False),
+        extract.root,
+        tmp_path,
+    ).net
     streets = [edge for edge in net.edges if not edge.function]
     assert all(any(lane.permits("pedestrian") for lane in edge.lanes) for edge in streets)
     assert len([edge for edge in net.edges if edge.function == "crossing"]) >= 12

@@ -13,12 +13,15 @@ from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.tools import run_tool
 
-PLACE = FreeGround(
-    low=box(0, 0, 100, 8),
-    solids=box(0, 20, 100, 30),
-    lines=shapely.MultiLineString([[(0, 11), (100, 11)]]),
-    hull=box(-10, -10, 110, 40),
-)
+
+def free_place() -> FreeGround:
+    """The road and its pavement before anything stands there."""
+    return FreeGround(
+        low=box(0, 0, 100, 8),
+        solids=box(0, 20, 100, 30),
+        lines=shapely.MultiLineString([[(0, 11), (100, 11)]]),
+        hull=box(-10, -10, 110, 40),
+    )
 
 
 def item(kind: str, *xy: tuple[float, float], filled: bool = False, **tags: str) -> Item:

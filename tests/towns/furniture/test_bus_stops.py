@@ -8,7 +8,7 @@ import pytest
 import shapely
 from shapely import box
 
-from tests.towns.furniture.standing_samples import PLACE, item
+from tests.towns.furniture.standing_samples import free_place, item
 from wcsim.towns.furniture.everything import _stop_things
 from wcsim.towns.furniture.placement import CLEAR_M
 from wcsim.towns.scenario.town import Town
@@ -25,12 +25,12 @@ WESTWARD = stop((60, 6), (50, 6), (40, 6))  # the pavement is on its right
 
 
 def test_a_stop_gets_a_pole_and_a_shelter_beside_its_lane_off_the_way() -> None:
-    pole, shelter = _stop_things([WESTWARD], PLACE, [], lefthand=False)
+    pole, shelter = _stop_things([WESTWARD], free_place(), lefthand=False)
     assert 8.0 < pole.footprint.centroid.y < 10.5 and 40.0 < pole.footprint.centroid.x < 45.0
     assert 45.0 < shelter.footprint.centroid.x < 55.0
     for thing in (pole, shelter):
-        assert PLACE.free(thing.footprint)
-        assert thing.footprint.distance(PLACE.lines) >= CLEAR_M
+        assert free_place().free(thing.footprint)
+        assert thing.footprint.distance(free_place().lines) >= CLEAR_M
     wide = shelter.piece.vertices_W_m
     inner = wide[(wide[:, 2] > 0.4) & (wide[:, 2] < 0.5)]  # the bench inside
     assert inner[:, 1].mean() > shelter.footprint.centroid.y  # it looks at the road
@@ -39,29 +39,29 @@ def test_a_stop_gets_a_pole_and_a_shelter_beside_its_lane_off_the_way() -> None:
 
 def test_where_there_is_no_room_there_is_no_shelter() -> None:
     way = shapely.MultiLineString([[(0, 9.9), (100, 9.9)]])
-    narrow = replace(PLACE, lines=way, solids=box(0, 10.8, 100, 30))
-    (pole,) = _stop_things([WESTWARD], narrow, [], lefthand=False)
+    narrow = replace(free_place(), lines=way, solids=box(0, 10.8, 100, 30))
+    (pole,) = _stop_things([WESTWARD], narrow, lefthand=False)
     assert pole.footprint.area < 0.1
-    nowhere = replace(PLACE, solids=box(0, 8, 100, 30))
-    assert _stop_things([WESTWARD], nowhere, [], lefthand=False) == []
+    nowhere = replace(free_place(), solids=box(0, 8, 100, 30))
+    assert _stop_things([WESTWARD], nowhere, lefthand=False) == []
 
 
 def test_where_traffic_keeps_left_people_wait_on_the_left() -> None:
     eastward = stop((40, 6), (50, 6), (60, 6))
-    things = _stop_things([eastward], PLACE, [], lefthand=True)
+    things = _stop_things([eastward], free_place(), lefthand=True)
     assert len(things) == 2 and all(thing.footprint.centroid.y > 8.0 for thing in things)
-    for thing in _stop_things([eastward], PLACE, [], lefthand=False):
+    for thing in _stop_things([eastward], free_place(), lefthand=False):
         assert thing.footprint.centroid.y < 0.0
 
 
 def test_mapped_stops_are_poles_and_not_doubled() -> None:
     mapped = item("highway.bus_stop", (50, 9))
-    (pole,) = _stop_things([mapped], PLACE, [], lefthand=False)
+    (pole,) = _stop_things([mapped], free_place(), lefthand=False)
     assert pole.footprint.distance(shapely.Point(50, 9)) < 1.0
     sheltered = item("highway.bus_stop", (20, 13.5), shelter="yes")
-    (shelter,) = _stop_things([sheltered], PLACE, [], lefthand=False)
+    (shelter,) = _stop_things([sheltered], free_place(), lefthand=False)
     assert shelter.footprint.area == pytest.approx(3.6 * 1.3)
-    assert len(_stop_things([WESTWARD, mapped], PLACE, [], lefthand=False)) == 2
+    assert len(_stop_things([WESTWARD, mapped], free_place(), lefthand=False)) == 2
 
 
 @pytest.mark.parametrize(

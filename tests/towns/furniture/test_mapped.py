@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import box
 
-from tests.towns.furniture.standing_samples import PLACE, item
+from tests.towns.furniture.standing_samples import free_place, item
 from wcsim.towns.furniture.everything import LOOK_OF, _pick_look, _place_mapped
 from wcsim.towns.furniture.models import LOOKS
 from wcsim.towns.furniture.placement import CLEAR_M, Taken, set_on_ground, stood
@@ -54,25 +54,25 @@ def test_prism_with_a_courtyard_has_walls_both_ways_and_a_roof_with_a_hole() -> 
 
 def test_things_are_dropped_from_the_road_and_moved_off_the_way() -> None:
     road, way, free = item("tree", (50, 3)), item("bollard", (50, 11.3)), item("bench", (20, 16))
-    assert _place_mapped([road], PLACE) == []
-    (moved,) = _place_mapped([way], PLACE)
+    assert _place_mapped([road], free_place()) == []
+    (moved,) = _place_mapped([way], free_place())
     assert 11.3 < moved.footprint.centroid.y < 13.0
-    (bench,) = _place_mapped([free], PLACE)
+    (bench,) = _place_mapped([free], free_place())
     assert bench.footprint.centroid.distance(shapely.Point(20, 16)) < 1e-9
     for thing in (moved, bench):
-        assert thing.footprint.distance(PLACE.lines) >= CLEAR_M
+        assert thing.footprint.distance(free_place().lines) >= CLEAR_M
 
 
 def test_fences_open_where_people_walk_and_vehicles_drive() -> None:
-    things = _place_mapped([item("fence", (30, -5), (30, 18))], PLACE)
+    things = _place_mapped([item("fence", (30, -5), (30, 18))], free_place())
     assert len(things) == 3  # before the road, between road and way, behind the way
     for thing in things:
-        assert thing.footprint.distance(PLACE.lines) >= CLEAR_M
+        assert thing.footprint.distance(free_place().lines) >= CLEAR_M
         assert not thing.footprint.intersects(box(0, 0.01, 100, 7.99))
 
 
 def test_trees_and_lamps_are_cheap_and_leave_headroom() -> None:
-    tree, lamp = _place_mapped([item("tree", (20, 16)), item("street_lamp", (60, 16))], PLACE)
+    tree, lamp = _place_mapped([item("tree", (20, 16)), item("street_lamp", (60, 16))], free_place())
     assert len(tree.piece.faces) <= 60 and len(lamp.piece.faces) <= 30
     wide = np.linalg.norm(tree.piece.vertices_W_m[:, :2] - (20, 16), axis=1) > 0.2
     assert tree.piece.vertices_W_m[wide, 2].min() > 2.2
@@ -101,7 +101,7 @@ def test_every_look_is_closed_below_stays_in_its_footprint_and_has_its_height(ki
     low = thing.piece.vertices_W_m[thing.piece.vertices_W_m[:, 2] < 2.0]
     grown = thing.footprint.buffer(0.1)
     assert shapely.contains_xy(grown, low[:, 0], low[:, 1]).all()
-    if not LOOKS[kind].random:
+    if LOOKS[kind].make is None:
         assert thing.piece.vertices_W_m[:, 2].max() == pytest.approx(LOOKS[kind].size_lwh_m[2], abs=0.1)
     corners = thing.piece.vertices_W_m[thing.piece.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -120,28 +120,30 @@ def test_a_wheel_and_a_box_look_outward() -> None:
 
 
 def test_two_things_do_not_share_their_ground() -> None:
-    things = _place_mapped([item("amenity.bench", (20, 16)), item("amenity.bench", (20.3, 16.1))], PLACE)
+    things = _place_mapped([item("amenity.bench", (20, 16)), item("amenity.bench", (20.3, 16.1))], free_place())
     assert len(things) == 2
     assert not things[0].footprint.intersects(things[1].footprint)
-    taken = Taken(things)
+    taken = Taken()
+    for thing in things:
+        taken.add(thing.footprint)
     assert not taken.free(things[0].footprint.buffer(0.1)) and taken.free(box(50, 14, 51, 15))
 
 
 def test_a_bench_looks_at_those_who_walk_by_or_where_the_map_says() -> None:
-    (shy,) = _place_mapped([item("amenity.bench", (20, 16))], PLACE)
-    (told,) = _place_mapped([item("amenity.bench", (20, 16), direction="E")], PLACE)
+    (shy,) = _place_mapped([item("amenity.bench", (20, 16))], free_place())
+    (told,) = _place_mapped([item("amenity.bench", (20, 16), direction="E")], free_place())
     for thing, front in ((shy, (0.0, -1.0)), (told, (1.0, 0.0))):
         back = thing.piece.vertices_W_m[thing.piece.vertices_W_m[:, 2] > 0.8][:, :2].mean(axis=0)
         assert np.dot(back - (20.0, 16.0), front) == pytest.approx(-0.22, abs=0.02)
 
 
 def test_a_row_of_trees_is_many_trees_and_what_nobody_knows_is_a_post() -> None:
-    row = _place_mapped([item("natural.tree_row", (10, 16), (58, 16))], PLACE)
+    row = _place_mapped([item("natural.tree_row", (10, 16), (58, 16))], free_place())
     assert len(row) == 7
     assert _pick_look(item("barrier.pachyderm", (1, 1))) == "bollard"
     for nothing in ("barrier.kerb", "barrier.entrance", "shop.bakery", "landuse.grass"):
         assert _pick_look(item(nothing, (1, 1))) == ""
-    assert _place_mapped([item("landuse.block", (50, 15))], PLACE) == []
+    assert _place_mapped([item("landuse.block", (50, 15))], free_place()) == []
 
 
 def test_memorials_in_the_ground_and_pictures_on_walls_do_not_stand() -> None:
@@ -164,8 +166,8 @@ def test_memorials_in_the_ground_and_pictures_on_walls_do_not_stand() -> None:
 )
 def test_things_off_the_ground_do_not_stand_on_it(tags: dict[str, str]) -> None:
     assert off_ground(tags)
-    assert _place_mapped([item("amenity.bench", (20, 16), **tags)], PLACE) == []
-    assert len(_place_mapped([item("amenity.bench", (20, 16), level="0;1")], PLACE)) == 1
+    assert _place_mapped([item("amenity.bench", (20, 16), **tags)], free_place()) == []
+    assert len(_place_mapped([item("amenity.bench", (20, 16), level="0;1")], free_place())) == 1
 
 
 def test_odd_outlines_of_mapped_things_do_no_harm() -> None:
@@ -173,7 +175,7 @@ def test_odd_outlines_of_mapped_things_do_no_harm() -> None:
     for kind in ("barrier.hedge", "barrier.fence", "amenity.fountain", "natural.tree_row", "barrier.wall"):
         for points in shapes_m:
             for filled in (False, True):
-                for thing in _place_mapped([item(kind, *points, filled=filled, area="yes", height="-3")], PLACE):
+                for thing in _place_mapped([item(kind, *points, filled=filled, area="yes", height="-3")], free_place()):
                     assert np.isfinite(thing.piece.vertices_W_m).all() and thing.footprint.is_valid
 
 
@@ -182,7 +184,7 @@ def test_things_stand_at_the_height_of_their_ground_and_fences_follow_it() -> No
         return 0.1 * xy[:, 0]
 
     bench, fence = item("amenity.bench", (20, 16)), item("barrier.fence", (40, 16), (80, 16))
-    things = _place_mapped([bench, fence], PLACE)
+    things = _place_mapped([bench, fence], free_place())
     pieces, heads = set_on_ground(things, hill)
     assert heads == ()
     assert pieces[0].vertices_W_m[:, 2].max() == pytest.approx(2.0 + 0.85, abs=0.02)
@@ -190,4 +192,4 @@ def test_things_stand_at_the_height_of_their_ground_and_fences_follow_it() -> No
     assert np.allclose(top[:, 2], 0.1 * top[:, 0] + 1.2)
     assert np.abs(np.diff(np.unique(top[:, 0]))).max() < 13.0
     hanging = replace(things[0], footprint=shapely.Polygon())
-    Taken([hanging])
+    Taken().add(hanging.footprint)

@@ -39,7 +39,7 @@ def lane_at(net: Net, link: int) -> Lane:
 
 
 def test_every_link_of_a_signal_has_a_head_of_its_colour(net: Net) -> None:
-    things = signal_things(net, (), place_of(net), [])
+    things = signal_things(net, (), place_of(net))
     columns = {tls: [state.lower() for name, state in net.phases if name == tls] for tls, _ in net.phases}
     crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
 
@@ -59,8 +59,8 @@ def test_every_link_of_a_signal_has_a_head_of_its_colour(net: Net) -> None:
 
 
 def test_posts_of_vehicles_stand_at_the_kerb_on_their_side_and_face_them(net: Net) -> None:
-    place = place_of(net)
-    found = heads_of(signal_things(net, (), place, []), pedestrian=False)
+    empty = place_of(net)
+    found = heads_of(signal_things(net, (), place_of(net)), pedestrian=False)
     assert found
     for thing, i in found:
         head, lane = thing.heads[i], lane_at(net, thing.heads[i].link)
@@ -72,7 +72,7 @@ def test_posts_of_vehicles_stand_at_the_kerb_on_their_side_and_face_them(net: Ne
         assert (aside > 0) is net.lefthand
         assert np.dot([np.cos(head.yaw_rad), np.sin(head.yaw_rad)], ahead) == pytest.approx(-1.0)
         assert -6.0 < np.dot(head.p_W_m[:2] - lane.points_m[-1], ahead) <= 0.0
-        assert place.free(thing.footprint) and abs(aside) < 12.0
+        assert empty.free(thing.footprint) and abs(aside) < 12.0
         assert thing.piece.vertices_W_m[:, 2].max() > head.p_W_m[2] > HEAD_LOW_M
 
 
@@ -89,7 +89,7 @@ def test_an_approach_is_that_of_the_lane_beside_the_pavement(net: Net) -> None:
 
 def test_heads_of_lanes_stand_in_the_order_of_the_lanes(net: Net) -> None:
     mixed = tuple((name, "".join("rGyu"[i % 4] for i in range(len(state)))) for name, state in net.phases)
-    things = signal_things(replace(net, phases=mixed), (), place_of(net), [])
+    things = signal_things(replace(net, phases=mixed), (), place_of(net))
     on_posts = [thing for thing in things if len(thing.heads) > 1]
     assert len(on_posts) == 4
     for thing in on_posts:
@@ -101,7 +101,7 @@ def test_heads_of_lanes_stand_in_the_order_of_the_lanes(net: Net) -> None:
 
 
 def test_both_ends_of_a_crossing_show_each_other_their_light(net: Net) -> None:
-    things = signal_things(net, (), place_of(net), [])
+    things = signal_things(net, (), place_of(net))
     found = heads_of(things, pedestrian=True)
     lit = {c.end: c.tls_link for c in net.connections if c.tls_id}
     crossings = [lane for lane in net.lanes(LaneKind.CROSSING) if lane.edge_id in lit]
@@ -116,13 +116,12 @@ def test_both_ends_of_a_crossing_show_each_other_their_light(net: Net) -> None:
 
 
 def test_links_that_always_agree_share_a_head(net: Net) -> None:
-    place = place_of(net)
-    assert len(heads_of(signal_things(net, (), place, []), pedestrian=False)) == 4  # "g" and "G" look alike
+    assert len(heads_of(signal_things(net, (), place_of(net)), pedestrian=False)) == 4  # "g" and "G" look alike
     name, state = net.phases[0]
     arrow = replace(net, phases=(*net.phases, (name, "r" + "G" * (len(state) - 1))))  # one link for itself
-    assert len(heads_of(signal_things(arrow, (), place, []), pedestrian=False)) == 5
+    assert len(heads_of(signal_things(arrow, (), place_of(net)), pedestrian=False)) == 5
     unknown = replace(net, phases=())  # nothing is known of its program: each link may differ
-    assert len(heads_of(signal_things(unknown, (), place, []), pedestrian=False)) > 5
+    assert len(heads_of(signal_things(unknown, (), place_of(net)), pedestrian=False)) > 5
 
 
 def test_a_program_in_an_additional_file_splits_heads(net: Net, tmp_path: Path) -> None:
@@ -136,7 +135,7 @@ def test_a_program_in_an_additional_file_splits_heads(net: Net, tmp_path: Path) 
         '<tlLogic id="other"><phase duration="1"/></tlLogic></additional>',
         encoding="utf-8",
     )
-    things = signal_things(same, (path,), place, [])
+    things = signal_things(same, (path,), place)
     assert len(heads_of(things, pedestrian=False)) > 4
 
 
@@ -144,7 +143,7 @@ def test_without_room_the_light_hangs_on_an_arm_whose_post_stands_off_the_road(n
     place = place_of(net)
     stops = shapely.union_all([shapely.Point(a.stop_m).buffer(14.0) for a in _find_approaches(net)])
     crowded = replace(place, lines=shapely.union_all([place.lines, stops.difference(place.low)]))
-    things = [thing for thing in signal_things(net, (), crowded, []) if not thing.heads[0].pedestrian]
+    things = [thing for thing in signal_things(net, (), crowded) if not thing.heads[0].pedestrian]
     assert len(things) == 4 and all(thing.heads[0].p_W_m[2] > 4.8 for thing in things)
     for thing in things:
         assert not thing.footprint.intersects(place.low) and connected_to_ground(thing)
@@ -153,7 +152,7 @@ def test_without_room_the_light_hangs_on_an_arm_whose_post_stands_off_the_road(n
 def test_between_buildings_the_light_hangs_from_a_wall_and_takes_no_ground(net: Net) -> None:
     houses = box(-1000, -1000, 1000, 1000).difference(place_of(net).low.buffer(0.1))
     place = replace(place_of(net), solids=houses)
-    things = signal_things(net, (), place, [])
+    things = signal_things(net, (), place)
     assert things and all(thing.footprint.is_empty for thing in things)
     assert all(thing.piece.vertices_W_m[:, 2].min() > 4.0 for thing in things)
     assert all(houses.intersects(MultiPoint(thing.piece.vertices_W_m[:, :2]).convex_hull) for thing in things)
@@ -168,20 +167,19 @@ def connected_to_ground(thing: StandingObject) -> bool:
 
 
 def test_a_short_state_and_a_net_without_signals_are_no_error(net: Net) -> None:
-    place = place_of(net)
     short = replace(net, phases=tuple((name, "r") for name, _ in net.phases))
-    assert signal_things(short, (), place, [])
+    assert signal_things(short, (), place_of(net))
     dark = replace(net, connections=tuple(replace(c, tls_id="", tls_link=-1) for c in net.connections))
-    assert signal_things(dark, (), place, []) == []
+    assert signal_things(dark, (), place_of(net)) == []
 
 
 def test_stop_signs_stand_at_the_kerb_of_their_approach(net: Net) -> None:
     place = place_of(net)
     approach = _find_approaches(net)[0]
     on_road = approach.stop_m - 4.0 * approach.ahead
-    (sign,) = sign_things([item("highway.stop", tuple(on_road))], net, place, [])
-    assert place.free(sign.footprint)
+    (sign,) = sign_things([item("highway.stop", tuple(on_road))], net, place)
+    assert place_of(net).free(sign.footprint)
     away = sign.base_m - approach.stop_m
     assert np.dot(away, approach.aside) > approach.half_m
     far = item("highway.give_way", (5000.0, 5000.0))
-    assert sign_things([far, item("amenity.bench", (0, 0))], net, place, []) == []
+    assert sign_things([far, item("amenity.bench", (0, 0))], net, place) == []

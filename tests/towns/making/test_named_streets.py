@@ -11,12 +11,12 @@ import pytest
 from wcsim.core.seeding import generator
 from wcsim.towns.making.asked_town import KINDS
 from wcsim.towns.making.maker import COLLECTOR, MAIN, RESIDENTIAL, WALK, _make_streets
-from wcsim.towns.making.plan import ShapedPlan, StreetPlan, _connected, _least_angle_rad, _merged, draw_plan, shape_plan
+from wcsim.towns.making.plan import StreetPlan, _connected, _least_angle_rad, _merged, draw_plan, shape_plan
 
 DRAWS = [(kind, seed) for kind in KINDS for seed in range(4)]
 
 
-def shaped_plan(kind: str, seed: int, folder: Path) -> ShapedPlan:
+def shaped_plan(kind: str, seed: int, folder: Path) -> StreetPlan:
     rng = generator(seed, "test")
     return shape_plan(draw_plan(kind, 700.0, seed, rng, folder), rng)
 
@@ -24,13 +24,13 @@ def shaped_plan(kind: str, seed: int, folder: Path) -> ShapedPlan:
 @pytest.mark.parametrize(("kind", "seed"), DRAWS)
 def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, seed: int, tmp_path: Path) -> None:
     shaped = shaped_plan(kind, seed, tmp_path)
-    graph = shaped.plan.graph()
+    graph = shaped.graph()
     assert networkx.is_connected(graph)
-    assert 0.7 * 700.0 < np.ptp(shaped.plan.nodes_m, axis=0).max() < 1.5 * 700.0
-    assert _least_angle_rad(shaped.plan, shaped.lines_m) > np.radians(40.0)
+    assert 0.7 * 700.0 < np.ptp(shaped.nodes_m, axis=0).max() < 1.5 * 700.0
+    assert _least_angle_rad(shaped, shaped.lines_m) > np.radians(40.0)
     assert max(degree for _, degree in graph.degree()) <= 9
-    for (a, b), line in zip(shaped.plan.links, shaped.lines_m, strict=True):
-        assert np.allclose(line[[0, -1]], shaped.plan.nodes_m[[a, b]])
+    for (a, b), line in zip(shaped.links, shaped.lines_m, strict=True):
+        assert np.allclose(line[[0, -1]], shaped.nodes_m[[a, b]])
         assert np.hypot(*(line[-1] - line[0])) > 20.0
     assert not list(tmp_path.iterdir())
 
@@ -39,14 +39,14 @@ def test_plans_are_as_large_as_ordered_and_have_room_at_junctions(kind: str, see
 def test_every_link_is_of_one_street_and_everybody_gets_everywhere(kind: str, seed: int, tmp_path: Path) -> None:
     shaped = shaped_plan(kind, seed, tmp_path)
     streets = _make_streets(shaped, generator(seed, "streets"))
-    assert sorted(link for street in streets for link in street.links) == list(range(len(shaped.plan.links)))
+    assert sorted(link for street in streets for link in street.links) == list(range(len(shaped.links)))
     driven = networkx.DiGraph()
     for street in streets:
-        ends = [shaped.plan.links[link] for link in street.links]
+        ends = [shaped.links[link] for link in street.links]
         if street.kind is not WALK:
             driven.add_edges_from([*ends, *(() if street.oneway else ((b, a) for a, b in ends))])
     assert networkx.is_strongly_connected(driven)
-    assert len(driven) == len(shaped.plan.nodes_m)
+    assert len(driven) == len(shaped.nodes_m)
     assert streets[0].kind is MAIN
     assert {MAIN, COLLECTOR, RESIDENTIAL} <= {street.kind for street in streets}
 

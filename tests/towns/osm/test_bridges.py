@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from wcsim.towns.checks.check import _find_overlaps
-from wcsim.towns.importing.importer import _build_net, _BuiltNet, _NetOrder
+from wcsim.towns.importing.importer import ImportOrder, _build_net, _BuiltNet
 from wcsim.towns.osm.clean import _quicken_motorways, cut_bridges
 from wcsim.towns.osm.read import read_extract
 from wcsim.towns.sumo.net import LaneKind
@@ -39,7 +39,11 @@ def osm(*ways: tuple[int, list[int], Tags]) -> bytes:
 def built(folder: Path, *ways: tuple[int, list[int], Tags]) -> _BuiltNet:
     (folder / "a.osm").write_bytes(osm(*ways))
     extract = read_extract(folder / "a.osm")
-    return _build_net(_NetOrder(name="x", box=extract.box, lefthand=False), extract.root, folder)
+    return _build_net(
+        ImportOrder(osm=folder, name="x", split="train", out=folder, bbox=extract.box, lefthand=False),
+        extract.root,
+        folder,
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +16,7 @@ from rich.table import Table
 from wcsim.cli.shared.common import OutFile, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import resolve
-from wcsim.core.reading import counted
+from wcsim.core.reading import counted, listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import traffic_alone
 from wcsim.towns.scenario.options import read_configuration
@@ -88,7 +88,7 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
     hits = {frozenset((one, other)): f"{one} with {other} on {lane}" for one, other, lane in told}
     if not hits:
         return ()
-    who = ", ".join(list(hits.values())[:_TOLD]) + " and more" * (len(hits) > _TOLD)
+    who = listed(hits.values(), _TOLD)
     return (
         f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this traffic: {who}; "
         f"its junction rules permit that, mostly for bicycles, and the vehicles pass through each other; half the "
@@ -127,17 +127,6 @@ def print_report(report: TownReport) -> int:
 
 def report_json(report: TownReport, seconds: float) -> dict[str, Any]:
     """A report as a result file holds it."""
-    return {
-        "town": report.town,
-        "seconds": round(seconds, 3),
-        "crossings": report.crossings,
-        "walkingareas": report.walkingareas,
-        "walkable_largest_share": report.walkable_largest_share,
-        "walk_km": report.walk_km,
-        "classes": list(report.classes),
-        "unroutable": report.unroutable,
-        "mesh_faults": report.mesh_faults,
-        "lefthand": report.lefthand,
-        "notes": list(report.notes),
-        "faults": list(report.faults),
-    }
+    told = asdict(report)
+    del told["overlaps"], told["cut_off"]  # the notes and faults say them
+    return {"seconds": round(seconds, 3), **told}

@@ -31,22 +31,24 @@ def pack_street(
     net_origin_m: tuple[float, float, float],
 ) -> dict[str, np.ndarray]:
     """A street as named arrays; `tiles` are those of `pack_tiles`."""
-    arrays = dict(tiles)
-    arrays["relief_z_m"] = relief.z_m
-    arrays["relief_place"] = np.array([*relief.origin_W_m, relief.cell_m])
-    arrays["net_origin_m"] = np.array(net_origin_m, np.float64)
-    arrays["nodes_W_m"] = walk.nodes_W_m
-    arrays["edge_points_W_m"] = np.concatenate([edge.points_W_m for edge in walk.edges] or [np.zeros((0, 2))])
-    arrays["edge_sizes"] = np.array([len(edge.points_W_m) for edge in walk.edges], dtype=np.int64)
-    arrays["edge_numbers"] = np.array([(edge.start, edge.end) for edge in walk.edges], dtype=np.int64).reshape(-1, 2)
-    arrays["edge_width_m"] = np.array([edge.width_m for edge in walk.edges], dtype=np.float64)
-    arrays["edge_never_green"] = np.array([edge.never_green for edge in walk.edges], dtype=np.bool_)
-    texts = [(edge.sumo_id, edge.kind.value, edge.tls_id, " ".join(map(str, edge.tls_links))) for edge in walk.edges]
-    arrays["edge_texts"] = np.array(texts, dtype=np.str_).reshape(-1, 4)
-    arrays["head_tls"] = np.array([head.tls_id for head in signal_heads], dtype=np.str_)
+    edges = walk.edges
+    texts = [(edge.sumo_id, edge.kind.value, edge.tls_id, " ".join(map(str, edge.tls_links))) for edge in edges]
     places = [(*head.p_W_m, head.yaw_rad, head.link, head.pedestrian) for head in signal_heads]
-    arrays["head_places"] = np.array(places, dtype=np.float64).reshape(-1, 6)
-    return arrays
+    return {
+        **tiles,
+        "relief_z_m": relief.z_m,
+        "relief_place": np.array([*relief.origin_W_m, relief.cell_m]),
+        "net_origin_m": np.array(net_origin_m, np.float64),
+        "nodes_W_m": walk.nodes_W_m,
+        "edge_points_W_m": np.concatenate([edge.points_W_m for edge in edges] or [np.zeros((0, 2))]),
+        "edge_sizes": np.array([len(edge.points_W_m) for edge in edges], dtype=np.int64),
+        "edge_numbers": np.array([(edge.start, edge.end) for edge in edges], dtype=np.int64).reshape(-1, 2),
+        "edge_width_m": np.array([edge.width_m for edge in edges], dtype=np.float64),
+        "edge_never_green": np.array([edge.never_green for edge in edges], dtype=np.bool_),
+        "edge_texts": np.array(texts, dtype=np.str_).reshape(-1, 4),
+        "head_tls": np.array([head.tls_id for head in signal_heads], dtype=np.str_),
+        "head_places": np.array(places, dtype=np.float64).reshape(-1, 6),
+    }
 
 
 def unpack_street(packed: Packed) -> Street:

@@ -9,7 +9,7 @@ import re
 import shlex
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
 
@@ -36,11 +36,11 @@ from wcsim.towns.checks.cures import (
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
-from wcsim.towns.ground.surfaces import lane_area
+from wcsim.towns.ground.surfaces import ground_of
 from wcsim.towns.ground.tiles import CELL_M
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames, with_included
+from wcsim.towns.scenario.files import FilteredFiles, with_included
 from wcsim.towns.scenario.manifest import find_changes
-from wcsim.towns.scenario.stage import require_files
+from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import Town, polygons_among
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.additional import read_items
@@ -62,27 +62,12 @@ LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
 APART_M = 2.0  # ways with more between their heights pass over each other
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Findings:
-    """What a check measured."""
-
-    crossings: int
-    walkingareas: int
-    walkable_largest_share: float
-    unroutable: int
-    mesh_faults: int
-    rays: int  # that were sent down for `mesh_faults`
-    classes: tuple[str, ...]
-    overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
-    cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
-
-
-def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
+def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
     """The faults of a town; none when all is well."""
     lines = [*_ways(town, net, found), *_demand(town, net, found), *_projection_faults(town, net)]
-    if found.mesh_faults > found.rays // 1000:
+    if found.mesh_faults > RAYS // 1000:
         lines.append(
-            f"{found.mesh_faults} of {found.rays} vertical rays missed the ground; build the street "
+            f"{found.mesh_faults} of {RAYS} vertical rays missed the ground; build the street "
             "again: wcsim cache --clear"
         )
     lines += _foreign_polygons(town, net)
@@ -96,11 +81,11 @@ def faults_of(town: Town, net: Net, found: Findings) -> tuple[str, ...]:
 
 def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
-    changes = find_changes(town)
-    notes = [f"changed since the import: {name}" for name in changes.others]
-    for name in changes.net:
+    changed, net_file = find_changes(town), town.net.resolve()
+    notes = [f"changed since the import: {path.name}" for path in changed if path.resolve() != net_file]
+    for path in (path for path in changed if path.resolve() == net_file):  # the demand was routed through it
         again = f"; to route the traffic over the new net, {routes_cure(town)}" if town.routes else ""
-        notes.append(f"changed since the import: {name}{again}")
+        notes.append(f"changed since the import: {path.name}{again}")
     if over:
         notes.append(_overlap(town, over))
     if _polygons(town) is None and not _built_up(town, net):
@@ -110,13 +95,13 @@ def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[s
 
 def _projection_faults(town: Town, net: Net) -> tuple[str, ...]:
     """Nets whose coordinates are no metres."""
-    points_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
-    size_m = np.ptp(points_m, axis=0)
+    low_m, high_m = net.corners_m()
+    size_m = high_m - low_m
     size = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
     if size_m.max() > LARGEST_M:
         return (f"{size}, so its projection is wrong; {_PROJECT}",)
-    drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for edge in net.edges for lane in edge.lanes)
-    noted_m = sum(lane.length_m for edge in net.edges for lane in edge.lanes if lane.kind is not LaneKind.WALKINGAREA)
+    drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for lane in net.every_lane)
+    noted_m = sum(lane.length_m for lane in net.every_lane if lane.kind is not LaneKind.WALKINGAREA)
     if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
         return (f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}",)
     return ()
@@ -127,11 +112,10 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
     poly = _polygons(town)
     if poly is None:
         return []
-    streets_m = np.concatenate([lane.points_m for edge in net.edges for lane in edge.lanes])
-    low_m, high_m = streets_m.min(axis=0) - AROUND_M, streets_m.max(axis=0) + AROUND_M
+    low_m, high_m = net.corners_m()
     files = with_included((poly,), town.border)
     things_m = [item.points_W_m for item in read_items(files, town.file.origin_m, net)]
-    if not things_m or any(((low_m <= at) & (at <= high_m)).all(axis=1).any() for at in things_m):
+    if not things_m or any(((low_m - AROUND_M <= at) & (at <= high_m + AROUND_M)).all(axis=1).any() for at in things_m):
         return []
     problem = f"none of the {len(things_m)} objects of {poly.name} is near the streets, so it belongs to another net; "
     if town.file.rebuild:
@@ -150,7 +134,7 @@ def _built_up(town: Town, net: Net) -> bool:
     return any(item.kind in _BUILT_UP for item in read_items(files, town.file.origin_m, net))
 
 
-def _ways(town: Town, net: Net, found: Findings) -> list[str]:
+def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
     imported = "town import" in town.file.rebuild
 
     def paving() -> str:
@@ -172,11 +156,11 @@ def _ways(town: Town, net: Net, found: Findings) -> list[str]:
     return lines
 
 
-def _lacks_crossings(net: Net, found: Findings) -> bool:
+def _lacks_crossings(net: Net, found: TownReport) -> bool:
     return not found.crossings and bool(net.lanes(LaneKind.MOTOR))
 
 
-def _walkers_later(town: Town, net: Net, found: Findings) -> bool:
+def _walkers_later(town: Town, net: Net, found: TownReport) -> bool:
     """Whether there are no walkers, and adding them needs a paved copy of the scenario first."""
     unpaved = not found.walkingareas or _lacks_crossings(net, found)
     can_be = "town import" not in town.file.rebuild and slowest_street_mps(net) is not None
@@ -190,7 +174,7 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
     return f"cut off: the parts around {parts}{more}; " if parts else ""
 
 
-def _demand(town: Town, net: Net, found: Findings) -> list[str]:
+def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
     lines = []
     if _WALKER not in found.classes and (found.walkingareas or slowest_street_mps(net) is not None):
         later = _walkers_later(town, net, found)
@@ -245,7 +229,9 @@ class TownReport:
     unroutable: int  # trips of the first ten minutes that have no way
     mesh_faults: int  # of RAYS rays straight down that did not meet the ground that the grid says
     lefthand: bool
-    faults: tuple[str, ...]  # each with the command that cures it; empty when all is well
+    overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
+    cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
+    faults: tuple[str, ...] = ()  # each with the command that cures it; empty when all is well
     notes: tuple[str, ...] = ()
 
 
@@ -254,37 +240,27 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
 
     Raises TownError when the town cannot be read at all, or its net is not in metres.
     """
-    require_files(town, RunConfig())  # missing files are reported before SUMO opens a large net
+    files_of(town, RunConfig())  # missing files are reported before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
     if wrong := _projection_faults(town, net):
         raise TownError(f"{town.net}: {wrong[0]}")
     validate_net(town.net, border=town.border)
     street = load_street(town)
     parts = walkable_parts(net, town.file.chair_ways) if share is None else []
-    found = Findings(
+    found = TownReport(
+        town=town.name,
         crossings=len(net.lanes(LaneKind.CROSSING)),
         walkingareas=len(net.lanes(LaneKind.WALKINGAREA)),
         walkable_largest_share=largest_share(parts) if share is None else share,
+        walk_km=sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3,
+        classes=_demand_classes(town),
         unroutable=_unroutable_trips(town),
         mesh_faults=_mesh_faults(street),
-        rays=RAYS,
-        classes=_demand_classes(town),
+        lefthand=net.lefthand,
         overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
     )
-    return TownReport(
-        town=town.name,
-        crossings=found.crossings,
-        walkingareas=found.walkingareas,
-        walkable_largest_share=found.walkable_largest_share,
-        walk_km=_walk_km(street),
-        classes=found.classes,
-        unroutable=found.unroutable,
-        mesh_faults=found.mesh_faults,
-        lefthand=net.lefthand,
-        faults=faults_of(town, net, found),
-        notes=_find_notes(town, net, found.overlaps),
-    )
+    return replace(found, faults=faults_of(town, net, found), notes=_find_notes(town, net, found.overlaps))
 
 
 def _demand_classes(town: Town) -> tuple[str, ...]:
@@ -309,8 +285,7 @@ def _unroutable_trips(town: Town) -> int:
     if not town.routes:
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        names = OutputNames(Path(folder))
-        met = FilteredFiles(names, Path(folder) / "inputs", town.border)  # duarouter follows what they include
+        met = FilteredFiles(Path(folder), town.border)  # duarouter follows what they include
         routes = [str(met.place(path, town.sumocfg)) for path in town.routes]
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
@@ -385,10 +360,6 @@ def _members(element: Element) -> tuple[str, ...]:
     return tuple([*inner, *element.get("vTypes", "").split()])
 
 
-def _walk_km(street: Street) -> float:
-    return sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overlap:
     """A carriageway on a pavement."""
@@ -416,8 +387,8 @@ def _find_overlaps(net: Net) -> tuple[Overlap, ...]:
 
 
 def _areas(net: Net, wanted: Callable[[LaneKind], bool]) -> tuple[list[Edge], list[BaseGeometry]]:
-    edges = [e for e in net.edges if not e.function and any(wanted(lane.kind) for lane in e.lanes)]
-    return edges, [shapely.union_all([lane_area(lane) for lane in e.lanes if wanted(lane.kind)]) for e in edges]
+    edges = [e for e in net.streets if any(wanted(lane.kind) for lane in e.lanes)]
+    return edges, [ground_of(lane for lane in e.lanes if wanted(lane.kind)) for e in edges]
 
 
 def _z_m(edge: Edge) -> float:

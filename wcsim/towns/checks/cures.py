@@ -67,7 +67,7 @@ def _outside(town: Town) -> str:
 
 def paved_streets(net: Net) -> int:
     """How many edges of a net have a pavement."""
-    return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in net.edges if not edge.function)
+    return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in net.streets)
 
 
 def speeds_mps(net: Net) -> dict[str, float]:

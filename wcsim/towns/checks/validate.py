@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
 from wcsim.towns.checks.cures import pave_cure, traffic_alone
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames
+from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes
@@ -42,7 +42,7 @@ def validate_net(net: Path, *, border: Path | None = None) -> None:
         return
     _scan_net(parse_root(data, str(net)), str(net))
     with tempfile.TemporaryDirectory(prefix="wcsim-net-", ignore_cleanup_errors=True) as work:
-        files = FilteredFiles(OutputNames(Path(work)), Path(work) / "inputs", border or net.parent)
+        files = FilteredFiles(Path(work), border or net.parent)
         safe = files.place(net, net)  # a net may name outputs too, which must not appear anywhere
         options = ["-n", str(safe.resolve()), "--end", "1", "--no-step-log", "--no-warnings"]
         try:
@@ -94,10 +94,9 @@ def _refuse_degrees(root: Element, edges: list[Element], where: str) -> None:
 
     Lanes are drawn metres wide around them all the same, so what counts is how far its junctions are from each other.
     """
-    shapes = [lane.get("shape", "") for edge in edges for lane in edge.iterfind("lane")]
-    span_m = _span_m([place.split(",") for shape in shapes for place in shape.split()])
+    span_m = _span_m([place for edge in edges for lane in edge.iterfind("lane") for place in _places(lane)])
     nodes = [node for node in root.iterfind("junction") if node.get("type") != "internal" and node.get("y")]
-    apart_m = _span_m([[node.get("x", "0"), node.get("y", "0")] for node in nodes]) or span_m
+    apart_m = _span_m([(float(node.get("x", "0")), float(node.get("y", "0"))) for node in nodes]) or span_m
     if len(edges) > 1 and 0.0 < min(apart_m, span_m) < _SMALLEST_M:
         raise TownError(
             f"{where}: is only {min(apart_m, span_m):.4f} m across; its coordinates look like degrees; expected "
@@ -110,18 +109,15 @@ def _refuse_degrees(root: Element, edges: list[Element], where: str) -> None:
         )
 
 
-def _span_m(places: list[list[str]]) -> float:
-    """How far places (x, y, ...) reach over, along the longer side."""
-    xs, ys = ([float(place[axis]) for place in places if len(place) > 1] for axis in (0, 1))
-    return max(max(side, default=0.0) - min(side, default=0.0) for side in (xs, ys))
+def _span_m(places: list[tuple[float, float]]) -> float:
+    """How far places reach over, along the longer side."""
+    return max((max(side) - min(side) for side in zip(*places, strict=True)), default=0.0)
 
 
 def _refuse_stretched(edges: list[Element], where: str) -> None:
     """A lane that is drawn to a place far away makes a town of hundreds of kilometres out of a small one."""
     for lane in (lane for edge in edges if edge.get("function") != "walkingarea" for lane in edge.iterfind("lane")):
-        points = [place.split(",") for place in lane.get("shape", "").split()]
-        places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
-        drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(places))
+        drawn_m = sum(math.dist(*ends) for ends in itertools.pairwise(_places(lane)))
         if drawn_m > max(_STRETCHED_M, _STRETCHED * float(lane.get("length") or 0.0)):
             raise TownError(
                 f"{where}: lane {lane.get('id')!r} is {lane.get('length')} m long and drawn over {drawn_m:.0f} m; "
@@ -132,14 +128,19 @@ def _refuse_stretched(edges: list[Element], where: str) -> None:
 def _refuse_sprawling(root: Element, where: str) -> None:
     """So does a junction whose outline reaches there."""
     for junction in root.iterfind("junction"):
-        points = [place.split(",") for place in junction.get("shape", "").split()]
-        places = [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
+        places = _places(junction)
         reach_m = max((math.dist(places[0], place) for place in places), default=0.0)
         if reach_m > _STRETCHED_M:
             raise TownError(
                 f"{where}: junction {junction.get('id')!r} is {reach_m:.0f} m across; expected at most "
                 f"{_STRETCHED_M:.0f} m: build it again with netconvert"
             )
+
+
+def _places(element: Element) -> list[tuple[float, float]]:
+    """The points of a shape in the plane."""
+    points = [place.split(",") for place in element.get("shape", "").split()]
+    return [(float(point[0]), float(point[1])) for point in points if len(point) > 1]
 
 
 def _all_finite(parts: list[str]) -> bool:

@@ -10,7 +10,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.seeding import generator
-from wcsim.towns.ground.plane_geometry import Patches, buffered, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, polygons_of, valid
 from wcsim.towns.osm.tags import STOREY_M, metres, number, rise_m
 from wcsim.towns.sumo.additional import Item
 
@@ -211,14 +211,12 @@ def _cleared(area: BaseGeometry) -> list[Polygon]:
     if area.is_empty:
         return []
     opened = shapely.set_precision(valid(area.buffer(-0.15).buffer(0.15, join_style="mitre").simplify(0.1)), 0.01)
-    parts = [part for part in shapely.get_parts(opened) if part.geom_type == "Polygon" and part.is_valid]
-    return [part for part in parts if part.area >= _SMALLEST_M2]
+    return [part for part in polygons_of(opened) if part.is_valid and part.area >= _SMALLEST_M2]
 
 
 def _areas(geometry: BaseGeometry) -> BaseGeometry:
     """Only the polygons of a geometry."""
-    flat = [p for part in shapely.get_parts(geometry) for p in shapely.get_parts(part)]
-    polygons = [part for part in flat if part.geom_type == "Polygon" and part.area > 1e-6]
+    polygons = polygons_of(geometry, 1e-6)
     return polygons[0] if len(polygons) == 1 else MultiPolygon(polygons)
 
 

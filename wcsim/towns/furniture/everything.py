@@ -8,7 +8,7 @@ exactly there, whatever is below or around.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +19,10 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import yaw_from_sumo
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
-from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, Taken, stood, stood_if_free
+from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, put_at_first, stood, stood_at_first
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
-from wcsim.towns.ground.plane_geometry import Patches, valid
+from wcsim.towns.ground.plane_geometry import Patches, distinct, left_of, polygons_of, unit, valid, yaw_of
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.osm.tags import metres, off_ground
 from wcsim.towns.sumo.additional import AUTHOR_PREFIX, Item
@@ -53,14 +53,13 @@ def author_things(items: list[Item], hull: BaseGeometry) -> list[StandingObject]
 def _things(item: Item) -> list[StandingObject]:
     length_m, width_m, height_m = (_size(item, key) for key in ("length", "width", "height"))
     usual = LOOKS[item.kind].size_lwh_m
-    points_m = _without_doubles(item.points_W_m)
+    points_m = distinct(item.points_W_m)
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
         return [stood(item.kind, points_m[0], yaw_from_sumo(_angle_deg(item)), size if size != usual else None)]
     outline = _outline(item, points_m, width_m or usual[1])
-    areas = [part for part in _polygons(outline) if part.area > 1e-4]
     make = _fenced if item.kind == "roadworks" else _filled
-    return [make(item.kind, area, height_m or usual[2]) for area in areas]
+    return [make(item.kind, area, height_m or usual[2]) for area in polygons_of(outline, 1e-4)]
 
 
 def _outline(item: Item, points_m: F64, width_m: float) -> BaseGeometry:
@@ -81,7 +80,7 @@ def _fenced(kind: str, area: Polygon, height_m: float) -> StandingObject:
     inner = area.buffer(-_BOARD_M, join_style="mitre")
     pieces: list[Solid] = []
     share = height_m / _BOARDS_M[-1][1]
-    for band in _polygons(shapely.segmentize(area, _AUTHOR_LONGEST_M).difference(inner)):
+    for band in polygons_of(shapely.segmentize(area, _AUTHOR_LONGEST_M).difference(inner)):
         pieces += [
             solid_shapes.prism(band, share * low_m, share * high_m, ClassId.FENCE, floor=True)
             for low_m, high_m in _BOARDS_M
@@ -102,23 +101,13 @@ def _thing(area: Polygon, pieces: list[Solid] | Solid) -> StandingObject:
 
 def _stations(area: BaseGeometry) -> list[F64]:
     """Points along the outlines of an area, at corners and between them."""
-    rings = [ring for part in _polygons(area) for ring in (part.exterior, *part.interiors)]
+    rings = [ring for part in polygons_of(area) for ring in (part.exterior, *part.interiors)]
     return [xy for ring in rings for xy in shapely.get_coordinates(shapely.segmentize(ring, _AUTHOR_POST_STEP_M))[:-1]]
 
 
 def _corners(area: BaseGeometry) -> list[F64]:
-    rings = [part.exterior.simplify(0.2) for part in _polygons(area)]
+    rings = [part.exterior.simplify(0.2) for part in polygons_of(area)]
     return [xy for ring in rings for xy in shapely.get_coordinates(ring)[:-1]]
-
-
-def _polygons(area: BaseGeometry) -> list[Polygon]:
-    flat = [p for part in shapely.get_parts(area) for p in shapely.get_parts(part)]
-    return [p for p in flat if p.geom_type == "Polygon" and not p.is_empty]
-
-
-def _without_doubles(points_m: F64) -> F64:
-    kept = np.r_[True, np.any(np.diff(points_m, axis=0) != 0.0, axis=1)]
-    return points_m[kept]
 
 
 def _size(item: Item, key: str) -> float | None:
@@ -158,43 +147,39 @@ POST_STEP_M = 1.5
 LONGEST_M = 12.0  # a fence that follows a hill has a corner at least this often
 _FLAT_GROUPS = ("landuse", "waterway", "boundary", "kerb", "building", "stop")
 _COMPASS = ("N", "NNE", "NE", "ENE", "E", "ESE", "SE", "SSE", "S", "SSW", "SW", "WSW", "W", "WNW", "NW", "NNW")
-_KNOWN_TYPES = {
-    "tourism.information": {"board": "info", "map": "info", "tactile_map": "info", "terminal": "info",
-                            "guidepost": "sign"},
-    "amenity.vending_machine": {"parking_tickets": "meter", "public_transport_tickets": "meter"},
-    "historic.memorial": {"statue": "statue", "bust": "statue", "stele": "block", "stone": "block", "stolperstein": ""},
-    "tourism.artwork": {"mural": "", "graffiti": "", "mosaic": "", "relief": "", "painting": "", "azulejo": ""},
+# Looks of some types by the value of one of their tags.
+_LOOK_BY_TAG: dict[str, tuple[str, dict[str, str]]] = {
+    "tourism.information": ("information", {
+        "board": "info", "map": "info", "tactile_map": "info", "terminal": "info", "guidepost": "sign",
+    }),
+    "amenity.vending_machine": ("vending", {"parking_tickets": "meter", "public_transport_tickets": "meter"}),
+    "historic.memorial": ("memorial", {
+        "statue": "statue", "bust": "statue", "stele": "block", "stone": "block", "stolperstein": "",
+    }),
+    "tourism.artwork": ("artwork_type", {
+        "mural": "", "graffiti": "", "mosaic": "", "relief": "", "painting": "", "azulejo": "",
+    }),
 }  # fmt: skip
-_TYPE_KEYS = {
-    "tourism.information": "information",
-    "amenity.vending_machine": "vending",
-    "historic.memorial": "memorial",
-    "tourism.artwork": "artwork_type",
-}
 
 
-def _place_mapped(
-    items: list[Item], place: FreeGround, standing: list[StandingObject] | None = None
-) -> list[StandingObject]:
+def _place_mapped(items: list[Item], place: FreeGround) -> list[StandingObject]:
     """All mapped furniture that finds a place beside what is standing already; what an author placed is left out."""
-    site = _Site(place, standing or [])
+    site = _Site(place)
     found: list[StandingObject] = []
     for item in items:
         if item.author or item.group in _FLAT_GROUPS or off_ground(item.tags):
             continue
-        for thing in _made(item, site):
-            site.taken.add(thing.footprint)
-            found.append(thing)
+        things = _made(item, site)
+        place.take(things)
+        found += things
     return found
 
 
 class _Site:
-    """A place with what stands there, and quick answers about what lies near a point of it."""
+    """A place, and quick answers about what lies near a point of it."""
 
-    def __init__(self, place: FreeGround, standing: list[StandingObject]) -> None:
-        place.prepare()
+    def __init__(self, place: FreeGround) -> None:
         self.place = place
-        self.taken = Taken(standing)
         self.near = tuple(Patches(area) for area in (place.lines, place.low, place.solids))
         parts = shapely.get_parts(place.lines)
         self._ways = parts[shapely.length(parts) > 0.0]
@@ -218,39 +203,31 @@ def _made(item: Item, site: _Site) -> list[StandingObject]:
     if item.kind in _ROW_STEPS_M and len(item.points_W_m) > 1:
         kind, step_m = _ROW_STEPS_M[item.kind]
         places = _along(shapely.LineString(item.points_W_m).intersection(site.place.hull), step_m)
-        return [thing for xy in places if (thing := _stood(item, kind, xy, site)) is not None]
+        return [thing for xy in places for thing in _stood(item, kind, xy, site)]
     kind = _pick_look(item)
     if not kind or (len(item.points_W_m) > 1 and not item.filled):
         return []
     middle = item.points_W_m[:-1].mean(axis=0) if len(item.points_W_m) > 3 else item.points_W_m.mean(axis=0)
-    thing = _stood(item, kind, middle, site)
-    return [thing] if thing is not None else []
+    return _stood(item, kind, middle, site)
 
 
 def _pick_look(item: Item) -> str:
     """The look of a mapped point, "" for what would not be visible there."""
-    full = f"{item.group}.{item.detail}"
-    if full in _KNOWN_TYPES:
-        by_type = _KNOWN_TYPES[full]
-        known = by_type.get(item.tags.get(_TYPE_KEYS[full], ""))
-        if known is not None:
-            return known
-    if item.kind in LOOK_OF:
-        return LOOK_OF[item.kind]
+    key, looks = _LOOK_BY_TAG.get(f"{item.group}.{item.detail}", ("", {}))
+    look = looks.get(item.tags.get(key, ""), LOOK_OF.get(item.kind))
+    if look is not None:
+        return look
     return "bollard" if item.group == "barrier" and len(item.points_W_m) == 1 else ""
 
 
-def _stood(item: Item, kind: str, middle: F64, site: _Site) -> StandingObject | None:
-    """The thing where it is mapped, or as little aside as needed, or None."""
+def _stood(item: Item, kind: str, middle: F64, site: _Site) -> list[StandingObject]:
+    """The thing where it is mapped, or as little aside as needed, or none."""
     away = site.away(middle)
     facing = _mapped_direction(item.tags)
     if facing is None:
-        facing = float(np.arctan2(-away[1], -away[0]))  # things look at those who walk by
-    for shift_m in SHIFTS_M:
-        thing = stood_if_free(kind, middle + shift_m * away, facing - np.pi / 2, site.place, site.taken)
-        if thing is not None:
-            return thing
-    return None
+        facing = yaw_of(-away)  # things look at those who walk by
+    places_m = (middle + shift_m * away for shift_m in SHIFTS_M)
+    return stood_at_first(kind, places_m, facing, site.place)
 
 
 def _mapped_direction(tags: dict[str, str]) -> float | None:
@@ -304,8 +281,7 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
 def _solid_parts(area: BaseGeometry) -> list[Polygon]:
     """The polygons of an area on a centimetre grid, crumbs left out."""
     parts = [shapely.set_precision(part, 0.01) for part in shapely.get_parts(area)]
-    flat = [p for part in parts for p in shapely.get_parts(part)]
-    return [p for p in flat if p.geom_type == "Polygon" and p.area > 0.05 and p.is_valid]
+    return [solid for part in parts for solid in polygons_of(part, 0.05) if solid.is_valid]
 
 
 LOOK_OF: dict[str, str] = {
@@ -353,51 +329,45 @@ STEP_M = 0.35
 ALONG_M = (0.0, 1.5, -1.5, 3.0, -3.0, 5.0, -5.0, 7.0, -7.0)
 
 
-def _stop_things(
-    items: list[Item], place: FreeGround, standing: Iterable[StandingObject], lefthand: bool
-) -> list[StandingObject]:
+def _stop_things(items: list[Item], place: FreeGround, lefthand: bool) -> list[StandingObject]:
     """What stands at SUMO's stops, and at mapped ones of which SUMO knows nothing."""
-    place.prepare()
-    taken = Taken(standing)
     found: list[StandingObject] = []
     known = [item for item in items if item.group == "stop"]
     middles = shapely.MultiPoint([item.points_W_m[1] for item in known])
     for item in known:
-        found += _at_stop(item, place, taken, lefthand)
+        found += _at_stop(item, place, lefthand)
     for item in items:
         if item.group == "highway" and item.kind == "bus_stop" and not item.author:
             here = shapely.Point(item.points_W_m.mean(axis=0))
             if middles.is_empty or not shapely.dwithin(middles, here, _SAME_STOP_M):
-                found += _mapped(item, place, taken)
+                found += _mapped(item, place)
     return found
 
 
-def _at_stop(item: Item, place: FreeGround, taken: Taken, lefthand: bool) -> list[StandingObject]:
-    """A pole near the front of the stop and a shelter near its middle, both on the side where people wait."""
+def _at_stop(item: Item, place: FreeGround, lefthand: bool) -> list[StandingObject]:
+    """A pole near the front of the stop and a shelter near its middle, both on the side where people wait.
+
+    The pole looks at those who come, the shelter at the road.
+    """
     start, middle, end = item.points_W_m
-    along = (end - start) / max(1e-6, float(np.hypot(*(end - start))))
-    aside = np.array([along[1], -along[0]]) * (-1.0 if lefthand else 1.0)
-    front_yaw = float(np.arctan2(-aside[1], -aside[0]))  # both look at the road
+    along = unit(end - start)
+    aside = left_of(along) * (1.0 if lefthand else -1.0)
     pole_at = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
-    pole = _first("stop_pole", _outward(pole_at, along, aside), float(np.arctan2(-along[1], -along[0])), place, taken)
-    shelter = _first("shelter", _outward(middle, along, aside, 1.2), front_yaw, place, taken)
-    return [*pole, *shelter]
+    pole = put_at_first("stop_pole", _outward(pole_at, along, aside), yaw_of(-along), place)
+    return [*pole, *put_at_first("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside), place)]
 
 
-def _mapped(item: Item, place: FreeGround, taken: Taken) -> list[StandingObject]:
+def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
     """A pole where the map has it, or near by; a shelter only where the map says so."""
     middle = item.points_W_m.mean(axis=0)
     nearest = shapely.get_coordinates(shapely.shortest_line(place.low, shapely.Point(middle)))
     towards = nearest[0] - middle if len(nearest) else np.array([0.0, 1.0])
     distance_m = float(np.hypot(*towards))
     aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
-    along = np.array([-aside[1], aside[0]])
-    facing = float(np.arctan2(-aside[1], -aside[0]))
-    if item.tags.get("shelter") == "yes":
-        shelter = _first("shelter", _outward(middle, along, aside, 0.0, 3.0), facing, place, taken)
-        if shelter:
-            return shelter
-    return _first("stop_pole", _outward(middle, along, aside, 0.0, 3.0), facing, place, taken)
+    along = left_of(aside)
+    kinds = ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",)
+    found = (put_at_first(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside), place) for kind in kinds)
+    return next(filter(None, found), [])
 
 
 def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m: float = FARTHEST_M) -> Iterator[F64]:
@@ -407,25 +377,15 @@ def _outward(start_m: F64, along: F64, aside: F64, least_m: float = 0.5, most_m:
             yield start_m + aside_m * aside + along_m * along
 
 
-def _first(
-    kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround, taken: Taken
-) -> list[StandingObject]:
-    """A thing at the first place that is free, if there is one."""
-    for xy_m in places_m:
-        thing = stood_if_free(kind, xy_m, facing_rad - np.pi / 2, place, taken)
-        if thing is not None:
-            taken.add(thing.footprint)
-            return [thing]
-    return []
-
-
 def place_furniture(
     items: list[Item], net: Net, additional: tuple[Path, ...], place: FreeGround, placed: list[StandingObject]
 ) -> list[StandingObject]:
     """What the author placed, then signals, stops, signs and mapped furniture where these leave room."""
-    things = list(placed)
-    things += signal_things(net, additional, place, things)
-    things += _stop_things(items, place, things, net.lefthand)
-    things += sign_things(items, net, place, things)
-    things += _place_mapped(items, place, things)
-    return things
+    place.take(placed)
+    return [
+        *placed,
+        *signal_things(net, additional, place),
+        *_stop_things(items, place, net.lefthand),
+        *sign_things(items, net, place),
+        *_place_mapped(items, place),
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
@@ -38,45 +38,11 @@ class StandingObject:
     heads: tuple[SignalHead, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FreeGround:
-    """Where things may stand."""
-
-    low: BaseGeometry  # carriageway and crossings, with a little margin
-    solids: BaseGeometry  # buildings
-    lines: BaseGeometry  # walking lines
-    hull: BaseGeometry
-
-    def prepare(self) -> None:
-        """Make many questions cheap."""
-        for geometry in (self.low, self.solids, self.lines, self.hull):
-            shapely.prepare(geometry)
-
-    def free(self, footprint: Polygon) -> bool:
-        """True when a footprint is off the road, out of buildings, inside the town and clear of the walking lines."""
-        return bool(
-            self.hull.contains(footprint)
-            and not self.low.intersects(footprint)
-            and not self.solids.intersects(footprint)
-            and not shapely.dwithin(self.lines, footprint, CLEAR_M)
-        )
-
-    def free_spots(self, xy_m: F64, radius_m: float) -> Bool:
-        """The same (n,) for discs about points (n, 2)."""
-        points = shapely.points(xy_m)
-        free: Bool = shapely.contains(self.hull, points)
-        for area, gap_m in ((self.low, 0.0), (self.lines, CLEAR_M), (self.solids, 0.0)):
-            free[free] = ~shapely.dwithin(area, points[free], radius_m + gap_m)
-        return free
-
-
 class Taken:
     """The ground that things take already."""
 
-    def __init__(self, things: Iterable[StandingObject] = ()) -> None:
+    def __init__(self) -> None:
         self._cells: dict[tuple[int, int], list[Polygon]] = defaultdict(list)
-        for thing in things:
-            self.add(thing.footprint)
 
     def add(self, footprint: Polygon) -> None:
         """Take this ground; what hangs over the street takes none."""
@@ -95,13 +61,52 @@ class Taken:
         return [(x, y) for x in range(x0, x1 + 1) for y in range(y0, y1 + 1)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeGround:
+    """Where things may stand, and what stands there already."""
+
+    low: BaseGeometry  # carriageway and crossings, with a little margin
+    solids: BaseGeometry  # buildings
+    lines: BaseGeometry  # walking lines
+    hull: BaseGeometry
+    taken: Taken = field(default_factory=Taken)
+
+    def __post_init__(self) -> None:
+        """Make many questions cheap."""
+        for geometry in (self.low, self.solids, self.lines, self.hull):
+            shapely.prepare(geometry)
+
+    def take(self, things: Iterable[StandingObject]) -> None:
+        """Things stand there from now on."""
+        for thing in things:
+            self.taken.add(thing.footprint)
+
+    def free(self, footprint: Polygon) -> bool:
+        """True when a footprint is off the road, out of all things, inside the town and clear of the walking lines."""
+        return bool(
+            self.hull.contains(footprint)
+            and not self.low.intersects(footprint)
+            and not self.solids.intersects(footprint)
+            and not shapely.dwithin(self.lines, footprint, CLEAR_M)
+            and self.taken.free(footprint)
+        )
+
+    def free_spots(self, xy_m: F64, radius_m: float) -> Bool:
+        """The same (n,) for discs about points (n, 2), whatever stands there already."""
+        points = shapely.points(xy_m)
+        free: Bool = shapely.contains(self.hull, points)
+        for area, gap_m in ((self.low, 0.0), (self.lines, CLEAR_M), (self.solids, 0.0)):
+            free[free] = ~shapely.dwithin(area, points[free], radius_m + gap_m)
+        return free
+
+
 def stood(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float, float, float] | None = None) -> StandingObject:
     """One thing of a kind of `looks.LOOKS`, its long side along yaw and its front to the left of it."""
     look = LOOKS[kind]
     size_m = size_lwh_m or look.size_lwh_m
     # Things may lie within a millimetre of each other on two machines, and must look the same on both.
-    rng = generator(0, kind, *(int(abs(c) * 10) for c in xy_m)) if look.random else np.random.default_rng(0)
-    piece = solid_shapes.joined(look.make(rng))
+    pieces = look.make(generator(0, kind, *(int(abs(c) * 10) for c in xy_m))) if look.make else look.pieces
+    piece = solid_shapes.joined(pieces)
     if size_lwh_m is not None:
         l0, w0, h0 = look.size_lwh_m
         piece = solid_shapes.scaled(piece, (size_m[0] / l0, size_m[1] / w0, size_m[2] / h0))
@@ -117,10 +122,20 @@ def _footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float,
     return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)
 
 
-def stood_if_free(kind: str, xy_m: F64, yaw_rad: float, place: FreeGround, taken: Taken) -> StandingObject | None:
-    """One thing of a kind, or None where there is no room for it."""
-    footprint = _footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)
-    return stood(kind, xy_m, yaw_rad) if place.free(footprint) and taken.free(footprint) else None
+def stood_at_first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
+    """One thing of a kind at the first of some places where there is room for it, if there is one."""
+    yaw_rad = facing_rad - np.pi / 2
+    for xy_m in places_m:
+        if place.free(_footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)):
+            return [stood(kind, xy_m, yaw_rad)]
+    return []
+
+
+def put_at_first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
+    """The same, and its ground is taken."""
+    things = stood_at_first(kind, places_m, facing_rad, place)
+    place.take(things)
+    return things
 
 
 def collect_footprints(things: Iterable[StandingObject]) -> list[Polygon]:

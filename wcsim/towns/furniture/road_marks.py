@@ -59,7 +59,7 @@ class _Painter:
         self._quads: dict[Mark, list[F64]] = {mark: [] for mark in Mark}
 
     def paint(self) -> GroundPaint:
-        streets = [edge for edge in self._net.edges if not edge.function and edge.lanes]
+        streets = [edge for edge in self._net.streets if edge.lanes]
         for edge in streets:
             self._lanes(edge)
         self._middles([edge for edge in streets if edge.lanes[0].speed_mps > _SLOW_MPS])
@@ -179,7 +179,7 @@ def unmarked_crossings(items: Iterable[Item], net: Net) -> frozenset[str]:
 def unpainted(net: Net, marks: Iterable[CrossingMark]) -> list[Lane]:
     """The crossings of a net that are neither the nearest one to a painted crossing of the map nor at a signal."""
     lanes, tree = _crossings(net)
-    painted = {name for link in net.connections if link.tls_id for name in (link.start, link.end)}
+    painted = net.signalled()
     for mark in marks:
         if mark.painted and lanes:
             near = tree.query_nearest(shapely.Point(mark.at_m), max_distance=REACH_M, all_matches=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -13,8 +13,9 @@ import shapely
 from shapely import Polygon
 
 from wcsim.towns.furniture.models import FOOT_M
-from wcsim.towns.furniture.placement import FreeGround, StandingObject, Taken, stood_if_free
+from wcsim.towns.furniture.placement import FreeGround, StandingObject, put_at_first
 from wcsim.towns.ground import solid_shapes
+from wcsim.towns.ground.plane_geometry import left_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import Solid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import Connection, Edge, Lane, LaneKind, Net, read_phases
@@ -54,60 +55,44 @@ class _Approach:
     half_m: float  # half of that lane's width
 
 
-def signal_things(
-    net: Net, additional: tuple[Path, ...], place: FreeGround, standing: Iterable[StandingObject]
-) -> list[StandingObject]:
+def signal_things(net: Net, additional: tuple[Path, ...], place: FreeGround) -> list[StandingObject]:
     """A post with heads at the kerb of each approach that a signal controls, and at both ends of such crossings."""
-    place.prepare()
-    taken = Taken(standing)
     found: list[StandingObject] = []
     columns = _columns(all_phases(net, additional))
-    for thing in chain(_vehicle_signals(net, columns, place, taken), _walk_signals(net, place, taken)):
-        taken.add(thing.footprint)
+    for thing in chain(_vehicle_signals(net, columns, place), _walk_signals(net, place)):
+        place.take([thing])
         found.append(thing)
     return found
 
 
-def sign_things(
-    items: list[Item], net: Net, place: FreeGround, standing: Iterable[StandingObject]
-) -> list[StandingObject]:
+def sign_things(items: list[Item], net: Net, place: FreeGround) -> list[StandingObject]:
     """Stop and give-way signs that a map has on the road: they stand at the kerb of the approach they are meant for."""
     wanted = [item for item in items if item.kind in ("stop", "give_way") and item.group == "highway"]
     approaches = _find_approaches(net) if wanted else []
     if not approaches:
         return []
-    taken = Taken(standing)
     tree = shapely.STRtree(shapely.points([approach.stop_m for approach in approaches]))
     found: list[StandingObject] = []
     for item in wanted:
         nearest = tree.query_nearest(shapely.Point(item.points_W_m[0]), max_distance=_SIGN_REACH_M)
         for approach in (approaches[i] for i in nearest[:1].tolist()):
-            facing = float(np.arctan2(-approach.ahead[1], -approach.ahead[0]))
-            for xy_m in _beside(approach):
-                sign = stood_if_free("sign", xy_m, facing - np.pi / 2, place, taken)
-                if sign is not None:
-                    taken.add(sign.footprint)
-                    found.append(sign)
-                    break
+            found += put_at_first("sign", _beside(approach), yaw_of(-approach.ahead), place)
     return found
 
 
 def _find_approaches(net: Net) -> list[_Approach]:
     """The end of every edge that vehicles use."""
     found: list[_Approach] = []
-    for edge in net.edges:
-        lanes = [] if edge.function else _driven(edge)
-        if lanes:
+    for edge in net.streets:
+        if lanes := _driven(edge):
             lane = lanes[0]  # SUMO counts from the kerb, on whichever side traffic keeps to
-            along = lane.points_m[-1] - lane.points_m[-2]
-            ahead = along / max(1e-6, float(np.hypot(*along)))
-            right = np.array([ahead[1], -ahead[0]])
+            ahead = unit(lane.points_m[-1] - lane.points_m[-2])
             found.append(
                 _Approach(
                     edge_id=edge.id,
                     stop_m=lane.points_m[-1],
                     ahead=ahead,
-                    aside=-right if net.lefthand else right,
+                    aside=left_of(ahead) if net.lefthand else -left_of(ahead),
                     half_m=lane.width_m / 2,
                 )
             )
@@ -142,9 +127,7 @@ def _columns(phases: tuple[SignalState, ...]) -> dict[str, list[str]]:
     return found
 
 
-def _vehicle_signals(
-    net: Net, columns: dict[str, list[str]], place: FreeGround, taken: Taken
-) -> Iterator[StandingObject]:
+def _vehicle_signals(net: Net, columns: dict[str, list[str]], place: FreeGround) -> Iterator[StandingObject]:
     links: dict[str, list[Connection]] = defaultdict(list)
     for link in net.connections:
         if link.tls_id and link.tls_link >= 0:
@@ -152,7 +135,7 @@ def _vehicle_signals(
     for approach in _find_approaches(net):
         groups = _groups(links.get(approach.edge_id, []), columns)
         if groups:
-            yield _at_kerb(approach, groups, place, taken)
+            yield _at_kerb(approach, groups, place)
 
 
 def _groups(links: list[Connection], columns: dict[str, list[str]]) -> _Groups:
@@ -165,9 +148,9 @@ def _groups(links: list[Connection], columns: dict[str, list[str]]) -> _Groups:
     return list(found.values())
 
 
-def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround, taken: Taken) -> StandingObject:
+def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround) -> StandingObject:
     """A post beside the stop line where there is room for one, else heads on an arm that reaches over the road."""
-    xy_m = _first_free(_beside(approach), place, taken)
+    xy_m = _first_free(_beside(approach), place)
     if xy_m is not None:
         post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M + 0.5 * _HEAD_LWH_M[2], ClassId.POLE, sides=5)
         front = xy_m - (_POST_M + _HEAD_LWH_M[1] / 2) * approach.ahead
@@ -178,24 +161,24 @@ def _at_kerb(approach: _Approach, groups: _Groups, place: FreeGround, taken: Tak
     over = approach.stop_m + 0.5 * approach.ahead
     pieces, heads = _heads(over, approach.ahead, -approach.aside, groups, _HANGING_LOW_M)
     last = over - (len(groups) - 1) * _SIDE_BY_SIDE_M * approach.aside
-    foot_m = _foot_of_arm(over, place, taken)
+    foot_m = _foot_of_arm(over, place)
     held_m = foot_m if foot_m is not None else _wall(over, place)
     pieces += [_arm(over, last), *([_arm(held_m, over)] if held_m is not None else [])]
-    if foot_m is None:
-        return StandingObject(piece=solid_shapes.joined(pieces), footprint=Polygon(), base_m=over, heads=heads)
-    pieces.append(
-        solid_shapes.post(foot_m, _POST_M, FOOT_M, _HANGING_LOW_M + _HEAD_LWH_M[2] + _ARM_M, ClassId.POLE, sides=5)
-    )
-    return StandingObject(piece=solid_shapes.joined(pieces), footprint=_disc(foot_m), base_m=foot_m, heads=heads)
+    base_m, footprint = over, Polygon()
+    if foot_m is not None:
+        top_m = _HANGING_LOW_M + _HEAD_LWH_M[2] + _ARM_M
+        pieces.append(solid_shapes.post(foot_m, _POST_M, FOOT_M, top_m, ClassId.POLE, sides=5))
+        base_m, footprint = foot_m, _disc(foot_m)
+    return StandingObject(piece=solid_shapes.joined(pieces), footprint=footprint, base_m=base_m, heads=heads)
 
 
-def _foot_of_arm(over_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
+def _foot_of_arm(over_m: F64, place: FreeGround) -> F64 | None:
     """Where the post of an arm stands: the nearest free place, else the nearest that people can pass, if any."""
     turns = np.linspace(0.0, 2.0 * np.pi, _ARM_TURNS, endpoint=False)
     reach_m = np.repeat(np.array(_ARM_REACH_M), _ARM_TURNS)[:, None]
     ring = np.column_stack([np.cos(turns), np.sin(turns)])
     places_m = over_m + reach_m * np.tile(ring, (len(_ARM_REACH_M), 1))
-    found = _first_free(places_m, place, taken)
+    found = _first_free(places_m, place)
     if found is not None:
         return found
     points = shapely.points(places_m)
@@ -216,9 +199,8 @@ def _arm(start_m: F64, end_m: F64) -> Solid:
     """An arm above the heads, from one place to another."""
     along = end_m - start_m
     size_m = (float(np.hypot(*along)) + _ARM_M, _ARM_M, _ARM_M)
-    yaw_rad = float(np.arctan2(along[1], along[0]))
     top_m = _HANGING_LOW_M + _HEAD_LWH_M[2]
-    return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_rad, ClassId.POLE, floor=True)
+    return solid_shapes.box(0.5 * (start_m + end_m), size_m, top_m, yaw_of(along), ClassId.POLE, floor=True)
 
 
 def _beside(approach: _Approach) -> F64:
@@ -227,15 +209,15 @@ def _beside(approach: _Approach) -> F64:
     return np.asarray(approach.stop_m - back_m * approach.ahead + (approach.half_m + aside_m) * approach.aside)
 
 
-def _first_free(places_m: F64, place: FreeGround, taken: Taken) -> F64 | None:
+def _first_free(places_m: F64, place: FreeGround) -> F64 | None:
     """The first of some places (n, 2) where a post may stand, close to another one only where there is no other."""
     close: F64 | None = None
     for start in range(0, len(places_m), AT_ONCE):
         some = places_m[start : start + AT_ONCE]
         for xy_m in some[place.free_spots(some, _POST_M)]:
-            if taken.free(_disc(xy_m), APART_M):
+            if place.taken.free(_disc(xy_m), APART_M):
                 return np.asarray(xy_m)
-            if close is None and taken.free(_disc(xy_m)):
+            if close is None and place.taken.free(_disc(xy_m)):
                 close = np.asarray(xy_m)
     return close
 
@@ -248,7 +230,7 @@ def _heads(
     first_m: F64, ahead: F64, aside: F64, groups: _Groups, low_m: float
 ) -> tuple[list[Solid], tuple[SignalHead, ...]]:
     """Heads side by side that look against the traffic, the one for the lane at the kerb farthest aside."""
-    yaw_rad = float(np.arctan2(-ahead[1], -ahead[0]))
+    yaw_rad = yaw_of(-ahead)
     pieces: list[Solid] = []
     heads: list[SignalHead] = []
     for k, (tls_id, link) in enumerate(reversed(groups)):
@@ -259,34 +241,28 @@ def _heads(
     return pieces, tuple(heads)
 
 
-def _walk_signals(net: Net, place: FreeGround, taken: Taken) -> Iterator[StandingObject]:
+def _walk_signals(net: Net, place: FreeGround) -> Iterator[StandingObject]:
     """At each end of a crossing a head that those at the other end see."""
-    crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
     lights: dict[str, Connection] = {}
-    for link in net.connections:
-        edge = link.end if link.end in crossings else link.start
-        if edge in crossings and link.tls_id and link.tls_link >= 0:
+    for edge, link in net.crossing_links():
+        if link.tls_link >= 0:
             lights.setdefault(edge, link)
     for lane in net.lanes(LaneKind.CROSSING):
         light = lights.get(lane.edge_id)
         if light is None or len(lane.points_m) < 2:
             continue
         for end, inner in ((0, 1), (-1, -2)):
-            along = lane.points_m[end] - lane.points_m[inner]
-            thing = _at_crossing(lane, end, along / max(1e-6, float(np.hypot(*along))), light, place, taken)
-            if thing is not None:
+            along = unit(lane.points_m[end] - lane.points_m[inner])
+            if (thing := _at_crossing(lane, end, along, light, place)) is not None:
                 yield thing
 
 
-def _at_crossing(
-    lane: Lane, end: int, along: F64, light: Connection, place: FreeGround, taken: Taken
-) -> StandingObject | None:
+def _at_crossing(lane: Lane, end: int, along: F64, light: Connection, place: FreeGround) -> StandingObject | None:
     """A post beside the end of a crossing, or None where there is no room; `along` points off the road."""
-    right = np.array([along[1], -along[0]])
-    yaw_rad = float(np.arctan2(-along[1], -along[0]))
+    yaw_rad = yaw_of(-along)
     beyond_m, aside_m = (grid.reshape(-1, 1) for grid in np.meshgrid(BEYOND_M, BESIDE_M, indexing="ij"))
     side_m = aside_m + np.sign(aside_m) * lane.width_m / 2
-    xy_m = _first_free(lane.points_m[end] + beyond_m * along + side_m * right, place, taken)
+    xy_m = _first_free(lane.points_m[end] + beyond_m * along + side_m * -left_of(along), place)
     if xy_m is None:
         return None
     post = solid_shapes.post(xy_m, _POST_M, FOOT_M, HEAD_LOW_M, ClassId.POLE, sides=5)

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 import shapely
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.types import F64
@@ -27,6 +28,31 @@ def cross_z(a: F64, b: F64) -> F64:
     return area
 
 
+def left_of(way: F64) -> F64:
+    """A plane vector (2,) turned a quarter to the left."""
+    return np.array([-way[1], way[0]])
+
+
+def unit(way: F64) -> F64:
+    """A plane vector (2,) of length 1 in the same direction; that of nothing stays nothing."""
+    return np.asarray(way / max(1e-6, float(np.hypot(*way))))
+
+
+def yaw_of(way: F64) -> float:
+    """The direction of a plane vector (2,), in rad counter-clockwise from east."""
+    return float(np.arctan2(way[1], way[0]))
+
+
+def distinct(points_m: F64) -> F64:
+    """A polyline (K, 2) without points that repeat the one before; it has one at least."""
+    return np.asarray(points_m[np.r_[True, np.any(np.diff(points_m, axis=0) != 0.0, axis=1)]])
+
+
+def arc_of(points_m: F64) -> F64:
+    """The length (K,) of a polyline (K, 2) up to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
+
+
 def length_of(points_m: F64) -> float:
     """Length in metres of a polyline (K, 2)."""
     return float(np.linalg.norm(np.diff(points_m, axis=0), axis=1).sum())
@@ -35,6 +61,12 @@ def length_of(points_m: F64) -> float:
 def valid(area: BaseGeometry) -> BaseGeometry:
     """The same area, mended where it crosses itself, at which overlays fail: buffers on a grid and fast clips do."""
     return area if area.is_valid else shapely.make_valid(area, method="structure", keep_collapsed=False)
+
+
+def polygons_of(area: BaseGeometry, least_m2: float = 0.0) -> list[Polygon]:
+    """The polygons in a geometry that are larger than so much; its lines and points are left out."""
+    parts = [part for whole in shapely.get_parts(area) for part in shapely.get_parts(whole)]
+    return [part for part in parts if part.geom_type == "Polygon" and part.area > least_m2]
 
 
 def _clipped(area: BaseGeometry, bounds: tuple[float, float, float, float]) -> BaseGeometry:
@@ -60,7 +92,7 @@ class Patches:
         """The part of the area inside a rectangle (x0, y0, x1, y1); none in the bounds of nothing, all NaN."""
         x0, y0, x1, y1 = bounds
         if np.isnan(x0):
-            return shapely.Polygon()
+            return Polygon()
         size_m = max(x1 - x0, y1 - y0, _FINEST_M)
         level = int(np.ceil(np.log2(size_m / _FINEST_M)))
         edge_m = _FINEST_M * 2.0**level

@@ -89,13 +89,12 @@ def on_land(net: Net, relief: Relief) -> Net:
 
 
 def _ways(net: Net) -> list[Lane]:
-    return [lane for edge in net.edges for lane in edge.lanes if len(lane.points_m) > 1]
+    return [lane for lane in net.every_lane if len(lane.points_m) > 1]
 
 
 def _samples(ways: list[Lane]) -> _Samples:
     """Points every few metres along all ways, corners among them."""
-    parts: list[tuple[F64, F64]] = []
-    counts: list[int] = []
+    parts: list[F64] = []
     for way in ways:
         step_m = np.hypot(*np.diff(way.points_m, axis=0).T)
         corner_m = np.r_[0.0, np.cumsum(step_m)]
@@ -104,11 +103,10 @@ def _samples(ways: list[Lane]) -> _Samples:
         absurd = grade[np.clip(np.searchsorted(corner_m, at_m) - 1, 0, len(grade) - 1)] > _ABSURD
         columns = [np.interp(at_m, corner_m, column) for column in (*way.points_m.T, way.z_m)]
         weight_m = corner_m[-1] / len(at_m) * np.where(absurd, 0.02, 1.0) + 1e-3
-        parts.append((np.stack([*columns, weight_m, at_m]), at_m))
-        counts.append(len(at_m))
-    x, y, z_m, weight, arc_m = np.concatenate([part for part, _ in parts], axis=1)
-    predict_path = np.repeat(np.arange(len(ways), dtype=np.int32), counts)
-    return _Samples(p_m=np.stack([x, y], axis=1), z_m=z_m, weight_m=weight, way=predict_path, arc_m=arc_m)
+        parts.append(np.stack([*columns, weight_m, at_m]))
+    x, y, z_m, weight, arc_m = np.concatenate(parts, axis=1)
+    owner = np.repeat(np.arange(len(ways), dtype=np.int32), [part.shape[1] for part in parts])
+    return _Samples(p_m=np.stack([x, y], axis=1), z_m=z_m, weight_m=weight, way=owner, arc_m=arc_m)
 
 
 def _on_bridge(samples: _Samples) -> Bool:
@@ -213,6 +211,6 @@ def steepest_run(heights_m: list[F64], runs_m: list[F64], driven: list[bool]) ->
 
 def steepest_grade(net: Net) -> float:
     """The largest rise over run along any lane of a net."""
-    lanes = [lane for edge in net.edges for lane in edge.lanes]
+    lanes = net.every_lane
     runs_m = [np.hypot(*np.diff(lane.points_m, axis=0).T) for lane in lanes]
     return steepest_run([lane.z_m for lane in lanes], runs_m, [True] * len(lanes))

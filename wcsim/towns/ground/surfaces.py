@@ -13,7 +13,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, distinct, polygons_of, unit, valid
 from wcsim.towns.sumo.additional import Item
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 
@@ -24,6 +24,7 @@ _STRIP_M = 0.35  # half of the width below which a strip of road or between road
 _POCKET_M2 = 12.0
 _HOLE_M2 = 150.0  # grass inside a turning loop
 _CRUMB_M2 = 1.0
+_LEAST_PART_M2 = 0.05
 REACH_M = 2.5  # how far a crossing is drawn out to meet the pavement
 _DRIVEN_M = 3.0  # gaps between ways of vehicles narrower than twice this are road
 MARGIN_M = 15.0  # terrain beyond the outermost street
@@ -70,18 +71,16 @@ def make_surfaces(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[st
         unmarked: Edges of crossings without paint.
     """
     low_lanes, walk_lanes = _split(net, chair_ways)
-    motor = shapely.union_all(
-        [lane_area(lane) for lane in low_lanes if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL) and not lane.internal]
-    )
-    other = shapely.union_all([lane_area(lane) for lane in low_lanes])
-    crossing = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.CROSSING)])
-    walk = shapely.union_all([lane_area(lane) for lane in walk_lanes] + _outlines(net))
+    streets = [lane for lane in low_lanes if not lane.internal]
+    motor = ground_of(lane for lane in streets if lane.kind in (LaneKind.MOTOR, LaneKind.RAIL))
+    other, crossing = ground_of(low_lanes), ground_of(net.lanes(LaneKind.CROSSING))
+    walk = ground_of([*walk_lanes, *net.lanes(LaneKind.WALKINGAREA)])
     junctions = shapely.union_all([_polygon(j.outline_m) for j in net.junctions if j.kind != "internal"])
     walk = walk.union(_corners(junctions, other, walk))
     inner = shapely.union_all([junctions, other]).difference(buffered(walk, GRID_M))
     low = shapely.union_all([motor, inner, crossing])
     both = _cleaned(shapely.union_all([low, walk]))
-    narrow = [lane_area(lane) for lane in low_lanes if lane.width_m < 2.1 * _STRIP_M and not lane.internal]
+    narrow = [lane_area(lane) for lane in streets if lane.width_m < 2.1 * _STRIP_M]
     low = shapely.union_all([_opened(_closed(low, _STRIP_M), _STRIP_M), *narrow])
     low = _without_small_holes(_cleaned(_without_pockets(low, motor)), walk)
     pavement = shapely.set_precision(_opened(both.difference(low), 0.05), GRID_M)
@@ -103,7 +102,7 @@ def make_surfaces(net: Net, chair_ways: tuple[str, ...], unmarked: Collection[st
 
 def _with_ends(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -> BaseGeometry:
     """The areas of crossings, drawn out to meet the pavement."""
-    areas = shapely.union_all([lane_area(lane) for lane in crossings])
+    areas = ground_of(crossings)
     reaches = _reaches(crossings, low, pavement)
     whole: BaseGeometry = shapely.set_precision(shapely.union_all([areas.intersection(low), *reaches]), GRID_M)
     return whole
@@ -111,7 +110,7 @@ def _with_ends(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry)
 
 def _rail(lanes: list[Lane], low: BaseGeometry, taken: list[BaseGeometry]) -> BaseGeometry:
     """Where only rail vehicles drive, between junctions."""
-    rail = shapely.union_all([lane_area(lane) for lane in lanes if lane.kind is LaneKind.RAIL and not lane.internal])
+    rail = ground_of(lane for lane in lanes if lane.kind is LaneKind.RAIL and not lane.internal)
     if rail.is_empty:
         return MultiPolygon()
     others = [lane_area(lane) for lane in lanes if lane.kind is not LaneKind.RAIL]
@@ -136,12 +135,11 @@ def _reaches(crossings: list[Lane], low: BaseGeometry, pavement: BaseGeometry) -
     for lane in crossings:
         area = lane_area(lane)
         for end, inner in ((0, 1), (-1, -2)):
-            along = lane.points_m[end] - lane.points_m[inner]
-            along = along / max(1e-6, float(np.hypot(*along)))
+            along = unit(lane.points_m[end] - lane.points_m[inner])
             ahead = shapely.LineString([lane.points_m[end] - 0.1 * along, lane.points_m[end] + REACH_M * along])
             strip = ahead.buffer(lane.width_m / 2, cap_style="flat")
             strip = strip.difference(pavements.near(strip.bounds)).intersection(roads.near(strip.bounds))
-            parts = [part for part in shapely.get_parts(strip) if part.geom_type == "Polygon" and part.intersects(area)]
+            parts = [part for part in polygons_of(strip) if part.intersects(area)]
             found += [part for part in parts if shapely.dwithin(pavement, part, 2 * GRID_M)]
     return found
 
@@ -151,13 +149,18 @@ def walkable_lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
     return _split(net, chair_ways)[1]
 
 
+def ground_of(lanes: Iterable[Lane]) -> BaseGeometry:
+    """The ground that lanes cover together."""
+    return shapely.union_all([lane_area(lane) for lane in lanes])
+
+
 def lane_area(lane: Lane) -> BaseGeometry:
     """The ground that a lane covers: its centre line made as wide as it is; a walking area's own outline."""
     if lane.kind is LaneKind.WALKINGAREA:
         return _polygon(lane.points_m)
     if len(lane.points_m) < 2:
         return Polygon()
-    points_m = lane.points_m[np.r_[True, np.any(np.diff(lane.points_m, axis=0) != 0.0, axis=1)]]
+    points_m = distinct(lane.points_m)
     if len(points_m) < 2:
         return Polygon()
     return shapely.LineString(points_m).buffer(lane.width_m / 2, cap_style="flat", join_style="mitre", mitre_limit=2.0)
@@ -175,10 +178,6 @@ def _split(net: Net, chair_ways: tuple[str, ...]) -> tuple[list[Lane], list[Lane
             elif lane.kind in (LaneKind.MOTOR, LaneKind.RAIL, LaneKind.BIKE):
                 low.append(lane)
     return low, walk
-
-
-def _outlines(net: Net) -> list[BaseGeometry]:
-    return [_polygon(lane.points_m) for lane in net.lanes(LaneKind.WALKINGAREA)]
 
 
 def _polygon(points_m: np.ndarray) -> BaseGeometry:
@@ -226,9 +225,7 @@ def _without_small_holes(low: BaseGeometry, walk: BaseGeometry) -> BaseGeometry:
 
 def _areas(geometry: BaseGeometry) -> BaseGeometry:
     """Only the polygons of a geometry, crumbs left out."""
-    parts = [part for part in shapely.get_parts(geometry) if part.geom_type in ("Polygon", "MultiPolygon")]
-    flat = [p for part in parts for p in shapely.get_parts(part) if p.area > 0.05]
-    return MultiPolygon(flat)
+    return MultiPolygon(polygons_of(geometry, _LEAST_PART_M2))
 
 
 def covered(surfaces: Surfaces, items: Iterable[Item]) -> Surfaces:
@@ -268,5 +265,4 @@ def _on_land(area: BaseGeometry, surfaces: Surfaces) -> BaseGeometry:
 
 
 def _polygons(area: BaseGeometry) -> BaseGeometry:
-    flat = [part for whole in shapely.get_parts(area) for part in shapely.get_parts(whole)]
-    return MultiPolygon([part for part in flat if part.geom_type == "Polygon" and part.area > LEAST_M2])
+    return MultiPolygon(polygons_of(area, LEAST_M2))

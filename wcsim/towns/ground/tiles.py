@@ -122,19 +122,19 @@ class TileStore:
 
     def height_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, lambda grid, points: grid.height_at(points), _HEIGHTS)
+        return self._ask(p_W_m, StreetGrid.height_at, _HEIGHTS)
 
     def raised_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, lambda grid, points: grid.raised_at(points), _HEIGHTS)
+        return self._ask(p_W_m, StreetGrid.raised_at, _HEIGHTS)
 
     def clearance_at(self, p_W_m: F64) -> F64:
         """See `Ground`."""
-        return self._ask(p_W_m, lambda grid, points: grid.clearance_at(points))
+        return self._ask(p_W_m, StreetGrid.clearance_at)
 
     def class_at(self, p_W_m: F64) -> U8:
         """See `Ground`."""
-        classes: U8 = self._ask(p_W_m, lambda grid, points: grid.class_at(points)).astype(np.uint8, copy=False)
+        classes: U8 = self._ask(p_W_m, StreetGrid.class_at).astype(np.uint8, copy=False)
         return classes
 
     def height_here(self, x_W_m: float, y_W_m: float) -> float:
@@ -208,9 +208,8 @@ class TileStore:
     def _unpacked(self, key: TileKey, names: tuple[str, ...]) -> StreetGrid:
         x0, y0, x1, y1 = _box(key)
         shape = (round((y1 - y0) / CELL_M), round((x1 - x0) / CELL_M))
-        rasters: dict[str, U8] = dict.fromkeys(_RASTERS, _NONE)
-        for name in names:
-            rasters[name] = _raster_of(self._packed[_name(key, name)], shape)
+        found = {name: _raster_of(self._packed[_name(key, name)], shape) for name in names}
+        rasters = dict.fromkeys(_RASTERS, _NONE) | found
         return StreetGrid(origin_W_m=(x0, y0), cell_m=CELL_M, relief=self._relief, **rasters)
 
 

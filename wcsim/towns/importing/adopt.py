@@ -16,8 +16,8 @@ from wcsim.core.reading import FileKind, is_file, opened, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.importing.folder_texts import foreign_license_text, town_toml_text
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames, check_file, check_inside
+from wcsim.towns.importing.folder_texts import check_new, foreign_license_text, town_toml_text
+from wcsim.towns.scenario.files import FilteredFiles, check_file, check_inside
 from wcsim.towns.scenario.options import Configuration, Content, Treatment, read_configuration
 from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, scan
@@ -76,8 +76,7 @@ def adopt_scenario(
         raise TownError(f"town name {name!r}: expected 1 to 64 letters, digits, - or _")
     if name in NOT_TOWNS:
         raise TownError(f"a town cannot be named {name!r}: that folder is reserved; choose another name")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise TownError(f"{out} already exists; remove it, or choose another folder")
+    check_new(out)
     start = Path(os.path.normpath(sumocfg.absolute()))
     config = read_configuration(start)
     border = None if outside else start.parent
@@ -88,7 +87,15 @@ def adopt_scenario(
         base, files = copy_scenario(config, border, work)
         names = [path.relative_to(base) for path in files]
         hashes = {str(place): content_digest(work / place) for place in names}
-        toml = _town_toml(config, name, (split, source), config.path.relative_to(base), hashes, cycle_paths)
+        toml = town_toml_text(
+            name=name,
+            split=split,
+            origin_m=net_middle(_net_of(config, None)),
+            cycle_paths=cycle_paths,
+            hashes=hashes,
+            sumocfg=str(config.path.relative_to(base)),
+            source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
+        )
         (work / "town.toml").write_text(toml, encoding="utf-8")
     return open_town(out)
 
@@ -133,8 +140,7 @@ def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
         TownError: One is missing, broken, outside of `border`, or of no kind of SUMO's.
     """
     with tempfile.TemporaryDirectory(prefix="wcsim-adopt-") as folder:
-        names = OutputNames(Path(folder))
-        met = FilteredFiles(names, Path(folder), border)
+        met = FilteredFiles(Path(folder), border)
         for item in config.given:
             if item.option.treatment is Treatment.INPUT and item.value:
                 if item.option.reads is not Content.XML and not item.option.name.endswith("input-file"):
@@ -157,28 +163,10 @@ def _files_of(config: Configuration, border: Path | None) -> tuple[Path, ...]:
 def _net_of(config: Configuration, border: Path | None) -> Path:
     nets = config.files("net-file")
     if len(nets) != 1:
-        raise TownError(f"{config.path}: expected one <net-file value=...> that exists, got {_listed(nets)}")
+        listed = ", ".join(map(str, nets)) or "none"
+        raise TownError(f"{config.path}: expected one <net-file value=...> that exists, got {listed}")
     check_file(nets[0], border, config.path)
     return nets[0]
-
-
-def _town_toml(
-    config: Configuration, name: str, labels: tuple[str, str], sumocfg: Path, hashes: dict[str, str], cycle_paths: bool
-) -> str:
-    split, source = labels
-    text = town_toml_text(
-        name=name,
-        split=split,
-        origin_m=net_middle(_net_of(config, None)),
-        source=source or f"scenario {config.path.name} of another author; ask the author for the licence",
-        hashes=hashes,
-    )
-    text = text.replace('"shared"]', '"shared", "cycleway"]', int(cycle_paths))
-    return text.replace("\nsource = ", f"\nsumocfg = {_toml(sumocfg)}\nsource = ", 1)
-
-
-def _toml(path: Path) -> str:
-    return '"' + str(path).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def _stay_inside(config: Configuration, folder: Path) -> None:
@@ -190,10 +178,6 @@ def _stay_inside(config: Configuration, folder: Path) -> None:
             f"{config.path.name}: names {elsewhere[0]} by a path that a copy cannot follow; name it relative to the "
             f"{config.path.suffix} file"
         )
-
-
-def _listed(paths: tuple[Path, ...]) -> str:
-    return ", ".join(str(path) for path in paths) or "none"
 
 
 def copy_file(path: Path, place: Path) -> None:

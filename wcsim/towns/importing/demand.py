@@ -92,7 +92,6 @@ class Way:
 
     traffic: _Traffic
     edges: tuple[str, ...]
-    length_m: float
 
 
 def build_ways(net: Net, net_path: Path, folder: Path, seed: int) -> tuple[Way, ...]:
@@ -124,10 +123,7 @@ def without_ways(ways: Sequence[Way], per_hour: Mapping[str, float]) -> tuple[st
 
 def _usable_km(net: Net, vclass: str) -> float:
     """Kilometres of street lane that a class may use."""
-    return (
-        sum(lane.length_m for edge in net.edges if not edge.function for lane in edge.lanes if lane.permits(vclass))
-        / 1e3
-    )
+    return sum(lane.length_m for edge in net.streets for lane in edge.lanes if lane.permits(vclass)) / 1e3
 
 
 def _wanted_flows(net: Net, traffic: _Traffic) -> int:
@@ -137,7 +133,7 @@ def _wanted_flows(net: Net, traffic: _Traffic) -> int:
 
 def _draw(net: Net, traffic: _Traffic, seed: int) -> list[tuple[str, str]]:
     """Pairs of edge ids, several times more than wanted: some cannot be routed or turn out too short."""
-    edges = [e for e in net.edges if not e.function and any(lane.permits(traffic.vclass) for lane in e.lanes)]
+    edges = [e for e in net.streets if any(lane.permits(traffic.vclass) for lane in e.lanes)]
     wanted = _wanted_flows(net, traffic) * 5
     if len(edges) < 2 or not wanted:
         return []
@@ -219,7 +215,7 @@ def _choose(net: Net, drawn: list[tuple[_Traffic, tuple[str, str]]], routed: dic
         way_m = sum(length_m[edge] for edge in edges)
         if left[traffic.types] and edges and way_m >= traffic.shortest_m:
             left[traffic.types] -= 1
-            ways.append(Way(traffic=traffic, edges=tuple(edges), length_m=way_m))
+            ways.append(Way(traffic=traffic, edges=tuple(edges)))
     return tuple(ways)
 
 
@@ -260,8 +256,6 @@ def _per_hour(net: Net, traffic: _Traffic, per_hour: Mapping[str, float]) -> flo
 
 
 def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
-    if not ways:
-        return []
     lines = [f'    <route id="walk.{i}" edges={quoteattr(" ".join(way.edges))}/>' for i, way in enumerate(ways)]
     used = max(1, round(_SLICE_SHARE * len(ways)))
     rate = f'period="exp({per_s / used:.6f})"'

@@ -29,7 +29,7 @@ from wcsim.core.reading import FileKind, escaped, read_bytes
 from wcsim.core.seeding import generator
 from wcsim.errors import TownError, check_installed
 from wcsim.towns.ground.relief import steepest_run
-from wcsim.towns.osm.area import Box, grown, size_m
+from wcsim.towns.osm.area import Box, grown, is_within, size_m
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
@@ -229,7 +229,8 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     except TownError:
         raise
     except Exception as error:  # GDAL's errors have no base in common
-        raise TownError(f"--dem {path}: cannot be read ({_one_line(error)}); {_WANTED}") from None
+        why = escaped(" ".join(str(error).split()), 300)
+        raise TownError(f"--dem {path}: cannot be read ({why}); {_WANTED}") from None
     height_m = np.where(np.isfinite(found) & (np.abs(found) < _HIGHEST_M), found, np.nan).astype(np.float64)
     known = float(np.isfinite(height_m).mean())
     if known < 0.5:
@@ -252,10 +253,6 @@ def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
     return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
 
 
-def _one_line(error: Exception) -> str:
-    return escaped(" ".join(str(error).split()), 300)
-
-
 def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
     """True for a file that this module wrote, of land that needs no more smoothing."""
     try:
@@ -266,12 +263,8 @@ def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
 
 def _covers(place: Box, area: Box) -> bool:
     slack = 1e-6  # degrees
-    return (
-        place[0] <= area[0] + slack
-        and place[1] <= area[1] + slack
-        and place[2] >= area[2] - slack
-        and place[3] >= area[3] - slack
-    )
+    west, south, east, north = area
+    return is_within((west + slack, south + slack), place) and is_within((east - slack, north - slack), place)
 
 
 def _told(box: Box) -> str:
@@ -326,11 +319,10 @@ def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) ->
         TownError: The net has no place on the globe, and needs one.
     """
     root = read_root(path)
-    return _lifted(root, path, dem, relief, lambda points_m: _places(root, points_m, path) if on_globe else points_m)
 
+    def places_of(points_m: F64) -> F64:
+        return _places(root, points_m, path) if on_globe else points_m
 
-def _lifted(root: Element, path: Path, dem: Dem, relief: Heights, places_of: Callable[[F64], F64]) -> Dem:
-    """`places_of` turns points (n, 2) of the net into places of the land."""
     found = [(element, _points(element)) for element in root.iter() if element.get("shape")]
     ends = np.cumsum([len(points_m) for _, points_m in found])
     places = places_of(np.concatenate([points_m for _, points_m in found]))

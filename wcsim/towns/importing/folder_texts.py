@@ -7,9 +7,11 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from wcsim.core.reading import listed
 from wcsim.errors import TownError
-from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, own_work
+from wcsim.towns.scenario.manifest import chair_ways, own_work
 from wcsim.towns.scenario.town import NOT_TOWNS
+from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 
 _SUMOCFG = """\
 <sumoConfiguration>
@@ -72,6 +74,17 @@ def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...])
     return _SUMOCFG.format(name=name, seed=seed, routes=routes, additional=line)
 
 
+def write_scenario(folder: Path, name: str, seed: int, vtypes: str) -> None:
+    """Write <name>.sumocfg and <name>.add.xml, and pack <name>.net.xml and <name>.poly.xml; the demand is left out."""
+    for kind in ("net", "poly"):
+        plain = folder / f"{name}.{kind}.xml"
+        write_gzip(folder / f"{plain.name}.gz", without_comments(plain.read_bytes()))
+        plain.unlink()
+    routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
+    (folder / additional[0]).write_text(vtypes, encoding="utf-8")
+    (folder / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes, additional), encoding="utf-8")
+
+
 def license_text(name: str, source: str = "", heights: bool = False) -> str:
     """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
     text = _LICENSE.format(name=name)
@@ -97,22 +110,20 @@ def town_toml_text(
     split: str,
     origin_m: tuple[int, int] = (0, 0),
     kerb_height_m: float = 0.12,
-    source: str = "",
-    attribution: str = "",
-    rebuild: str = "",
+    cycle_paths: bool = False,
     hashes: Mapping[str, str] | None = None,
+    **texts: str,
 ) -> str:
-    """`town.toml`, in the order and wording of `config.TownFile`. `rebuild` says whether chairs use cycle paths."""
+    """`town.toml`, in the order and wording of `config.TownFile`; `texts` are its sumocfg, source, ..., rebuild."""
     lines = [
         f"name = {_quoted(name)}",
         f"split = {_quoted(split)}",
         f"origin_m = [{origin_m[0]}, {origin_m[1]}]",
         f"kerb_height_m = {kerb_height_m}",
         "lowered_kerb_m = 0.0",
-        f"chair_ways = {json.dumps(chair_ways(CYCLE_PATHS in rebuild))}",
+        f"chair_ways = {json.dumps(chair_ways(cycle_paths))}",
     ]
-    texts = (("source", source), ("attribution", attribution), ("rebuild", rebuild))
-    lines += [f"{key} = {_quoted(text)}" for key, text in texts if text]
+    lines += [f"{key} = {_quoted(text)}" for key, text in texts.items() if text]
     if hashes:
         lines += ["", "[hashes]", *(f"{_quoted(key)} = {_quoted(value)}" for key, value in hashes.items())]
     return "\n".join(lines) + "\n"
@@ -128,6 +139,12 @@ def check_words(name: str, split: str) -> None:
         raise TownError(f"unknown split {split!r} of town {name}; expected train or test")
 
 
+def check_new(out: Path) -> None:
+    """Raise TownError when a folder is there and not empty."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise TownError(f"{out} already exists; remove it, or choose another folder")
+
+
 def check_place(out: Path, *, overwrite: bool) -> None:
     """Raise TownError when a folder holds something else than a town, or a town that was edited."""
     if out.exists() and not out.is_dir():
@@ -137,6 +154,6 @@ def check_place(out: Path, *, overwrite: bool) -> None:
     work = own_work(out) if (out / "town.toml").is_file() and not overwrite else ()
     if work:
         raise TownError(
-            f"{out} contains files that were changed or added later: {', '.join(work[:5])}"
-            f"{' and more' * (len(work) > 5)}; choose another name or --out, or use --replace, which discards them"
+            f"{out} contains files that were changed or added later: {listed(work, 5)}; choose another name "
+            "or --out, or use --replace, which discards them"
         )

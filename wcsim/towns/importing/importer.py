@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import logging
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from wcsim.core.files import whole_folder
+from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.demand import (
     Way,
@@ -33,8 +32,8 @@ from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
     license_text,
-    sumocfg_text,
     town_toml_text,
+    write_scenario,
 )
 from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
 from wcsim.towns.osm.area import Box, Side, bbox_option, box_centre, check_box, side_at, size_m
@@ -56,7 +55,7 @@ from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
-from wcsim.towns.sumo.xml_io import without_comments, write_gzip, xml_bytes
+from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
 from wcsim.towns.walking.islands import (
     Islands,
     islands_by_ground,
@@ -118,21 +117,33 @@ _LADDER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 
+Stage = Callable[[str], None]  # what begins now, in words
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _NetOrder:
-    """How a net is to be made."""
+class ImportOrder:
+    """What to import and where to put it."""
 
-    name: str  # <name>.net.xml is written
-    box: Box
-    lefthand: bool
+    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf
+    bbox: Box | None = None  # west, south, east, north; None: all of the extract
+    name: str
+    split: str  # "train" or "test"
+    out: Path  # the town's folder
+    lefthand: bool | None = None  # None: as the country does
+    seed: int = 42
+    traffic: float = 1.0  # how dense, against `demand.MIX` or `per_hour`; 0: none
+    per_hour: Mapping[str, float] = field(default_factory=dict)  # departures an hour by SUMO vehicle class
+    parked: float = 0.7  # share of the mapped parking spaces that is taken
+    relief: Heights = field(default_factory=Heights)
     keep_service: bool = False  # driveways and yards too, each with a crossing of its own
-    chair_ways: tuple[str, ...] = chair_ways(cycle_paths=False)
-    more: tuple[str, ...] = ()  # netconvert options
+    cycle_paths: bool = False  # whether chairs drive on them
+    source: str = ""
+    overwrite: bool = False  # a town that was edited
 
 
-def _convert_net(order: _NetOrder, extract: str, folder: Path) -> Path:
-    """Run netconvert on `extract` in `folder`, with fewer options when it fails. Raises SumoError."""
-    options = _net_options(order, extract)
+def _convert_net(order: ImportOrder, extract: str, folder: Path, more: Sequence[str] = ()) -> Path:
+    """Run netconvert on `extract` in `folder`, with `more` options, and with fewer when it fails. Raises SumoError."""
+    options = [*_net_options(order, extract), *more]
     first: ToolRun | None = None
     for left_out, added in _LADDER:
         run = run_tool("netconvert", [*(o for o in options if o not in left_out), *added], folder, _LIMITS)
@@ -147,14 +158,13 @@ def _convert_net(order: _NetOrder, extract: str, folder: Path) -> Path:
     raise SumoError(f"no net could be built: {first.reason()}; check the extract and the bounding box")
 
 
-def _net_options(order: _NetOrder, extract: str) -> list[str]:
+def _net_options(order: ImportOrder, extract: str) -> list[str]:
     maps = ",".join(str(sumo_home() / "data" / "typemap" / name) for name in _TYPEMAPS)
     left_out = _LEFT_OUT[:1] if order.keep_service else _LEFT_OUT
     options = ["--osm-files", extract, "--type-files", maps, *_NETCONVERT, "--osm.crossings"]
     options += ["--remove-edges.by-type", ",".join(left_out)]
-    options += ["--keep-edges.in-geo-boundary", ",".join(map(str, order.box)), "-o", f"{order.name}.net.xml"]
-    options += ["--lefthand"] * order.lefthand
-    return [*options, *order.more]
+    options += ["--keep-edges.in-geo-boundary", ",".join(map(str, order.bbox or ())), "-o", f"{order.name}.net.xml"]
+    return options + ["--lefthand"] * bool(order.lefthand)
 
 
 def _convert_polygons(name: str, extract: str, folder: Path, what: str = "poly") -> Path:
@@ -192,8 +202,10 @@ class _BuiltNet:
     ways: NetWays = field(default_factory=NetWays)
 
 
-def _build_net(order: _NetOrder, root: Element, folder: Path) -> _BuiltNet:
+def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
     """Write <name>.net.xml and the cleaned extract that it was made of; `root` is changed.
+
+    The order says the box and the side of the traffic.
 
     Raises:
         TownError: the area has no streets, or nothing that can be walked on.
@@ -219,12 +231,12 @@ def _ids(root: Element) -> frozenset[str]:
     return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way"))
 
 
-def _hanging_together(order: _NetOrder, root: Element, folder: Path) -> _BuiltNet:
+def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
     net = _converted(order, root, folder)
     found = islands_by_links(net, folder / f"{order.name}.net.xml")
     if found.footways:
         net = _converted(order, root, folder, found.footways)
-    parts = walkable_parts(net, order.chair_ways)
+    parts = walkable_parts(net, chair_ways(order.cycle_paths))
     if largest_share(parts) < _GOOD_SHARE:
         ground = islands_by_ground(net, folder / f"{order.name}.net.xml", parts)
         if ground.footways | ground.roads:
@@ -235,13 +247,13 @@ def _hanging_together(order: _NetOrder, root: Element, folder: Path) -> _BuiltNe
     return _BuiltNet(net=net, share=largest_share(parts))
 
 
-def _smaller(order: _NetOrder, root: Element, folder: Path, before: Islands) -> _BuiltNet | None:
+def _smaller(order: ImportOrder, root: Element, folder: Path, before: Islands) -> _BuiltNet | None:
     """The net without the ways on islands, or None when that is no gain; then `root` is as before."""
     everything = list(root)
     dropped = before.footways | before.roads
     try:
         net = _converted(order, root, folder, dropped)
-        parts = walkable_parts(net, order.chair_ways)
+        parts = walkable_parts(net, chair_ways(order.cycle_paths))
     except TownError:  # nothing is left
         parts = []
     if largest_share(parts) > before.share and sum(part.area for part in parts) >= _LEAST_LEFT * before.area_m2:
@@ -251,15 +263,14 @@ def _smaller(order: _NetOrder, root: Element, folder: Path, before: Islands) -> 
     return None
 
 
-def _converted(order: _NetOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
+def _converted(order: ImportOrder, root: Element, folder: Path, dropped: frozenset[str] = frozenset()) -> Net:
     root[:] = [item for item in root if item.tag != "way" or item.get("id", "").lstrip("-") not in dropped]
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(xml_bytes(root))
     net = _read(_convert_net(order, EXTRACT, folder))
     if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
         config = folder / "unpaved.netccfg"
-        more = (*order.more, *by_file("sidewalks.guess.exclude", paved, config))
-        net = _read(_convert_net(replace(order, more=more), EXTRACT, folder))
+        net = _read(_convert_net(order, EXTRACT, folder, by_file("sidewalks.guess.exclude", paved, config)))
         config.unlink()
     if not net.lanes(LaneKind.WALKINGAREA) and not net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED):
         raise TownError("the area has no pavements; choose a larger or another bounding box")
@@ -273,30 +284,6 @@ def _read(path: Path) -> Net:
         raise TownError(
             "the area holds no street that could be built; choose a larger or another bounding box"
         ) from None
-
-
-Stage = Callable[[str], None]  # what begins now, in words
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImportOrder:
-    """What to import and where to put it."""
-
-    osm: Path  # .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf
-    bbox: Box | None = None  # west, south, east, north; None: all of the extract
-    name: str
-    split: str  # "train" or "test"
-    out: Path  # the town's folder
-    lefthand: bool | None = None  # None: as the country does
-    seed: int = 42
-    traffic: float = 1.0  # how dense, against `demand.MIX` or `per_hour`; 0: none
-    per_hour: Mapping[str, float] = field(default_factory=dict)  # departures an hour by SUMO vehicle class
-    parked: float = 0.7  # share of the mapped parking spaces that is taken
-    relief: Heights = field(default_factory=Heights)
-    keep_service: bool = False  # driveways and yards too, each with a crossing of its own
-    cycle_paths: bool = False  # whether chairs drive on them
-    source: str = ""
-    overwrite: bool = False  # a town that was edited
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -333,7 +320,11 @@ def import_town(
     _check(order)
     stage(f"reading {order.osm}")
     extract = read_extract(order.osm, order.bbox)
-    side = _side(order, extract.box)
+    if order.lefthand is None:
+        side = side_at(*box_centre(extract.box))
+    else:
+        side = Side(lefthand=order.lefthand, why="as ordered")
+    order = replace(order, bbox=extract.box, lefthand=side.lefthand)
     try:
         with whole_folder(order.out) as work:
             made = _build(order, extract, side, work, meanwhile, stage)
@@ -355,10 +346,6 @@ def _check(order: ImportOrder) -> None:
     check_place(order.out, overwrite=order.overwrite)
 
 
-def _side(order: ImportOrder, box: Box) -> Side:
-    return side_at(*box_centre(box)) if order.lefthand is None else Side(lefthand=order.lefthand, why="as ordered")
-
-
 def _build(
     order: ImportOrder,
     extract: Extract,
@@ -375,35 +362,26 @@ def _build(
     (work / "osm").mkdir()
     write_gzip(work / "osm" / f"{name}.osm.xml.gz", extract.xml())
     dem = make_dem(order.relief, extract.box, order.seed)
-    net_order = _NetOrder(
-        name=name,
-        box=extract.box,
-        lefthand=side.lefthand,
-        keep_service=order.keep_service,
-        chair_ways=chair_ways(order.cycle_paths),
-    )
-    built = _build_net(net_order, extract.root, work)
-    net_path, poly_path = work / f"{name}.net.xml", work / f"{name}.poly.xml"
+    built = _build_net(order, extract.root, work)
+    net_path = work / f"{name}.net.xml"
     left_out = find_left_out(mapped, built.ways)
     stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:
         write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
         built = replace(built, net=read_net(net_path))
-    parking = find_parking(built.net, poly_path, order.parked, order.seed)
+    parking = find_parking(built.net, work / f"{name}.poly.xml", order.parked, order.seed)
     ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
-    for path in (net_path, poly_path):
-        write_gzip(work / f"{path.name}.gz", without_comments(path.read_bytes()))
-        path.unlink()
-    _write_folder(order, extract, work, (*parking.areas, *marks.elements))
-    _write_manifest(order, side, work, built, extract.box)
+    write_scenario(work, name, order.seed, vtypes_text((*parking.areas, *marks.elements)))
+    _write_beside(order, work)
+    _write_manifest(order, work, built)
     stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
         demand = pool.submit(_write_demand, order, work, built, ways, parking)
         if meanwhile is not None:
             meanwhile(_unfinished(work, order))
         demand.result()
-    _write_manifest(order, side, work, built, extract.box)
+    _write_manifest(order, work, built)
     notes = (*left_out_notes(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
     return Imported(
         town=_unfinished(work, order),
@@ -457,7 +435,7 @@ def _notes(order: ImportOrder, built: _BuiltNet, ways: tuple[Way, ...]) -> tuple
     """What the map or the order has and the town has not."""
     found = []
     if built.bridges:
-        names = ", ".join(built.bridges[:8]) + " and more" * (len(built.bridges) > 8)
+        names = listed(built.bridges, 8)
         found.append(f"left out: bridges over other streets, because a town has one level: {names}")
     idle = [vclass for vclass in without_ways(ways, order.per_hour) if order.traffic > 0]
     found += [f"no traffic of class {vclass}: no street or track of this town allows it" for vclass in idle]
@@ -479,35 +457,35 @@ def _write_demand(order: ImportOrder, work: Path, built: _BuiltNet, ways: tuple[
     write_tried(work / f"{order.name}.sumocfg", ways, text_of)
 
 
-def _write_folder(order: ImportOrder, extract: Extract, work: Path, elements: tuple[str, ...]) -> None:
-    name = order.name
-    (work / f"{name}.add.xml").write_text(vtypes_text(elements), encoding="utf-8")
-    routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
-    (work / f"{name}.sumocfg").write_text(sumocfg_text(name, order.seed, routes, additional), encoding="utf-8")
-    write_gzip(work / routes, b"<routes/>")  # until the demand is there
-    (work / "LICENSE-DATA").write_text(license_text(name, order.source, order.relief.dem is not None), encoding="utf-8")
-    (work / "osm" / "bbox").write_text(",".join(map(str, extract.box)) + "\n", encoding="utf-8")
+def _write_beside(order: ImportOrder, work: Path) -> None:
+    """What a town's folder has besides its scenario, and routes until the demand is there."""
+    write_gzip(work / f"{order.name}.rou.xml.gz", b"<routes/>")
+    notice = license_text(order.name, order.source, order.relief.dem is not None)
+    (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
+    (work / "osm" / "bbox").write_text(",".join(map(str, order.bbox or ())) + "\n", encoding="utf-8")
 
 
-def _write_manifest(order: ImportOrder, side: Side, work: Path, built: _BuiltNet, box: Box) -> None:
-    corners_m = np.concatenate([lane.points_m for edge in built.net.edges for lane in edge.lanes])
-    middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
+def _write_manifest(order: ImportOrder, work: Path, built: _BuiltNet) -> None:
+    low_m, high_m = built.net.corners_m()
+    middle_m = 0.5 * (low_m + high_m)
     text = town_toml_text(
         name=order.name,
         split=order.split,
         origin_m=(round(float(middle_m[0])), round(float(middle_m[1]))),
+        cycle_paths=order.cycle_paths,
+        hashes=hash_files(work, order.name),
         source=order.source,
         attribution="(c) OpenStreetMap contributors, ODbL 1.0",
-        rebuild=_rebuild_command(order, box, side.lefthand),
-        hashes=hash_files(work, order.name),
+        rebuild=_rebuild_command(order),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
 
 
-def _rebuild_command(order: ImportOrder, box: Box, lefthand: bool) -> str:
+def _rebuild_command(order: ImportOrder) -> str:
     """The command that makes the same town again from what its folder holds, run in that folder."""
     words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
-    words += [bbox_option(box), "--lefthand" if lefthand else "--righthand"]
+    words += [bbox_option(order.bbox)] if order.bbox is not None else []
+    words += ["--lefthand" if order.lefthand else "--righthand"]
     words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
     if order.per_hour:
         words += ["--per-hour", ",".join(f"{key}={value:g}" for key, value in order.per_hour.items())]

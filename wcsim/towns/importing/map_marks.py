@@ -21,7 +21,9 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import deg
 from wcsim.core.seeding import generator
 from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
-from wcsim.towns.ground.surfaces import NOT_ON_GROUND, lane_area
+from wcsim.towns.ground.plane_geometry import yaw_of
+from wcsim.towns.ground.solid_shapes import rectangle
+from wcsim.towns.ground.surfaces import NOT_ON_GROUND, ground_of
 from wcsim.towns.sumo.net import Edge, Lane, LaneKind, Net, points
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
@@ -73,7 +75,7 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
 
 def _stops(net: Net, poles: list[Element]) -> list[str]:
     """A stop on the lane that each pole stands beside, on the side where people wait; each place once."""
-    lanes = [lane for edge in net.edges if not edge.function if (lane := _bus_lane(edge)) is not None]
+    lanes = [lane for edge in net.streets if (lane := _bus_lane(edge)) is not None]
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
     tree = shapely.STRtree(lines)
     found: list[str] = []
@@ -151,15 +153,13 @@ class _Space:
     width_m: float
 
     def footprint(self) -> Polygon:
-        along = np.array([np.cos(self.yaw_rad), np.sin(self.yaw_rad)]) * self.length_m / 2
-        aside = np.array([-np.sin(self.yaw_rad), np.cos(self.yaw_rad)]) * self.width_m / 2
-        return Polygon([self.middle_m + a * along + b * aside for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))])
+        return rectangle(self.middle_m, self.length_m, self.width_m, self.yaw_rad)
 
 
 def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
     lots = sorted(_lots(poly))
-    lanes = [lane for edge in net.edges if not edge.function for lane in edge.lanes if _leads_there(lane)]
+    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
     if not lots or taken <= 0.0 or not lanes:
         return Parking()
     lines = [shapely.LineString(lane.points_m) for lane in lanes]
@@ -169,7 +169,8 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
     areas: list[str] = []
     vehicles: list[str] = []
     for lot_id, lot in lots:
-        spaces = [space for space in _spaces(lot) if _is_free(space.footprint(), town, used)][:left]
+        marks = ((space, space.footprint()) for space in _spaces(lot))
+        spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
         nearest = int(tree.nearest(lot))
         if not spaces or lines[nearest].distance(lot) > NEAR_M:
             continue
@@ -183,14 +184,10 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
 
 def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
     """Where there is ground, which ends not far outside of the streets, and where something is on it."""
-    lanes = shapely.union_all([lane_area(lane) for edge in net.edges for lane in edge.lanes]).buffer(FREE_M)
+    lanes = ground_of(net.every_lane).buffer(FREE_M)
     town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
-
-
-def _is_free(mark: Polygon, town: BaseGeometry, used: BaseGeometry) -> bool:
-    return bool(town.contains(mark) and not used.intersects(mark))
 
 
 def _leads_there(lane: Lane) -> bool:
@@ -200,7 +197,7 @@ def _leads_there(lane: Lane) -> bool:
 def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
     """Ids and outlines of the car parks at ground level."""
     for element in read_root(poly).iterfind("poly"):
-        tags = {param.get("key", ""): param.get("value", "") for param in element.iterfind("param")}
+        tags = _tags(element)
         if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
             lot = Polygon(outline_m) if len(outline_m) > 3 else Polygon()
@@ -233,21 +230,17 @@ def _spaces(lot: Polygon) -> list[_Space]:
     if wide_m < _PARALLEL_M[1] or long_m < _PARALLEL_M[0]:
         return []
     along, aside = sides[0] / long_m, sides[1] / wide_m
-    yaw_rad = float(np.arctan2(along[1], along[0]))
+    yaw_rad = yaw_of(along)
     found: list[_Space] = []
     if wide_m < _SPACE_M[0]:
-        rows, size_m, turn_rad = [wide_m / 2], _PARALLEL_M, 0.0
+        rows, car_m, every_m, turn_rad = [wide_m / 2], _PARALLEL_M, _PARALLEL_M[0], 0.0
     else:
-        rows, size_m, turn_rad = _rows(wide_m), (_SPACE_M[1], _SPACE_M[0]), np.pi / 2
+        rows, car_m, every_m, turn_rad = _rows(wide_m), _SPACE_M, _SPACE_M[1], np.pi / 2
     for number, across_m in enumerate(rows):
         facing_rad = yaw_rad + (turn_rad if number % 2 else -turn_rad)
-        for k in range(int(long_m // size_m[0])):
-            middle_m = corners[0] + (k + 0.5) * size_m[0] * along + across_m * aside
-            space = (
-                _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=_SPACE_M[0], width_m=_SPACE_M[1])
-                if turn_rad
-                else _Space(middle_m=middle_m, yaw_rad=yaw_rad, length_m=_PARALLEL_M[0], width_m=_PARALLEL_M[1])
-            )
+        for k in range(int(long_m // every_m)):
+            middle_m = corners[0] + (k + 0.5) * every_m * along + across_m * aside
+            space = _Space(middle_m=middle_m, yaw_rad=facing_rad, length_m=car_m[0], width_m=car_m[1])
             if lot.buffer(FREE_M).contains(space.footprint()):
                 found.append(space)
     return found

@@ -18,6 +18,7 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.towns.furniture.placement import Taken
+from wcsim.towns.ground.plane_geometry import left_of, polygons_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import MARGIN_M, lane_area
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
@@ -79,10 +80,8 @@ def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
     """Things along all pavements of a net, drawn for each pavement."""
     found = _Dressing()
     left_per_m = rng.uniform(0.0, 0.02)
-    since_stop_m = float(rng.uniform(0.0, _STOP_EVERY_M))
-    for edge in net.edges:
-        if edge.function:
-            continue
+    since_stop_m = rng.uniform(0.0, _STOP_EVERY_M)
+    for edge in net.streets:
         for lane in edge.lanes:
             if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or len(lane.points_m) < 2:
                 continue
@@ -98,7 +97,7 @@ def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
 
 def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: _Dressing, rng: np.random.Generator) -> None:
     for row in _ROWS:
-        has, every_m = rng.random() < row.share, float(rng.uniform(*row.every_m))
+        has, every_m = rng.random() < row.share, rng.uniform(*row.every_m)
         if not has or lane.width_m < row.least_m:
             continue
         aside_m = 0.5 * lane.width_m - (_KERB_M if row.at_kerb else _WALL_M)
@@ -120,7 +119,7 @@ def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: _Dres
 
 
 def _places(line: shapely.LineString, every_m: float, rng: np.random.Generator) -> Iterator[float]:
-    at_m = _ENDS_M + float(rng.uniform(0.0, 0.5 * every_m))
+    at_m = _ENDS_M + rng.uniform(0.0, 0.5 * every_m)
     while at_m < line.length - _ENDS_M:
         yield at_m
         at_m += every_m
@@ -132,8 +131,8 @@ def _beside(line: shapely.LineString, along_m: float, left_m: float) -> tuple[F6
         shapely.get_coordinates(line.interpolate(min(max(s_m, 0.0), line.length)))[0]
         for s_m in (along_m - 0.1, along_m + 0.1)
     )
-    way = (ahead - here) / max(1e-9, float(np.hypot(*(ahead - here))))
-    place = 0.5 * (here + ahead) + left_m * np.array([-way[1], way[0]])
+    way = unit(ahead - here)
+    place = 0.5 * (here + ahead) + left_m * left_of(way)
     return place, float(np.degrees(np.arctan2(way[0], way[1])) % 360.0)
 
 
@@ -198,19 +197,11 @@ class _Plot:
     taken: Taken
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _House:
-    """One building."""
-
-    outline: Polygon
-    levels: int
-
-
 @dataclass(slots=True, kw_only=True)
 class _Blocks:
     """What stands and lies between a town's streets, in net coordinates."""
 
-    houses: list[_House] = field(default_factory=list)
+    houses: list[tuple[Polygon, int]] = field(default_factory=list)  # outline, and levels
     greens: list[tuple[str, Polygon]] = field(default_factory=list)  # SUMO's type, and outline
     squares: list[Polygon] = field(default_factory=list)
     car_parks: list[Polygon] = field(default_factory=list)
@@ -225,10 +216,8 @@ def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
     styles = rng.dirichlet((1.2, 1.0, 1.0))
     open_share = rng.uniform(0.08, 0.25)
     found = _Blocks()
-    parts = [part for part in shapely.get_parts(hull.difference(streets)) if part.geom_type == "Polygon"]
+    parts = polygons_of(hull.difference(streets), _LEAST_BLOCK_M2)
     for block in sorted(parts, key=lambda part: tuple(np.round(part.bounds, 1).tolist())):
-        if block.area < _LEAST_BLOCK_M2:
-            continue
         rim = block.exterior.distance(hull.exterior) < 0.1
         if not rim and rng.random() < open_share:
             use = str(rng.choice(_OPEN))
@@ -240,7 +229,7 @@ def _build_blocks(net: Net, rng: np.random.Generator) -> _Blocks:
 
 def _street_area(net: Net) -> BaseGeometry:
     """Everything between the outer edges of all pavements."""
-    lanes = [lane_area(lane) for edge in net.edges for lane in edge.lanes]
+    lanes = [lane_area(lane) for lane in net.every_lane]
     junctions = [shapely.make_valid(Polygon(j.outline_m)) for j in net.junctions if len(j.outline_m) > 2]
     whole: BaseGeometry = shapely.union_all([*lanes, *junctions]).buffer(0.4, quad_segs=2).buffer(-0.4, quad_segs=2)
     return shapely.set_precision(whole, 0.01)
@@ -269,7 +258,7 @@ def _near_front(inner: Polygon) -> shapely.Point:
 
 def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: _Blocks, rng: np.random.Generator) -> None:
     """Houses along all fronts of a block that lie at a street, some with a row of parked cars before them."""
-    setback_m = float(rng.uniform(*style.setback_m))
+    setback_m = rng.uniform(*style.setback_m)
     inner = block.buffer(-setback_m + 0.05, join_style="mitre", mitre_limit=2.0)
     shapely.prepare(inner)
     plot = _Plot(block=block, inner=inner, style=style, setback_m=setback_m, taken=Taken())
@@ -286,7 +275,7 @@ def _build_up(block: Polygon, streets: BaseGeometry, style: _Style, found: _Bloc
         _houses(plot, start, end, found, rng)
         if style.green and not parks and setback_m > _HEDGED_M and rng.random() < 0.5:
             along = (end - start) / length_m
-            line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * np.array([-along[1], along[0]])
+            line_m = np.array([start, end]) - 0.7 * (setback_m - 0.4) * left_of(along)
             found.hedges.append((str(rng.choice(["hedge", "fence", "wall"])), line_m))
 
 
@@ -295,13 +284,13 @@ def _houses(plot: _Plot, start: F64, end: F64, found: _Blocks, rng: np.random.Ge
     length_m, at_m = float(np.hypot(*(end - start))), 0.0
     along = (end - start) / length_m
     while at_m < length_m - _SHORTEST_FRONT_M:
-        front_m = min(float(rng.uniform(*plot.style.front_m)), length_m - at_m)
-        size_m = (front_m, float(rng.uniform(*plot.style.depth_m)))
+        front_m = min(rng.uniform(*plot.style.front_m), length_m - at_m)
+        size_m = (front_m, rng.uniform(*plot.style.depth_m))
         outline = _rectangle(start + at_m * along, along, size_m)
         if plot.inner.contains(outline) and plot.taken.free(outline.buffer(-0.02)):
             plot.taken.add(outline)
-            found.houses.append(_House(outline=outline, levels=int(rng.integers(*plot.style.levels, endpoint=True))))
-            at_m += front_m + float(rng.uniform(*plot.style.gap_m))
+            found.houses.append((outline, int(rng.integers(*plot.style.levels, endpoint=True))))
+            at_m += front_m + rng.uniform(*plot.style.gap_m)
         else:
             at_m += _STEP_M
 
@@ -310,7 +299,7 @@ def _car_park(plot: _Plot, start: F64, end: F64, found: _Blocks) -> None:
     """A row of cars between the pavement and where houses would be."""
     length_m = float(np.hypot(*(end - start)))
     along = (end - start) / length_m
-    back = np.array([-along[1], along[0]])
+    back = left_of(along)
     corner = start + 2.0 * along - (plot.setback_m - _CAR_PARK_GAP_M) * back
     outline = _rectangle(corner, along, (min(length_m - 4.0, 40.0), _CAR_PARK_M))
     if plot.block.contains(outline) and plot.taken.free(outline):
@@ -331,14 +320,12 @@ def _fronts(block: Polygon, setback_m: float, streets: BaseGeometry) -> Iterator
 
 def _rectangle(corner: F64, along: F64, size_m: tuple[float, float]) -> Polygon:
     """A rectangle with its front from `corner` along a way, to the left of it."""
-    back = np.array([-along[1], along[0]])
-    middle = corner + 0.5 * size_m[0] * along + 0.5 * size_m[1] * back
-    return rectangle(middle, size_m[0], size_m[1], float(np.arctan2(along[1], along[0])))
+    middle = corner + 0.5 * size_m[0] * along + 0.5 * size_m[1] * left_of(along)
+    return rectangle(middle, *size_m, yaw_of(along))
 
 
 def _largest(area: BaseGeometry) -> Polygon:
-    parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
-    return max(parts, key=lambda part: float(part.area), default=Polygon())
+    return max(polygons_of(area), key=lambda part: part.area, default=Polygon())
 
 
 _KERBS = ("flush", "lowered", "rolled", "sloped", "raised")
@@ -347,8 +334,8 @@ _GARDEN_M2 = 400.0  # a garden that is smaller has no trees
 _Pairs = list[tuple[str, str]]
 
 
-def draw_map(net: Net, folder: Path, rng: np.random.Generator) -> tuple[Path, Path, tuple[str, ...]]:
-    """Write made.poly.xml and made.ground.xml of a net into `folder`.
+def draw_map(net: Net, name: str, folder: Path, rng: np.random.Generator) -> tuple[Path, Path, tuple[str, ...]]:
+    """Write <name>.poly.xml and <name>.ground.xml of a net into `folder`.
 
     Returns:
         Both files, and elements for the town's additional file: what stands exactly where it is placed.
@@ -359,7 +346,7 @@ def draw_map(net: Net, folder: Path, rng: np.random.Generator) -> tuple[Path, Pa
     for kind, xy_m in dressing.mapped:
         poly.point(kind, xy_m, [])
     _write_kerbs(net, poly, ground, rng)
-    paths = folder / "made.poly.xml", folder / "made.ground.xml"
+    paths = folder / f"{name}.poly.xml", folder / f"{name}.ground.xml"
     for writer, path in zip((poly, ground), paths, strict=True):
         path.write_text(writer.text(), encoding="utf-8")
     return *paths, _left_things(dressing)
@@ -404,9 +391,9 @@ def _colour(kind: str) -> str:
 
 
 def _write_blocks(blocks: _Blocks, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
-    for house in blocks.houses:
-        poly.area("building.yes", house.outline, [("building", "yes"), ("building:levels", str(house.levels))])
-    used = shapely.union_all([*(house.outline for house in blocks.houses), *blocks.car_parks]).buffer(1.5, quad_segs=1)
+    for outline, levels in blocks.houses:
+        poly.area("building.yes", outline, [("building", "yes"), ("building:levels", str(levels))])
+    used = shapely.union_all([*(outline for outline, _ in blocks.houses), *blocks.car_parks]).buffer(1.5, quad_segs=1)
     for kind, green in blocks.greens:
         poly.area(kind, green, [])
         free = green.difference(used)
@@ -425,7 +412,7 @@ def _write_blocks(blocks: _Blocks, poly: _Writer, ground: _Writer, rng: np.rando
 
 def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Generator) -> None:
     """Paint and kerbs of all crossings: those at signals are painted, and their kerbs never stay high."""
-    lit = {name for link in net.connections if link.tls_id for name in (link.start, link.end)}
+    lit = net.signalled()
     painted = rng.uniform(0.3, 1.0)
     for lane in net.lanes(LaneKind.CROSSING):
         if len(lane.points_m) < 2:

@@ -21,23 +21,18 @@ from wcsim.core.files import whole_folder
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
+from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text, write_tried
 from wcsim.towns.importing.elevation import Heights, hill_over, lift_net
-from wcsim.towns.importing.folder_texts import (
-    check_place,
-    check_words,
-    sumocfg_text,
-    town_toml_text,
-)
-from wcsim.towns.importing.map_marks import Parking, find_parking, map_marks
+from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
+from wcsim.towns.importing.map_marks import find_parking, map_marks
 from wcsim.towns.making.asked_town import KINDS, Wishes, check_wishes
 from wcsim.towns.making.drawn_map import draw_map
-from wcsim.towns.making.plan import ShapedPlan, draw_plan, shape_plan
+from wcsim.towns.making.plan import StreetPlan, draw_plan, shape_plan
 from wcsim.towns.scenario.manifest import chair_ways, hash_files
 from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
-from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 from wcsim.towns.walking.islands import largest_share, walkable_parts
 from wcsim.types import F64
 
@@ -104,16 +99,16 @@ class _NamedStreet:
         return self.kind.closed.removeprefix("tram ") if self.tram else self.kind.closed
 
 
-def _make_streets(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
+def _make_streets(plan: StreetPlan, rng: np.random.Generator) -> tuple[_NamedStreet, ...]:
     """All streets of a plan with their classes: the longest ones are main streets.
 
     A street is one-way, or for walkers alone, only where everybody still gets everywhere.
     """
-    chains = _chains(shaped)
-    lengths_m = np.array([sum(_length_m(shaped.lines_m[link]) for link in chain) for chain in chains])
+    chains = _chains(plan)
+    lengths_m = np.array([sum(_length_m(plan.lines_m[link]) for link in chain) for chain in chains])
     order = np.argsort(-lengths_m * rng.uniform(0.8, 1.25, len(chains)))
     rank = np.cumsum(lengths_m[order]) / lengths_m.sum()
-    main, walks = float(rng.uniform(*_MAIN_SHARE)), float(rng.choice([0.0, 0.1, 0.2]))
+    main, walks = rng.uniform(*_MAIN_SHARE), float(rng.choice([0.0, 0.1, 0.2]))
     widths = rng.uniform(-1.0, 1.0)  # a town of wide pavements, or of narrow ones
     found: list[_NamedStreet] = []
     for number, (row, so_far) in enumerate(zip(order.tolist(), rank.tolist(), strict=True)):
@@ -123,10 +118,10 @@ def _make_streets(shaped: ShapedPlan, rng: np.random.Generator) -> tuple[_NamedS
     for number, drawn in enumerate(rng.random((len(found), 2)).tolist()):
         street = found[number]
         if drawn[0] < street.kind.oneway_share:
-            found[number] = _if_reachable(shaped, found, replace(street, oneway=True))
+            found[number] = _if_reachable(plan, found, replace(street, oneway=True))
         elif street.kind is RESIDENTIAL and drawn[1] < walks and len(street.links) <= 3:
             walk = _drawn(number, street.links, WALK, float(widths), rng)
-            found[number] = _if_reachable(shaped, found, walk)
+            found[number] = _if_reachable(plan, found, walk)
     return tuple(found)
 
 
@@ -136,7 +131,7 @@ def _drawn(
     low_m, high_m = kind.pavement_m
     drawn = np.clip(0.35 * widths + rng.uniform(0.0, 1.0, 2), 0.0, 1.0)
     pavements_m = low_m + (high_m - low_m) * drawn
-    cycles, lane_m = rng.random() < kind.cycle_share, float(rng.uniform(*kind.lane_m))
+    cycles, lane_m = rng.random() < kind.cycle_share, rng.uniform(*kind.lane_m)
     return _NamedStreet(
         number=number,
         links=links,
@@ -144,33 +139,33 @@ def _drawn(
         lanes=int(rng.choice(kind.lanes)),
         lane_m=round(lane_m, 2),
         pavements_m=(round(float(pavements_m[0]), 2), round(float(pavements_m[1]), 2)),
-        cycle_m=round(float(rng.uniform(1.25, 2.0)), 2) if cycles else 0.0,
+        cycle_m=round(rng.uniform(1.25, 2.0), 2) if cycles else 0.0,
         speed_mps=float(rng.choice(kind.speeds_mps)),
         oneway=kind is WALK,
     )
 
 
-def _if_reachable(shaped: ShapedPlan, streets: list[_NamedStreet], changed: _NamedStreet) -> _NamedStreet:
+def _if_reachable(plan: StreetPlan, streets: list[_NamedStreet], changed: _NamedStreet) -> _NamedStreet:
     """The changed street, or the one before where a place would be cut off by the change."""
     graph = networkx.DiGraph()
     for street in (*streets[: changed.number], changed, *streets[changed.number + 1 :]):
         if street.kind is not WALK:
-            ends = [shaped.plan.links[link] for link in street.links]
+            ends = [plan.links[link] for link in street.links]
             graph.add_edges_from(ends)
             graph.add_edges_from((b, a) for a, b in ends if not street.oneway)
-    touched = {node for link in changed.links for node in shaped.plan.links[link]}
+    touched = {node for link in changed.links for node in plan.links[link]}
     whole = networkx.is_strongly_connected(graph) and touched <= set(graph)
     return changed if whole else streets[changed.number]
 
 
-def _chains(shaped: ShapedPlan) -> list[tuple[int, ...]]:
+def _chains(plan: StreetPlan) -> list[tuple[int, ...]]:
     """Links grouped to streets: at each junction the straightest pairs go on, best first."""
     same = networkx.Graph()
-    same.add_nodes_from(range(len(shaped.lines_m)))
+    same.add_nodes_from(range(len(plan.lines_m)))
     arms: dict[int, list[tuple[int, float]]] = {}
-    for number, ((a, b), line) in enumerate(zip(shaped.plan.links, shaped.lines_m, strict=True)):
+    for number, ((a, b), line) in enumerate(zip(plan.links, plan.lines_m, strict=True)):
         for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            arms.setdefault(node, []).append((number, float(np.arctan2(way[1], way[0]))))
+            arms.setdefault(node, []).append((number, yaw_of(way)))
     for node in sorted(arms):
         pairs = sorted(
             (_bend_rad(one[1], other[1]), one[0], other[0])
@@ -229,7 +224,7 @@ def _draw_signals(rng: np.random.Generator) -> Signals:
 
 def _write_net(
     name: str,
-    shaped: ShapedPlan,
+    plan: StreetPlan,
     streets: tuple[_NamedStreet, ...],
     signals: Signals,
     folder: Path,
@@ -237,8 +232,8 @@ def _write_net(
 ) -> Path:
     """Make <name>.net.xml in `folder`. Raises SumoError when netconvert fails."""
     nodes, edges = folder / "made.nod.xml", folder / "made.edg.xml"
-    nodes.write_text(_nodes(shaped, streets, signals, rng), encoding="utf-8")
-    edges.write_text(_edges(shaped, streets), encoding="utf-8")
+    nodes.write_text(_nodes(plan, streets, signals, rng), encoding="utf-8")
+    edges.write_text(_edges(plan, streets), encoding="utf-8")
     options = ["-n", nodes.name, "-e", edges.name, *_NETCONVERT, "-o", f"{name}.net.xml"]
     options += ["--default.crossing-width", f"{signals.crossing_m:.2f}"]
     options += ["--default.junctions.radius", f"{signals.corner_m:.2f}"]
@@ -251,15 +246,15 @@ def _write_net(
     return folder / f"{name}.net.xml"
 
 
-def _nodes(shaped: ShapedPlan, streets: tuple[_NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
+def _nodes(plan: StreetPlan, streets: tuple[_NamedStreet, ...], signals: Signals, rng: np.random.Generator) -> str:
     meeting: dict[int, list[_NamedStreet]] = {}
     for street in streets:
         for link in street.links:
-            for node in shaped.plan.links[link]:
+            for node in plan.links[link]:
                 meeting.setdefault(node, []).append(street)
     lines = ["<nodes>"]
-    for number, (x_m, y_m) in enumerate(shaped.plan.nodes_m.tolist()):
-        kind = _node_kind(meeting[number], signals.share, float(rng.random()))
+    for number, (x_m, y_m) in enumerate(plan.nodes_m.tolist()):
+        kind = _node_kind(meeting[number], signals.share, rng.random())
         lines.append(f'    <node id="j{number}" x="{x_m:.2f}" y="{y_m:.2f}" type="{kind}"/>')
     return "\n".join([*lines, "</nodes>", ""])
 
@@ -276,13 +271,13 @@ def _node_kind(arms: list[_NamedStreet], share: float, drawn: float) -> str:
     return "priority"
 
 
-def _edges(shaped: ShapedPlan, streets: tuple[_NamedStreet, ...]) -> str:
+def _edges(plan: StreetPlan, streets: tuple[_NamedStreet, ...]) -> str:
     lines = ["<edges>"]
     for street in streets:
         name = f"{_NAMES[street.number % len(_NAMES)]} Street {street.number // len(_NAMES) + 1}"
         for link in street.links:
-            a, b = shaped.plan.links[link]
-            line_m = shaped.lines_m[link]
+            a, b = plan.links[link]
+            line_m = plan.lines_m[link]
             backward = street.kind.name != WALK.name and (not street.oneway or street.pavements_m[1] > 0.0)
             lines.append(_edge(str(link), (a, b), line_m, street, name, street.pavements_m[0]))
             if backward and not street.oneway:
@@ -328,15 +323,6 @@ _LAND_M = 100.0  # beyond the streets
 SOURCE = "made by wcsim: streets by SUMO's netgenerate, no map"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Ground:
-    """The streets of a town before anything stands in them."""
-
-    net: Net
-    path: Path
-    kind: str
-
-
 def make_town(
     folder: Path,
     seed: int,
@@ -370,9 +356,9 @@ def make_town(
         _check_made(out)
     with whole_folder(out) as work:
         stage("drawing the streets")
-        ground = _ground(name, seed, wishes, work)
+        net = _bare_net(name, seed, wishes, work)
         stage("adding buildings, furniture, parked cars and routes")
-        _fill(name, seed, wishes, ground, work, stage)
+        _fill(name, seed, wishes, net, work, stage)
     return open_town(folder if (folder / f"{name}.sumocfg").is_file() else out)
 
 
@@ -384,22 +370,25 @@ def _check_made(out: Path) -> None:
         )
 
 
-def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
-    """Streets that hang together: some drawn ones do not, and others are drawn then. Raises TownError."""
+def _bare_net(name: str, seed: int, wishes: Wishes, work: Path) -> Net:
+    """<name>.net.xml of streets that hang together: some drawn ones do not, and others are drawn then.
+
+    Raises TownError.
+    """
     kind = wishes.kind or str(generator(seed, "making", "kind").choice(KINDS))
     for attempt in range(_ATTEMPTS):
         rng = generator(seed, "making", "streets", attempt)
         try:
-            shaped = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
-            streets = _make_streets(shaped, rng)
-            path = _write_net(name, shaped, streets, _draw_signals(rng), work, rng)
+            plan = shape_plan(draw_plan(kind, wishes.size_m, derive(seed, "making", attempt), rng, work), rng)
+            streets = _make_streets(plan, rng)
+            path = _write_net(name, plan, streets, _draw_signals(rng), work, rng)
             net = read_net(path)
             share = largest_share(walkable_parts(net, chair_ways(cycle_paths=False)))
         except (SumoError, TownError, GEOSException) as error:  # GEOS fails at some junctions' outlines
             log.info("town %s, attempt %d: %s", name, attempt, error)
             continue
         if share >= _GOOD_SHARE and len(net.lanes(LaneKind.CROSSING)) >= _LEAST_CROSSINGS:
-            return _Ground(net=_lifted(path, seed, wishes), path=path, kind=kind)
+            return _lifted(path, seed, wishes)
     raise TownError(
         f"town {name}: no connected {kind} streets of {wishes.size_m:g} m were found in {_ATTEMPTS} attempts; "
         "use another seed, or a larger size"
@@ -409,32 +398,29 @@ def _ground(name: str, seed: int, wishes: Wishes, work: Path) -> _Ground:
 def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
     """The net on its land, which is level or a few broad bumps."""
     rng = generator(seed, "making", "land")
-    hill_m, grade = float(rng.choice(_HILLS_M)), float(rng.uniform(*_GRADES))
+    hill_m, grade = float(rng.choice(_HILLS_M)), rng.uniform(*_GRADES)
     hill_m = hill_m if wishes.hill_m is None else wishes.hill_m
     if hill_m > 0.0:
-        points_m = np.concatenate([lane.points_m for edge in read_net(path).edges for lane in edge.lanes])
-        low_m, high_m = points_m.min(axis=0) - _LAND_M, points_m.max(axis=0) + _LAND_M
-        box_m = (float(low_m[0]), float(low_m[1]), float(high_m[0]), float(high_m[1]))
+        (west, south), (east, north) = (corner_m.tolist() for corner_m in read_net(path).corners_m())
+        box_m = (west - _LAND_M, south - _LAND_M, east + _LAND_M, north + _LAND_M)
         land = hill_over(hill_m, box_m, seed)
         lift_net(path, land, Heights(hill_m=hill_m, max_grade=grade), on_globe=False)
     return read_net(path)
 
 
-def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, stage: Stage) -> None:
+def _fill(name: str, seed: int, wishes: Wishes, net: Net, work: Path, stage: Stage) -> None:
     """Write all files of the town's folder."""
-    poly, marks_path, left = draw_map(ground.net, work, generator(seed, "making", "map"))
-    marks = map_marks(ground.net, poly, marks_path)
-    parking = find_parking(ground.net, poly, wishes.parked, seed)
-    ways = build_ways(ground.net, ground.path, work, seed) if wishes.traffic > 0.0 else ()
-    routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
-    (work / additional[0]).write_text(vtypes_text((*parking.areas, *marks.elements, *left)), encoding="utf-8")
-    (work / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes, additional), encoding="utf-8")
-    for source, kind in ((ground.path, "net"), (poly, "poly")):
-        write_gzip(work / f"{name}.{kind}.xml.gz", without_comments(source.read_bytes()))
-        source.unlink()
-    marks_path.unlink()
+    poly, ground, left = draw_map(net, name, work, generator(seed, "making", "map"))
+    marks, parking = map_marks(net, poly, ground), find_parking(net, poly, wishes.parked, seed)
+    ground.unlink()
+    ways = build_ways(net, work / f"{name}.net.xml", work, seed) if wishes.traffic > 0.0 else ()
+    write_scenario(work, name, seed, vtypes_text((*parking.areas, *marks.elements, *left)))
     stage("testing the traffic")
-    write_tried(work / f"{name}.sumocfg", ways, lambda some: _flows(ground.net, some, seed, wishes, parking))
+
+    def text_of(some: tuple[Way, ...]) -> str:
+        return flows_text(net, some, seed, wishes.traffic, first=parking.vehicles)
+
+    write_tried(work / f"{name}.sumocfg", ways, text_of)
     text = town_toml_text(
         name=name,
         split=wishes.split,
@@ -444,10 +430,6 @@ def _fill(name: str, seed: int, wishes: Wishes, ground: _Ground, work: Path, sta
         hashes=hash_files(work, name),
     )
     (work / "town.toml").write_text(text, encoding="utf-8")
-
-
-def _flows(net: Net, ways: tuple[Way, ...], seed: int, wishes: Wishes, parking: Parking) -> str:
-    return flows_text(net, ways, seed, wishes.traffic, first=parking.vehicles)
 
 
 def _rebuild_command(name: str, seed: int, wishes: Wishes) -> str:

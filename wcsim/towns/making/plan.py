@@ -16,6 +16,7 @@ import shapely
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive
 from wcsim.errors import SumoError
+from wcsim.towns.ground.plane_geometry import left_of, yaw_of
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
@@ -39,10 +40,11 @@ _WAVES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreetPlan:
-    """Junctions and straight links between them."""
+    """Junctions and links between them."""
 
     nodes_m: F64  # (N, 2)
     links: tuple[tuple[int, int], ...]  # rows of `nodes_m`
+    lines_m: tuple[F64, ...] = ()  # (K, 2) of each link, from its first junction to its second; none: all are straight
 
     def graph(self) -> networkx.Graph:
         """The links as a graph; the edges know their number as `link`."""
@@ -207,23 +209,14 @@ def _middle(plan: StreetPlan, size_m: float) -> StreetPlan:
     return _connected(StreetPlan(nodes_m=nodes_m, links=links))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShapedPlan:
-    """A plan whose links have shapes."""
-
-    plan: StreetPlan
-    lines_m: tuple[F64, ...]  # (K, 2) of each link, from its first junction to its second
-
-
-def shape_plan(plan: StreetPlan, rng: np.random.Generator) -> ShapedPlan:
-    """A plan with links left out, junctions moved, some links bent, and all of it turned by a random angle."""
-    thinned = _thinned(plan, float(rng.uniform(0.0, 0.22)), rng)
+def shape_plan(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
+    """A plan with lines, links left out, junctions moved, some links bent, and all of it turned by a random angle."""
+    thinned = _thinned(plan, rng.uniform(0.0, 0.22), rng)
     moved = _moved(thinned, rng)
     lines = _bent(moved, float(rng.choice([0.0, 0.3, 0.7])), rng)
     angle_rad = rng.uniform(0.0, 2.0 * np.pi)
     turn = np.array([[np.cos(angle_rad), np.sin(angle_rad)], [-np.sin(angle_rad), np.cos(angle_rad)]])
-    turned = StreetPlan(nodes_m=moved.nodes_m @ turn, links=moved.links)
-    return ShapedPlan(plan=turned, lines_m=tuple(line @ turn for line in lines))
+    return StreetPlan(nodes_m=moved.nodes_m @ turn, links=moved.links, lines_m=tuple(line @ turn for line in lines))
 
 
 def _thinned(plan: StreetPlan, share: float, rng: np.random.Generator) -> StreetPlan:
@@ -240,7 +233,7 @@ def _thinned(plan: StreetPlan, share: float, rng: np.random.Generator) -> Street
                 dropped.add(number)
         elif wanted and degrees[0] > 2 and _go_on(plan, graph, a, b) and _go_on(plan, graph, b, a):
             graph.remove_edge(a, b)
-            if networkx.has_path(graph, a, b) and not _cut_points(graph, a, b):
+            if networkx.edge_connectivity(graph, a, b) > 1:  # two ways at least are left between its ends
                 wanted -= 1
                 dropped.add(number)
             else:
@@ -256,11 +249,6 @@ def _go_on(plan: StreetPlan, graph: networkx.Graph, node: int, without: int) -> 
         return True
     ways = plan.nodes_m[ends] - plan.nodes_m[node]
     return bool(ways[0] @ ways[1] < -np.cos(_STRAIGHT_RAD) * np.prod(np.linalg.norm(ways, axis=1)))
-
-
-def _cut_points(graph: networkx.Graph, a: int, b: int) -> bool:
-    """Whether there is only one way left between two junctions."""
-    return bool(networkx.edge_connectivity(graph, a, b) < 2)
 
 
 def _moved(plan: StreetPlan, rng: np.random.Generator) -> StreetPlan:
@@ -295,7 +283,7 @@ def _bent(plan: StreetPlan, share: float, rng: np.random.Generator) -> list[F64]
 
 def _bowed(line: F64, bow: float) -> F64:
     along = line[1] - line[0]
-    aside = np.array([-along[1], along[0]])
+    aside = left_of(along)
     share = np.linspace(0.0, 1.0, _BOW_POINTS)[:, None]
     return np.asarray(line[0] + share * along + 4.0 * bow * share * (1.0 - share) * aside)
 
@@ -323,7 +311,7 @@ def _least_angle_rad(plan: StreetPlan, lines: Sequence[F64]) -> float:
     ways: dict[int, list[float]] = {}
     for (a, b), line in zip(plan.links, lines, strict=True):
         for node, way in ((a, line[1] - line[0]), (b, line[-2] - line[-1])):
-            ways.setdefault(node, []).append(float(np.arctan2(way[1], way[0])))
+            ways.setdefault(node, []).append(yaw_of(way))
     gaps = [
         float(np.diff([*sorted(angles), min(angles) + 2.0 * np.pi]).min())
         for angles in ways.values()

@@ -21,7 +21,8 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Collection
+from collections import Counter, defaultdict
+from collections.abc import Collection, Set
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ import numpy as np
 import shapely
 
 from wcsim.core.frames import rad
+from wcsim.core.reading import listed
 from wcsim.towns.osm.area import Box, is_within, size_m
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
@@ -55,16 +57,16 @@ def _mark_buildings(root: Element) -> None:
     """Mark courtyards and parts of buildings; changes `root`."""
     ways = {way.get("id", ""): way for way in root.iterfind("way")}
     for thing in (*ways.values(), *root.iterfind("relation")):
-        if _tag(thing, "building") is None and _tag(thing, "building:part") not in (None, "no"):
+        tags = _read_tags(thing)
+        if "building" not in tags and tags.get("building:part", "no") != "no":
             SubElement(thing, "tag", {"k": "building", "v": _PART})
     for relation in root.iterfind("relation"):
-        if _tag(relation, "type") != "multipolygon":
+        tags = _read_tags(relation)
+        if tags.get("type") != "multipolygon":
             _drop(relation, "building")  # it only says which ways belong together
-        elif _tag(relation, "building") is not None or any(
-            _tag(way, "building") for way in _ways(relation, "outer", ways)
-        ):
+        elif "building" in tags or any(_read_tags(way).get("building") for way in _ways(relation, "outer", ways)):
             for way in _ways(relation, "inner", ways):
-                if _tag(way, "building") is None:
+                if "building" not in _read_tags(way):
                     SubElement(way, "tag", {"k": "building", "v": _COURTYARD})
 
 
@@ -72,10 +74,6 @@ def _ways(relation: Element, role: str, ways: dict[str, Element]) -> list[Elemen
     """The ways that a relation has in a role, as far as they are in the extract."""
     refs = [m.get("ref", "") for m in relation.iterfind("member") if (m.get("type"), m.get("role")) == ("way", role)]
     return [ways[ref] for ref in refs if ref in ways]
-
-
-def _tag(thing: Element, key: str) -> str | None:
-    return next((tag.get("v", "") for tag in thing.iterfind("tag") if tag.get("k") == key), None)
 
 
 def _drop(thing: Element, key: str) -> None:
@@ -133,11 +131,7 @@ def _read_tags(item: Element) -> dict[str, str]:
 def _is_hidden(tag: dict[str, str]) -> bool:
     """True for what is neither seen nor driven on from the street."""
     if "building" in tag or "building:part" in tag:
-        return (
-            tag.get("building", "yes") in _NO_BUILDING
-            or tag.get("location") == "underground"
-            or _level(tag, "layer") < 0
-        )
+        return tag.get("building", "yes") in _NO_BUILDING or tag.get("location") == "underground" or _layer(tag) < 0
     if "highway" not in tag and "railway" not in tag:
         return False
     return (
@@ -146,14 +140,14 @@ def _is_hidden(tag: dict[str, str]) -> bool:
         or tag.get("highway") in _NO_STREET
         or tag.get("railway") in _NO_RAIL
         or tag.get("location") in ("underground", "indoor")
-        or _level(tag, "layer") < 0
+        or _layer(tag) < 0
         or tag.get("level", "0").split(";")[0] not in ("0", "")
     )
 
 
-def _level(tag: dict[str, str], key: str) -> float:
+def _layer(tag: dict[str, str]) -> float:
     try:
-        return float(tag.get(key, "0"))
+        return float(tag.get("layer", "0"))
     except ValueError:
         return 0.0
 
@@ -213,6 +207,10 @@ class _Way:
         """The line from one node to another."""
         return shapely.LineString(self.points_m[first : last + 1])
 
+    def without(self, gone: Set[int]) -> shapely.MultiLineString:
+        """Its segments but for those of these numbers."""
+        return shapely.MultiLineString([self.piece(k, k + 1) for k in range(len(self.nodes) - 1) if k not in gone])
+
 
 def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
     """Leave out the parts of bridges that pass over other streets, and say what they are called; changes `root`.
@@ -222,10 +220,7 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
     ways = _built_ways(root, keep_service)
     if not ways:
         return ()
-    uses: dict[str, int] = {}
-    for way in ways:
-        for node in set(way.nodes):
-            uses[node] = uses.get(node, 0) + 1
+    uses = Counter(node for way in ways for node in set(way.nodes))
     cut: dict[int, set[int]] = {}  # number of a way: its segments that go
     lines = [way.piece(0, len(way.nodes) - 1) for way in ways]
     pairs = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=BESIDE_M).T.tolist()
@@ -233,17 +228,22 @@ def cut_bridges(root: Element, keep_service: bool = False) -> tuple[str, ...]:
         if ways[high].level <= ways[low].level:
             continue
         upper, lower = (low, high) if ways[low].train and not ways[high].train else (high, low)
-        kept = _remaining(ways[lower], cut.get(lower, set()))
+        kept = ways[lower].without(cut.get(lower, set()))
         for segment in _over(ways[upper], kept, set(ways[lower].nodes)):
             cut.setdefault(upper, set()).update(_between_junctions(ways[upper], segment, uses))
     _remove(root, [(ways[number], gone) for number, gone in sorted(cut.items())])
     return tuple(sorted({_called(ways[number].element) for number in cut if not ways[number].train}))
 
 
-def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
-    places = {
+def _places(root: Element) -> dict[str, tuple[float, float]]:
+    """Longitude and latitude of each node of an extract."""
+    return {
         node.get("id", ""): (float(node.get("lon", "0")), float(node.get("lat", "0"))) for node in root.iterfind("node")
     }
+
+
+def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
+    places = _places(root)
     middle = np.mean(list(places.values()) or [(0.0, 0.0)], axis=0)
     scale_m = _M_PER_DEG * np.array([np.cos(rad(float(middle[1]))), 1.0])
     found: list[_Way] = []
@@ -254,7 +254,8 @@ def _built_ways(root: Element, keep_service: bool) -> list[_Way]:
             continue
         points_m = (np.array([places[node] for node in nodes]) - middle) * scale_m
         train = "highway" not in tag and tag.get("railway") in _TRAINS
-        found.append(_Way(element=element, nodes=nodes, points_m=points_m, level=_height_level(tag), train=train))
+        level = _layer(tag) or (1.0 if tag.get("bridge", "no") != "no" else 0.0)
+        found.append(_Way(element=element, nodes=nodes, points_m=points_m, level=level, train=train))
     return found
 
 
@@ -265,19 +266,6 @@ def _is_built(tag: dict[str, str], keep_service: bool) -> bool:
     if "highway" in tag:
         return tag["highway"] not in _NO_WAY and (keep_service or tag["highway"] != "service")
     return tag.get("railway") in _RAILS
-
-
-def _height_level(tag: dict[str, str]) -> float:
-    try:
-        layer = float(tag["layer"])
-    except (KeyError, ValueError):
-        layer = 0.0
-    return layer or (1.0 if tag.get("bridge", "no") != "no" else 0.0)
-
-
-def _remaining(way: _Way, gone: set[int]) -> shapely.MultiLineString:
-    segments = [way.piece(k, k + 1) for k in range(len(way.nodes) - 1) if k not in gone]
-    return shapely.MultiLineString(segments)
 
 
 def _over(way: _Way, other: shapely.MultiLineString, joined: set[str]) -> list[int]:
@@ -293,7 +281,7 @@ def _over(way: _Way, other: shapely.MultiLineString, joined: set[str]) -> list[i
     return found
 
 
-def _between_junctions(way: _Way, segment: int, uses: dict[str, int]) -> range:
+def _between_junctions(way: _Way, segment: int, uses: Counter[str]) -> range:
     """Segments of a way from the junction before one of them to the junction after it."""
     first, last = segment, segment + 1
     while first > 0 and uses[way.nodes[first]] < 2:
@@ -387,9 +375,7 @@ class LeftOut:
 
 def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
     """The streets of an extract at street level, and its ways on foot; `root` is as it was read."""
-    places = {
-        node.get("id", ""): (float(node.get("lon", "0")), float(node.get("lat", "0"))) for node in root.iterfind("node")
-    }
+    places = _places(root)
     lines = {
         way.get("id", ""): [ref for node in way.iterfind("nd") if (ref := node.get("ref", "")) in places]
         for way in root.iterfind("way")
@@ -446,10 +432,10 @@ def count_inside(root: Element, box: Box, highway: str) -> int:
 def find_left_out(ways: Collection[_MapWay], made: NetWays) -> LeftOut:
     """What of `ways` is not in the net."""
     gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
-    by_name: dict[str, float] = {}
+    by_name: dict[str, float] = defaultdict(float)
     for way in gone:
         if way.name and way.street:
-            by_name[way.name] = by_name.get(way.name, 0.0) + way.inside_m
+            by_name[way.name] += way.inside_m
     rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
     lost = [
         _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
@@ -482,21 +468,21 @@ def left_out_notes(found: LeftOut) -> tuple[str, ...]:
     """What is left out: streets where they are more than next to nothing, and each way on foot or the longest."""
     notes = []
     if found.streets_left_out_m >= LEAST_M:
-        names = ", ".join(found.names[:TOLD]) + " and more" * (len(found.names) > TOLD)
+        names = listed(found.names, TOLD)
         notes.append(
             f"left out: {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and streets "
             f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox or "
             "--keep-service may connect them"
         )
     if lost := found.footways:
-        listed = ", ".join(
+        told = ", ".join(
             f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
         )
         more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
         more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
         notes.append(
             f"left out: {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of footways in the box, by map id: "
-            f"{listed}{more}"
+            f"{told}{more}"
         )
     return tuple(notes)
 

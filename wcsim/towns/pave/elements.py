@@ -16,6 +16,7 @@ import shapely
 
 from wcsim.errors import TownError
 
+_LinkKey = tuple[str, str, int, int]  # edges and lanes, from and to
 _NEAR_END_M = 1.0  # how far before its end a lane still sees what lay beyond it: SUMO's vehicles stand so far back
 
 
@@ -102,36 +103,29 @@ def lane_map(before: Element, after: Element) -> _LaneMap:
                 "most one more: repair the net in netedit, and try again"
             )
         moved |= {lane.id: new[edge][index + shift].id for index, lane in enumerate(lanes)}
-    inner_old, inner_new = _inner(before), _inner(after)
-    vias = _vias(after, {})
+    lines, new_lines, vias = _lines_by_id(before), _lines_by_id(after), _vias(after, {})
     for link, via in _vias(before, {edge: len(new[edge]) - len(lanes) for edge, lanes in old.items()}).items():
-        if via in inner_old and vias.get(link) in inner_new:
+        if via in lines and vias.get(link) in new_lines:
             moved[via] = vias[link]
     return _LaneMap(
         before=old,
         after=new,
         moved=moved,
-        lines={lane.id: lane for lanes in old.values() for lane in lanes} | inner_old,
-        new_lines={lane.id: lane for lanes in new.values() for lane in lanes} | inner_new,
+        lines=lines,
+        new_lines=new_lines,
     )
 
 
-def _edges(net: Element) -> dict[str, tuple[_LaneLine, ...]]:
-    return {
-        edge.get("id", ""): _lines(edge.iterfind("lane"))
-        for edge in net.iterfind("edge")
-        if not edge.get("function") or edge.get("function") in ("normal", "connector")
-    }
+def _edges(net: Element, *functions: str) -> dict[str, tuple[_LaneLine, ...]]:
+    """The lanes of streets by edge, and of edges with some other functions."""
+    wanted = ("normal", "connector", *functions)
+    edges = (edge for edge in net.iterfind("edge") if (edge.get("function") or "normal") in wanted)
+    return {edge.get("id", ""): _lines(edge.iterfind("lane")) for edge in edges}
 
 
-def _inner(net: Element) -> dict[str, _LaneLine]:
-    """Lanes within junctions, which other nets call by other names."""
-    return {
-        lane.id: lane
-        for edge in net.iterfind("edge")
-        if edge.get("function") == "internal"
-        for lane in _lines(edge.iterfind("lane"))
-    }
+def _lines_by_id(net: Element) -> dict[str, _LaneLine]:
+    """The lanes of streets, and those within junctions, which other nets call by other names."""
+    return {lane.id: lane for lanes in _edges(net, "internal").values() for lane in lanes}
 
 
 def _lines(lanes: Iterable[Element]) -> tuple[_LaneLine, ...]:
@@ -149,16 +143,17 @@ def _line(shape: str) -> shapely.LineString:
     return shapely.LineString(places if len(places) > 1 else [*places, *places])
 
 
-def _vias(net: Element, shifts: Mapping[str, int]) -> dict[tuple[str, str, int, int], str]:
-    """The inner lane of each connection (from, to, lane, lane), counted as after the shift of its edges."""
-    found = {}
-    for link in net.iterfind("connection"):
-        start, end = link.get("from", ""), link.get("to", "")
-        if link.get("via") and not start.startswith(":"):
-            lanes = (int(link.get("fromLane", "0")), int(link.get("toLane", "0")))
-            key = (start, end, lanes[0] + shifts.get(start, 0), lanes[1] + shifts.get(end, 0))
-            found[key] = link.get("via", "")
-    return found
+def _vias(net: Element, shifts: Mapping[str, int]) -> dict[_LinkKey, str]:
+    """The inner lane of each connection between streets."""
+    links = (link for link in net.iterfind("connection") if not link.get("from", "").startswith(":"))
+    return {_key(link, shifts): via for link in links if (via := link.get("via"))}
+
+
+def _key(link: Element, shifts: Mapping[str, int]) -> _LinkKey:
+    """The edges and lanes of a connection, counted as after the shift of its edges."""
+    start, end = link.get("from", ""), link.get("to", "")
+    lanes = int(link.get("fromLane", "0")) + shifts.get(start, 0), int(link.get("toLane", "0")) + shifts.get(end, 0)
+    return start, end, *lanes
 
 
 SAME_M = 0.01  # as nets are written
@@ -449,10 +444,8 @@ class _SignalLinks:
 
 def find_links(before: Element, after: Element, shifts: Mapping[str, int]) -> dict[str, _SignalLinks]:
     """The links of all traffic lights of a net that has crossings now; `shifts` says how lane indices moved."""
-    old: dict[tuple[str, str, str, int, int], int] = {}
-    for link in before.iterfind("connection"):
-        if link.get("tl"):
-            old[_key(link, shifts)] = int(link.get("linkIndex", "0"))
+    lit = [link for link in before.iterfind("connection") if link.get("tl")]
+    old = {(link.get("tl"), *_key(link, shifts)): int(link.get("linkIndex", "0")) for link in lit}
     crossed = {
         edge.get("id", ""): frozenset(edge.get("crossingEdges", "").split())
         for edge in after.iterfind("edge")
@@ -460,9 +453,9 @@ def find_links(before: Element, after: Element, shifts: Mapping[str, int]) -> di
     }
     found: dict[str, _SignalLinks] = defaultdict(_SignalLinks)
     for link in after.iterfind("connection"):
-        if not link.get("tl"):
+        if not (name := link.get("tl")):
             continue
-        signal, index, key = found[link.get("tl", "")], int(link.get("linkIndex", "0")), _key(link, {})
+        signal, index, key = found[name], int(link.get("linkIndex", "0")), (name, *_key(link, {}))
         numbers = (index, int(link.get("linkIndex2", "-1")))
         signal.count = max(signal.count, *(number + 1 for number in numbers))
         crossing = next((crossed[name] for name in (key[2], key[1]) if name in crossed), None)
@@ -549,9 +542,3 @@ def _free(letters: Sequence[str], edges: frozenset[str], drives: Sequence[_Vehic
 def _changes(state: str, duration_s: float) -> bool:
     letters = set(state)
     return bool(letters & _CHANGING) or (not letters & (_GREEN | _OFF) and duration_s < _SHORT_S)
-
-
-def _key(link: Element, shifts: Mapping[str, int]) -> tuple[str, str, str, int, int]:
-    start, end = link.get("from", ""), link.get("to", "")
-    lanes = int(link.get("fromLane", "0")) + shifts.get(start, 0), int(link.get("toLane", "0")) + shifts.get(end, 0)
-    return link.get("tl", ""), start, end, *lanes

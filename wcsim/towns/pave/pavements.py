@@ -20,6 +20,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape
 
 from wcsim.core.files import whole_folder
+from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import (
     FASTEST_MPS,
@@ -31,6 +32,7 @@ from wcsim.towns.checks.cures import (
     speeds_mps,
 )
 from wcsim.towns.importing.adopt import copy_scenario
+from wcsim.towns.importing.folder_texts import check_new
 from wcsim.towns.pave.elements import Paving, find_edits, find_links, lane_map, note_routes
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
@@ -144,8 +146,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         TownError: the net has crossings already, or can get none, or a file cannot be copied or changed.
         SumoError: netconvert failed.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise TownError(f"{out} already exists; remove it, or choose another folder")
+    check_new(out)
     net = read_net(town.net, town.file.origin_m)
     if net.lanes(LaneKind.CROSSING):
         raise TownError(
@@ -189,11 +190,7 @@ def _count(net: Element, function: str) -> int:
 
 def _unpaved(net: Net) -> list[str]:
     """Edges that are closed to cars, so that they get no pavement: tracks, paths and closed ones."""
-    return [
-        edge.id
-        for edge in net.edges
-        if not edge.function and not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)
-    ]
+    return [edge.id for edge in net.streets if not any(lane.kind is LaneKind.MOTOR for lane in edge.lanes)]
 
 
 def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
@@ -268,14 +265,14 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
     notes = []
     if paving.parking:
-        names = ", ".join(paving.parking[:TOLD]) + " and more" * (len(paving.parking) > TOLD)
+        names = listed(paving.parking, TOLD)
         notes.append(
             f"parking areas on the new pavement of their lane: {names}; if wheelchairs must pass, move them in netedit"
         )
     notes += _never_green(paving, f"add a phase in netedit, or {signals_cure(net)}", in_net=True)
     notes += _never_green(paving, "add a phase there", in_net=False)
     if paving.lost:
-        names = ", ".join(paving.lost[:TOLD]) + " and more" * (len(paving.lost) > TOLD)
+        names = listed(paving.lost, TOLD)
         notes.append(f"lanes inside junctions that no longer exist: {names}; correct the elements that name them")
     return tuple(notes)
 
@@ -290,7 +287,7 @@ def _never_green(paving: Paving, cure: str, *, in_net: bool) -> list[str]:
     if not items:
         return []
     found = dict.fromkeys(f"over {item.edge} at {item.signal}" for item in items)
-    names = ", ".join(list(found)[:TOLD]) + " and more" * (len(found) > TOLD)
+    names = listed(found, TOLD)
     place = "the net" if in_net else "an additional file"
     why = "cars may drive over them in every phase of the signal program"
     why += " (a NEMA controller shows two phases at once)" if any(item.rings for item in items) else ""

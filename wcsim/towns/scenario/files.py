@@ -27,13 +27,16 @@ from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, parse_root, read_bytes, scan
 _ALLOW = "--allow-outside"
 MAX_DEPTH = 16  # of files that include each other
 NOWHERE = ("", "NUL", "nul", "/dev/null")  # "NULL" is a file of that name to SUMO
+_COPIES = "inputs"
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
 _MAX_LENGTH = 120
 _SUMO_SPLITS_AT = ",:;$%"  # lists, sockets and substitutions in SUMO's file names
+# Elements and attributes that name XML files that SUMO reads.
 _READ = {("rerouter", "file"), ("variableSpeedSign", "file"), ("calibrator", "file"), ("include", "href")}
-_TEXTS = ("edgesFile",)  # not XML: a line for each edge
-_PICTURES = ("imgFile", "osgFile", "href")
+_TEXTS = ("edgesFile",)  # it reads them too, and they are no XML: a line for each edge
+_PICTURES = ("imgFile", "osgFile", "href")  # sumo-gui shows them, SUMO itself never opens them
 _READ_PARAMETERS = ("device.fcd-replay.file", "device.fcd-replay.files")
+# What is not read is written.
 _WRITTEN = re.compile(r"(?i)^(dest|.*((?<!pro)file|output))$")
 _WRITTEN_PARAMETER = re.compile(r"(?i)^(.*[.-])?\s*\w*((?<!pro)files?|output)\s*$")
 _GRIDS = re.compile(r"((?i:grids|catalog|init|file)\s*=)(?!\s*(@?null|epsg:\d+)(\s|$))")
@@ -206,26 +209,6 @@ def _may_name(key: str) -> bool:
     return key in ("key", "href", "emissionClass", "projParameter") or _WRITTEN.match(key) is not None
 
 
-def _reads(tag: str, key: str) -> bool:
-    """Whether SUMO reads the file that this attribute names, as XML."""
-    return (tag, key) in _READ
-
-
-def _reads_text(key: str) -> bool:
-    """Whether SUMO reads the file that this attribute names, and it is no XML."""
-    return key in _TEXTS
-
-
-def _shows(key: str) -> bool:
-    """Whether sumo-gui shows the picture that this attribute names, which SUMO itself never opens."""
-    return key in _PICTURES
-
-
-def _writes(key: str) -> bool:
-    """Whether SUMO writes the file that this attribute names, when it does not read it."""
-    return _WRITTEN.match(key) is not None
-
-
 def _reads_parameter(key: str) -> bool:
     """Whether the value of a <param> with this key names a file that SUMO reads."""
     return key.strip() in _READ_PARAMETERS
@@ -243,16 +226,16 @@ _PLAIN = re.compile(r"(/[A-Za-z0-9_.+@=~()-]+( +[A-Za-z0-9_.+@=~()-]+)*)+")  # s
 class FilteredFiles:
     """The files of one scenario on their way into a folder."""
 
-    def __init__(self, names: OutputNames, copies: Path, border: Path | None) -> None:
+    def __init__(self, folder: Path, border: Path | None) -> None:
         """Begin with none.
 
         Args:
-            names: For what is written.
-            copies: The folder for files that need changes.
+            folder: For what is written, and a folder in it for files that need changes.
             border: The folder outside of which nothing is opened; None for none.
         """
-        self._names = names
-        self._copies = OutputNames(copies)
+        self.names = OutputNames(folder)
+        """Of what is written."""
+        self._copies = OutputNames(folder / self.names.unique(_COPIES))
         self._border = border
         self._done: dict[Path, Path] = {}
         self.read: dict[Path, None] = {}
@@ -322,15 +305,15 @@ class FilteredFiles:
         before = dict(element.attrib)
         for key, value in before.items():
             there = path.parent / value
-            if _reads(element.tag, key):
+            if (element.tag, key) in _READ:
                 if value and (filtered := self._place(there, path, above)) != there.absolute():
                     element.set(key, str(filtered))
-            elif _reads_text(key):
+            elif key in _TEXTS:
                 element.set(key, str(self.place_text(there, path)))
-            elif _shows(key):
+            elif key in _PICTURES:
                 self.pictures[there.absolute()] = None
-            elif _writes(key) and value not in NOWHERE:
-                element.set(key, str(self._names.place(value, path.parent, f"{element.tag}.xml")))
+            elif _WRITTEN.match(key) and value not in NOWHERE:
+                element.set(key, str(self.names.place(value, path.parent, f"{element.tag}.xml")))
         if element.tag == "param" and before.get("value"):
             self._change_parameter(element, path, above)
         return before != element.attrib
@@ -338,7 +321,7 @@ class FilteredFiles:
     def _change_parameter(self, element: Element, path: Path, above: tuple[Path, ...]) -> None:
         key, value = element.get("key", ""), element.attrib["value"]
         if _writes_parameter(key) and value not in NOWHERE:
-            element.set("value", str(self._names.place(value, path.parent, f"{key.strip()}.xml")))
+            element.set("value", str(self.names.place(value, path.parent, f"{key.strip()}.xml")))
         elif _reads_parameter(key):
             found = [self._place(path.parent / part.strip(), path, above) for part in value.split(",")]
             element.set("value", ",".join(map(str, found)))
@@ -354,7 +337,7 @@ class FilteredFiles:
 def _make_absolute(element: Element, path: Path) -> None:
     """Names that are read are found from another folder too."""
     for key, value in element.attrib.items():
-        if value and (_reads(element.tag, key) or _shows(key)):
+        if value and ((element.tag, key) in _READ or key in _PICTURES):
             element.set(key, str((path.parent / value).absolute()))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from pathlib import Path
 
 from wcsim.config import TownFile
@@ -20,35 +19,16 @@ CYCLE_PATHS = "--cycle-paths"  # of `wcsim town import`
 _AUTHORED_KEYS = ("kerb_height_m", "lowered_kerb_m", "chair_ways", "warmup_s", "sumocfg")  # of town.toml
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Changes:
-    """Files of a town that are not as they were imported."""
-
-    net: tuple[str, ...]  # the net: the demand was routed through it
-    others: tuple[str, ...]
-
-    @property
-    def all(self) -> tuple[str, ...]:
-        """All of them."""
-        return self.net + self.others
-
-
 def hash_files(folder: Path, name: str) -> dict[str, str]:
     """SHA-256 (hex) of each file of a town that is there, by its ending; of XML without comments and packing."""
     paths = {kind: folder / f"{name}.{kind}" for kind in KINDS}
     return {kind: _digest(path) for kind, path in paths.items() if path.is_file()}
 
 
-def find_changes(town: Town) -> _Changes:
-    """What was changed since the import; nothing for a town without a manifest."""
-    noted = town.file.hashes
-    changed = [kind for kind in noted if _now(_path(town, kind)) != noted[kind]]
-    names = {kind: _path(town, kind) for kind in changed}
-    net = town.net.resolve()
-    return _Changes(
-        net=tuple(path.name for path in names.values() if path.resolve() == net),
-        others=tuple(path.name for path in names.values() if path.resolve() != net),
-    )
+def find_changes(town: Town) -> tuple[Path, ...]:
+    """Files that were changed since the import; nothing for a town without a manifest."""
+    noted = {_path(town, kind): digest for kind, digest in town.file.hashes.items()}
+    return tuple(path for path, digest in noted.items() if _now(path) != digest)
 
 
 def own_work(folder: Path) -> tuple[str, ...]:

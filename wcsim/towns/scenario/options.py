@@ -92,7 +92,10 @@ class GivenOption:
 
     def files(self, folder: Path) -> tuple[Path, ...]:
         """The value as file names, those that are relative taken from `folder`, as SUMO does it."""
-        parts = [unquote(_VARIABLE.sub(_variable, part.strip())) for part in self.value.split(",")]
+        parts = [
+            unquote(_VARIABLE.sub(lambda found: os.environ.get(found[1], ""), part.strip()))
+            for part in self.value.split(",")
+        ]
         return tuple(folder / part for part in parts if part)
 
 
@@ -184,7 +187,3 @@ def _value(element: ElementTree.Element) -> str | None:
             return element.attrib[key].strip()
     text = (element.text or "").strip()
     return text if text and not len(element) else None
-
-
-def _variable(match: re.Match[str]) -> str:
-    return os.environ.get(match.group(1), "")

@@ -33,8 +33,6 @@ from wcsim.towns.scenario.overrides import (
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.xml_io import is_true
 
-_COPIES = "inputs"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
@@ -65,10 +63,9 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     """
     config = read_configuration(town.sumocfg)
     _refuse_mesoscopic(config)
-    names = OutputNames(folder.absolute())
-    for taken in (town.sumocfg.name, _COPIES):
-        names.unique(taken)
-    files = FilteredFiles(names, names.folder / _COPIES, town.border)
+    files = FilteredFiles(folder.absolute(), town.border)
+    names = files.names
+    names.unique(town.sumocfg.name)
     _make(folder)
     set_here = dict(forced(settings, author_scale(config)))
     unasked = _unasked_outputs(config, names)
@@ -99,20 +96,11 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     )
 
 
-def require_files(town: Town, config: RunConfig) -> None:
-    """Return when every file that a scenario names is there and can be read; SUMO opens none of them.
-
-    Raises:
-        TownError: as `stage_scenario`.
-    """
-    files_of(town, config)
-
-
 def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
     """Every file that a scenario is made of, its .sumocfg first, and what wcsim itself knows of it.
 
     Raises:
-        TownError: as `stage_scenario`.
+        TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of them.
     """
     with tempfile.TemporaryDirectory(prefix="wcsim-files-", ignore_cleanup_errors=True) as folder:
         inputs = stage_scenario(town, settings_of(config, 1), Path(folder)).inputs

@@ -83,15 +83,12 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
 
 def _unknown_town(name_or_path: str) -> TownError:
     named = escaped(name_or_path, 160)
-    if name_or_path.endswith(".sumocfg"):
+    if name_or_path.endswith(".sumocfg") or "/" in name_or_path:
+        what, wanted = "folder", "one with a .sumocfg"
+        if name_or_path.endswith(".sumocfg"):
+            what, wanted = "file", "the path of a .sumocfg, a folder with one"
         return TownError(
-            f"{named}: there is no such file, seen from {Path.cwd()}; expected the path of a .sumocfg, a folder with "
-            f"one, or a town: {_known()}"
-        )
-    if "/" in name_or_path:
-        return TownError(
-            f"{named}: there is no such folder, seen from {Path.cwd()}; expected one with a .sumocfg, or a town: "
-            f"{_known()}"
+            f"{named}: there is no such {what}, seen from {Path.cwd()}; expected {wanted}, or a town: {_known()}"
         )
     return TownError(
         f"unknown town {named!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"

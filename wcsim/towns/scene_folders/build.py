@@ -16,7 +16,7 @@ from wcsim.core.reading import FileKind, escaped, is_file, read_toml
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.importing.adopt import copy_file
 from wcsim.towns.importing.folder_texts import sumocfg_text, town_toml_text
-from wcsim.towns.scenario.files import FilteredFiles, OutputNames, check_file
+from wcsim.towns.scenario.files import FilteredFiles, check_file
 from wcsim.towns.scenario.town import Town, expanded, open_town, town_roots
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
@@ -89,7 +89,7 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
 def _build_net(scene: SceneFile, folder: Path, work: Path) -> None:
     name = scene.name
     options = ["--lefthand"] if scene.lefthand else []
-    files = FilteredFiles(OutputNames(work.absolute()), work.absolute() / "inputs", folder)
+    files = FilteredFiles(work.absolute(), folder)
     for option, kind in NETCONVERT_FILES:
         source = _only(folder, kind, needed=kind in ("nod", "edg"))
         if source is not None:

@@ -54,10 +54,10 @@ _ROAD_AND_WALK = """\
 
 def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
     """The chair stands across the pavement with the road behind it, and the user backs up too far."""
-    pavement = Pavement(width_m=float(rng.uniform(2.4, 3.2)))
-    heading_deg = float(rng.uniform(145.0, 215.0))
-    start_m = (float(rng.uniform(-20.0, 0.0)), pavement.at(float(rng.uniform(0.6, 1.1))))
-    begin_s, back_s = float(rng.uniform(0.4, 1.2)), float(rng.uniform(3.5, 5.0))
+    pavement = Pavement(width_m=rng.uniform(2.4, 3.2))
+    heading_deg = rng.uniform(145.0, 215.0)
+    start_m = (rng.uniform(-20.0, 0.0), pavement.at(rng.uniform(0.6, 1.1)))
+    begin_s, back_s = rng.uniform(0.4, 1.2), rng.uniform(3.5, 5.0)
     back = float(rng.choice((-0.75, -1.0)))
     stick = (
         Push(begin_s, float(rng.choice((-0.25, 0.0, 0.25))), back),
@@ -67,7 +67,7 @@ def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
     )
     return Draft(
         shows="A wheelchair stands across the pavement, its back to the road, and its user backs up too far.",
-        place=street(pavement, row(pavement), kerb_height_m=float(rng.uniform(0.1, 0.15))),
+        place=street(pavement, row(pavement), kerb_height_m=rng.uniform(0.1, 0.15)),
         start_m=start_m,
         heading_deg=heading_deg,
         goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
@@ -78,11 +78,11 @@ def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
 
 def _turning_beside_drop(rng: np.random.Generator) -> Draft:
     """The chair stands or drives along the kerb, and the user turns it there: forwards over it, or back over it."""
-    pavement = Pavement(width_m=float(rng.uniform(2.0, 3.0)))
+    pavement = Pavement(width_m=rng.uniform(2.0, 3.0))
     backs_up = bool(rng.integers(2))
-    start_m = (float(rng.uniform(-20.0, 0.0)), pavement.at(float(rng.uniform(0.5, 0.75))))
-    turns_s = float(rng.uniform(0.4, 1.0))
-    done_s = turns_s + (float(rng.uniform(3.0, 4.0)) if backs_up else float(rng.uniform(1.2, 1.8)))
+    start_m = (rng.uniform(-20.0, 0.0), pavement.at(rng.uniform(0.5, 0.75)))
+    turns_s = rng.uniform(0.4, 1.0)
+    done_s = turns_s + (rng.uniform(3.0, 4.0) if backs_up else rng.uniform(1.2, 1.8))
     right, forward = (0.5, -0.75) if backs_up else (-0.5, float(rng.choice((0.25, 0.5))))
     stick = (
         Push(turns_s, right, forward),
@@ -92,9 +92,9 @@ def _turning_beside_drop(rng: np.random.Generator) -> Draft:
     )
     return Draft(
         shows="A wheelchair stands along a kerb, and its user turns it there, forwards or backing up, over the edge.",
-        place=street(pavement, row(pavement, float(rng.uniform(0.0, 3.0)))),
+        place=street(pavement, row(pavement, rng.uniform(0.0, 3.0))),
         start_m=start_m,
-        heading_deg=90.0 + float(rng.uniform(-6.0, 6.0)),
+        heading_deg=90.0 + rng.uniform(-6.0, 6.0),
         goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
         stick=stick,
         duration_s=done_s + 5.0,
@@ -103,12 +103,12 @@ def _turning_beside_drop(rng: np.random.Generator) -> Draft:
 
 def _twisted_ramp(rng: np.random.Generator) -> Draft:
     """A pavement climbs and leans towards the road, and the user's hand pulls to that side."""
-    pavement = Pavement(width_m=float(rng.uniform(1.8, 2.4)))
-    rise, lean = float(rng.uniform(-0.06, 0.06)), float(rng.uniform(0.04, 0.09))
-    start_m = (float(rng.uniform(-15.0, 0.0)), pavement.at(float(rng.uniform(0.9, 1.2))))
+    pavement = Pavement(width_m=rng.uniform(1.8, 2.4))
+    rise, lean = rng.uniform(-0.06, 0.06), rng.uniform(0.04, 0.09)
+    start_m = (rng.uniform(-15.0, 0.0), pavement.at(rng.uniform(0.9, 1.2)))
     begin_s, forward = 0.6, float(rng.choice((0.5, 0.75)))
-    pull_s = begin_s + float(rng.uniform(1.0, 2.5))
-    pulls_s = float(rng.uniform(0.8, 1.2))
+    pull_s = begin_s + rng.uniform(1.0, 2.5)
+    pulls_s = rng.uniform(0.8, 1.2)
     stick = (
         Push(begin_s, 0.0, forward),
         Push(pull_s, -0.5, forward),
@@ -129,7 +129,7 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
             ),
             types=f"{_ROAD}\n{_WALK.format(pavement.width_m)}",
             edges=_ROAD_AND_WALK,
-            things=(row(pavement, float(rng.uniform(0.0, 2.0))),),
+            things=(row(pavement, rng.uniform(0.0, 2.0)),),
         ),
         start_m=start_m,
         goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
@@ -140,10 +140,10 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
 
 def _footplate_swing(rng: np.random.Generator) -> Draft:
     """The chair stands along a wall, and the user turns it on the spot: the footplate swings out into the wall."""
-    pavement = Pavement(width_m=float(rng.uniform(2.6, 3.4)))
-    wall_y_m = pavement.at(pavement.width_m - float(rng.uniform(0.2, 0.5)))
-    start_m = (float(rng.uniform(-20.0, 0.0)), wall_y_m + float(rng.uniform(0.45, 0.62)))
-    begin_s, turn_s = float(rng.uniform(0.4, 1.0)), float(rng.uniform(2.0, 3.0))
+    pavement = Pavement(width_m=rng.uniform(2.6, 3.4))
+    wall_y_m = pavement.at(pavement.width_m - rng.uniform(0.2, 0.5))
+    start_m = (rng.uniform(-20.0, 0.0), wall_y_m + rng.uniform(0.45, 0.62))
+    begin_s, turn_s = rng.uniform(0.4, 1.0), rng.uniform(2.0, 3.0)
     turn = float(rng.choice((0.5, 0.75, 1.0)))
     stick = (
         Push(begin_s, turn, 0.0),
@@ -155,12 +155,12 @@ def _footplate_swing(rng: np.random.Generator) -> Draft:
     near_y_m = wall_y_m if kind != "building" else pavement.outer_y_m
     if kind == "building":
         start_m = (start_m[0], start_m[1] + pavement.outer_y_m - 0.1 - wall_y_m)
-    west_m = start_m[0] - float(rng.uniform(2.0, 8.0))
+    west_m = start_m[0] - rng.uniform(2.0, 8.0)
     return Draft(
         shows="A wheelchair stands close beside a wall, and its user turns towards it on the spot.",
-        place=street(pavement, house("wall", (west_m, west_m + float(rng.uniform(10.0, 20.0))), near_y_m, kind)),
+        place=street(pavement, house("wall", (west_m, west_m + rng.uniform(10.0, 20.0)), near_y_m, kind)),
         start_m=start_m,
-        heading_deg=90.0 + float(rng.uniform(-4.0, 4.0)),
+        heading_deg=90.0 + rng.uniform(-4.0, 4.0),
         goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
         stick=stick,
         duration_s=begin_s + turn_s + 6.0,
@@ -184,11 +184,11 @@ def _rider(rng: np.random.Generator, speed_mps: float, align: str, more: str = "
 
 def _overtaking_rider(rng: np.random.Generator) -> Draft:
     """A rider passes on the left with little room while the chair drifts there."""
-    speed_mps = float(rng.uniform(3.2, 5.0))
+    speed_mps = rng.uniform(3.2, 5.0)
     kind, length_m, width_m = _rider(rng, speed_mps, "left")
-    width = float(rng.uniform(3.0, 3.8))
-    drift_s = float(rng.uniform(3.0, 4.5))
-    steer, push_s = -0.25, float(rng.uniform(0.6, 1.0))
+    width = rng.uniform(3.0, 3.8)
+    drift_s = rng.uniform(3.0, 4.5)
+    steer, push_s = -0.25, rng.uniform(0.6, 1.0)
     forward = float(rng.choice((0.5, 0.75)))
     stick = (
         Push(0.3, 0.0, forward),
@@ -200,14 +200,14 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
         Push(drift_s + 8.0 + push_s, 0.0, forward),
     )
     rider_right_m = 0.5 * width - width_m
-    room_m = float(rng.uniform(0.15, 0.35))  # between the two, if the chair kept straight on
+    room_m = rng.uniform(0.15, 0.35)  # between the two, if the chair kept straight on
     start_m = (0.0, rider_right_m - room_m - HALF_M)
     way = predict_path(start_m, 90.0, stick, drift_s + 4.0)
     left_m = way[:, 2] + HALF_M * np.cos(way[:, 3]) + CASTER_M * np.sin(way[:, 3])
     meets = int(np.argmax(left_m > rider_right_m + 0.04))
     touch_s, touch_m = float(way[meets, 0]), float(way[meets, 1])
     # by then the rider's front has come so far along the chair's side
-    begin_m = touch_m - AFT_M + float(rng.uniform(0.25, 0.6)) * (length_m + AFT_M + FORE_M) - speed_mps * touch_s
+    begin_m = touch_m - AFT_M + rng.uniform(0.25, 0.6) * (length_m + AFT_M + FORE_M) - speed_mps * touch_s
     west_m = begin_m - length_m - 5.0
     routes = (
         f'{kind}\n<vehicle id="rider" type="rider" depart="0" departPos="{begin_m - west_m:.2f}" departSpeed="max" '
@@ -230,14 +230,14 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
 
 def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
     """A rider passes on a track beside the path, which ends there: it cuts in in front of the chair and slows down."""
-    speed_mps, slow_mps = float(rng.uniform(3.2, 4.5)), float(rng.uniform(0.25, 0.5))
+    speed_mps, slow_mps = rng.uniform(3.2, 4.5), rng.uniform(0.25, 0.5)
     kind, length_m, _ = _rider(rng, speed_mps, "center", f' decel="{_DECEL_MPS2}"')
-    width = float(rng.uniform(1.7, 2.2))
-    forward, merge_s = float(rng.choice((0.5, 0.75))), float(rng.uniform(4.5, 7.5))
-    start_m = (0.0, float(rng.uniform(-0.15, 0.15)))
+    width = rng.uniform(1.7, 2.2)
+    forward, merge_s = float(rng.choice((0.5, 0.75))), rng.uniform(4.5, 7.5)
+    start_m = (0.0, rng.uniform(-0.15, 0.15))
     stick = (Push(0.3, 0.0, forward),)
     front_m = float(predict_path(start_m, 90.0, stick, merge_s)[-1, 1]) + FORE_M
-    merge_m = front_m + float(rng.uniform(0.8, 1.5)) + length_m  # where the rider's front is when it has cut in
+    merge_m = front_m + rng.uniform(0.8, 1.5) + length_m  # where the rider's front is when it has cut in
     begin_m = merge_m - _cut_in_m(speed_mps, slow_mps, merge_s)
     west_m, track_m = min(begin_m, 0.0) - length_m - 5.0, 0.5 * width + 0.6
     bend = f"{west_m:.2f},{track_m:.2f} {merge_m - 3.3:.2f},{track_m:.2f}"
@@ -289,10 +289,10 @@ _CORNER_M = 2.0  # before the middle of the junction, along its way, a bus that 
 
 def _car_door(rng: np.random.Generator) -> Draft:
     """The door of a parked car opens over the pavement, right in front of the chair."""
-    pavement = Pavement(width_m=float(rng.uniform(2.0, 2.8)))
-    start_m = (-20.0, pavement.at(float(rng.uniform(0.65, 0.9))))
+    pavement = Pavement(width_m=rng.uniform(2.0, 2.8))
+    start_m = (-20.0, pavement.at(rng.uniform(0.65, 0.9)))
     stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
-    open_s = float(rng.uniform(4.0, 7.0))
+    open_s = rng.uniform(4.0, 7.0)
     way = predict_path(start_m, 90.0, stick, open_s)
     speed_mps = (way[-1, 1] - way[-3, 1]) / (way[-1, 0] - way[-3, 0])
     room_m = _STOPS_S * speed_mps + 0.5 * speed_mps**2 / _BRAKE_MPS2 + rng.uniform(0.05, 0.45)
@@ -324,15 +324,15 @@ def _standing(name: str, kind: str, from_s: float, lane: int, side: str, span_m:
 
 def _bus_at_corner(rng: np.random.Generator) -> Draft:
     """The chair waits at a corner, and rolls on just when a bus turns round it."""
-    pavement = Pavement(width_m=float(rng.uniform(2.2, 3.0)))
-    length_m, speed_mps = float(rng.uniform(10.0, 12.0)), float(rng.uniform(4.0, 5.2))
+    pavement = Pavement(width_m=rng.uniform(2.2, 3.0))
+    length_m, speed_mps = rng.uniform(10.0, 12.0), rng.uniform(4.0, 5.2)
     swept_x_m = _swept_x_m(length_m, pavement.width_m)
-    start_m = (swept_x_m - FORE_M - float(rng.uniform(0.4, 1.2)), pavement.at(0.5 * pavement.width_m))
-    push_s = float(rng.uniform(1.0, 5.0))
+    start_m = (swept_x_m - FORE_M - rng.uniform(0.4, 1.2), pavement.at(0.5 * pavement.width_m))
+    push_s = rng.uniform(1.0, 5.0)
     stick = (Push(push_s, 0.0, float(rng.choice((0.5, 0.75)))),)
     way = predict_path(start_m, 90.0, stick, push_s + 10.0)
     enters_s = float(way[int(np.argmax(way[:, 1] + FORE_M > swept_x_m)), 0])
-    begin_m = _ARM_M - _CORNER_M - speed_mps * (enters_s - float(rng.uniform(0.6, 1.3)))
+    begin_m = _ARM_M - _CORNER_M - speed_mps * (enters_s - rng.uniform(0.6, 1.3))
     west_m = min(0.0, begin_m - length_m - 5.0) - _ARM_M
     begin_m -= west_m + _ARM_M
     routes = (
@@ -376,16 +376,16 @@ def _swept_x_m(length_m: float, width_m: float) -> float:
 
 def _oncoming_pair(rng: np.random.Generator) -> Draft:
     """Two people abreast come towards the chair, and fill the pavement with it."""
-    pavement = Pavement(width_m=float(rng.uniform(1.7, 2.1)))
-    start_m = (-20.0, pavement.at(0.5 * pavement.width_m + float(rng.uniform(-0.1, 0.1))))
+    pavement = Pavement(width_m=rng.uniform(1.7, 2.1))
+    start_m = (-20.0, pavement.at(0.5 * pavement.width_m + rng.uniform(-0.1, 0.1)))
     stick = (Push(0.4, 0.0, float(rng.choice((0.5, 0.75)))),)
-    pace_mps, meet_s = float(rng.uniform(0.9, 1.4)), float(rng.uniform(4.0, 7.0))
+    pace_mps, meet_s = rng.uniform(0.9, 1.4), rng.uniform(4.0, 7.0)
     meet_m = float(predict_path(start_m, 90.0, stick, meet_s)[-1, 1]) + FORE_M
     begin_m = meet_m + pace_mps * meet_s + END_M
     people = "\n".join(
         f'<person id="{name}" type="walker" depart="0" departPos="{begin_m + back_m:.2f}">'
         f'<walk edges="WE" arrivalPos="2" departPosLat="{left_m}"/></person>'
-        for name, back_m, left_m in (("left", 0.0, 0.4), ("right", float(rng.uniform(0.0, 0.5)), -0.4))
+        for name, back_m, left_m in (("left", 0.0, 0.4), ("right", rng.uniform(0.0, 0.5), -0.4))
     )
     return Draft(
         shows="Two people walk abreast towards a wheelchair on a pavement that is too narrow for the three.",
@@ -401,12 +401,12 @@ def _oncoming_pair(rng: np.random.Generator) -> Draft:
 
 def _person_turns_round(rng: np.random.Generator) -> Draft:
     """Somebody walks in front of the chair and turns round, or stops dead."""
-    pavement = Pavement(width_m=float(rng.uniform(1.35, 1.6)))
-    start_m = (-20.0, pavement.at(0.5 * pavement.width_m + float(rng.uniform(-0.1, 0.1))))
+    pavement = Pavement(width_m=rng.uniform(1.35, 1.6))
+    start_m = (-20.0, pavement.at(0.5 * pavement.width_m + rng.uniform(-0.1, 0.1)))
     stick = (Push(0.4, 0.0, 0.75),)
-    pace_mps, turn_s = float(rng.uniform(0.6, 0.9)), float(rng.uniform(4.0, 7.0))
+    pace_mps, turn_s = rng.uniform(0.6, 0.9), rng.uniform(4.0, 7.0)
     chair_m = float(predict_path(start_m, 90.0, stick, turn_s)[-1, 1]) + FORE_M
-    turn_m = chair_m + float(rng.uniform(0.5, 0.9)) + END_M
+    turn_m = chair_m + rng.uniform(0.5, 0.9) + END_M
     begin_m = turn_m - 0.95 * pace_mps * turn_s
     stop = f'<stop lane="WE_0" startPos="{turn_m - 0.2:.2f}" endPos="{turn_m + 0.2:.2f}" duration="6"/>'
     after = '<walk edges="WE" arrivalPos="2"/>' if rng.random() < 0.6 else f'{stop}<walk edges="WE"/>'

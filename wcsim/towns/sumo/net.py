@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -105,9 +106,36 @@ class Net:
     phases: tuple[tuple[str, str], ...] = ()  # traffic light and state string of each phase that the net holds
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
 
+    @property
+    def streets(self) -> list[Edge]:
+        """The edges outside of junctions, in file order."""
+        return [edge for edge in self.edges if not edge.function]
+
+    @property
+    def every_lane(self) -> list[Lane]:
+        """All lanes, in file order."""
+        return [lane for edge in self.edges for lane in edge.lanes]
+
     def lanes(self, *kinds: LaneKind) -> list[Lane]:
         """All lanes of these kinds, in file order."""
-        return [lane for edge in self.edges for lane in edge.lanes if lane.kind in kinds]
+        return [lane for lane in self.every_lane if lane.kind in kinds]
+
+    def corners_m(self) -> tuple[F64, F64]:
+        """The lower left (2,) and the upper right (2,) of all lanes."""
+        points_m = np.concatenate([lane.points_m for lane in self.every_lane])
+        return points_m.min(axis=0), points_m.max(axis=0)
+
+    def signalled(self) -> set[str]:
+        """The edges from which or to which a signal lets anybody pass."""
+        return {name for link in self.connections if link.tls_id for name in (link.start, link.end)}
+
+    def crossing_links(self) -> Iterator[tuple[str, Connection]]:
+        """Each crossing that has a signal, by its edge, with each link by which it has it."""
+        crossings = {lane.edge_id for lane in self.lanes(LaneKind.CROSSING)}
+        for link in self.connections:
+            edge = link.end if link.end in crossings else link.start
+            if link.tls_id and edge in crossings:
+                yield edge, link
 
 
 def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
@@ -130,7 +158,7 @@ def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
 
 def _levelled(net: Net) -> Net:
     """The same net with heights counted from the middle one of its streets, so that a level town lies at 0."""
-    streets = [lane.z_m for edge in net.edges if not edge.function for lane in edge.lanes]
+    streets = [lane.z_m for edge in net.streets for lane in edge.lanes]
     heights_m = np.sort(np.concatenate([_NO_Z, *streets])[1 if streets else 0 :])
     if not heights_m.any():
         return net

@@ -15,7 +15,7 @@ import shapely
 from shapely import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, valid
+from wcsim.towns.ground.plane_geometry import Patches, buffered, cross_z, length_of, polygons_of, valid
 from wcsim.towns.ground.surfaces import walkable_lanes
 from wcsim.towns.sumo.net import Lane, LaneKind, Net
 from wcsim.types import F64, SignalState, WalkEdge, WalkGraph, WayKind
@@ -98,8 +98,8 @@ def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry
     for obstacle, gap_m in ((kerbs, KERB_M), (solids, _SOLID_M)):
         if not obstacle.is_empty:
             space = space.difference(buffered(obstacle, gap_m, quad_segs=2))
-    areas = [part for part in shapely.get_parts(valid(space.simplify(0.02))) if part.geom_type == "Polygon"]
-    return shapely.set_precision(MultiPolygon(areas), 0.0)  # on a 1 cm grid the slack of later tests would vanish
+    areas = MultiPolygon(polygons_of(valid(space.simplify(0.02))))
+    return shapely.set_precision(areas, 0.0)  # on a 1 cm grid the slack of later tests would vanish
 
 
 def build_walk_graph(
@@ -131,12 +131,9 @@ def _lanes(net: Net, chair_ways: tuple[str, ...]) -> list[Lane]:
 def _signals(net: Net) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Traffic light and signal numbers of each crossing that has one."""
     found: dict[str, tuple[str, tuple[int, ...]]] = {}
-    crossings = {lane.edge_id for lane in net.lanes(LaneKind.CROSSING)}
-    for link in net.connections:
-        edge = link.end if link.end in crossings else link.start
-        if link.tls_id and edge in crossings:
-            known = found.get(edge, (link.tls_id, ()))[1]
-            found[edge] = (link.tls_id, tuple(sorted({*known, link.tls_link})))
+    for edge, link in net.crossing_links():
+        known = found.get(edge, (link.tls_id, ()))[1]
+        found[edge] = (link.tls_id, tuple(sorted({*known, link.tls_link})))
     return found
 
 
@@ -269,14 +266,11 @@ def _first_part(space: BaseGeometry, points_m: F64) -> F64 | None:
 
 def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
     """Only the connected part with the greatest length; its nodes are numbered anew."""
-    graph = networkx.Graph()
-    for edge in edges:
-        graph.add_edge(edge.start, edge.end)
-    long_m = {id(edge): length_of(edge.points_W_m) for edge in edges}
+    graph = networkx.Graph((edge.start, edge.end) for edge in edges)
     part_of = {node: i for i, part in enumerate(networkx.connected_components(graph)) for node in part}
     total_m: dict[int, float] = defaultdict(float)
     for edge in edges:
-        total_m[part_of[edge.start]] += long_m[id(edge)]
+        total_m[part_of[edge.start]] += length_of(edge.points_W_m)
     if not total_m:
         return WalkGraph(nodes_W_m=np.zeros((0, 2)), edges=())
     best = max(total_m, key=lambda part: (total_m[part], -part))
@@ -285,9 +279,5 @@ def _largest_part(nodes: list[F64], edges: list[WalkEdge]) -> WalkGraph:
     number = {node: i for i, node in enumerate(used)}
     return WalkGraph(
         nodes_W_m=np.array([nodes[node] for node in used]),
-        edges=tuple(_renumbered(edge, number) for edge in kept),
+        edges=tuple(replace(edge, start=number[edge.start], end=number[edge.end]) for edge in kept),
     )
-
-
-def _renumbered(edge: WalkEdge, number: dict[int, int]) -> WalkEdge:
-    return replace(edge, start=number[edge.start], end=number[edge.end])

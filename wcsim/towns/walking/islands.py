@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from wcsim.towns.ground.plane_geometry import buffered
+from wcsim.towns.ground.plane_geometry import buffered, polygons_of
 from wcsim.towns.ground.relief import fit_relief, on_land
-from wcsim.towns.ground.surfaces import lane_area, make_surfaces
+from wcsim.towns.ground.surfaces import ground_of, make_surfaces
 from wcsim.towns.sumo.net import WALK_KINDS, Lane, LaneKind, Net
 from wcsim.towns.sumo.xml_io import read_root
 
@@ -36,7 +36,7 @@ def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
     """The connected parts of all pavements and crossings together."""
     surfaces = make_surfaces(on_land(net, fit_relief(net)), chair_ways)
     joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
-    return [part for part in shapely.get_parts(joined) if part.area > 0.0]
+    return polygons_of(joined)
 
 
 def islands_by_links(net: Net, net_path: Path) -> Islands:
@@ -82,9 +82,7 @@ def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[i
     made_of = osm_ways_by_edge(net_path)
     kept: set[str] = set()
     stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
-    for edge in net.edges:
-        if edge.function:
-            continue
+    for edge in net.streets:
         for way in made_of.get(edge.id, ()):
             if part_of.get(edge.id, main) == main:
                 kept.add(way)
@@ -103,7 +101,7 @@ def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[i
 def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:
     """The part of the walkable ground on which most of each edge lies."""
     edges = [
-        (edge.id, shapely.union_all([lane_area(lane) for lane in edge.lanes if lane.kind in _WALKABLE]))
+        (edge.id, ground_of(lane for lane in edge.lanes if lane.kind in _WALKABLE))
         for edge in net.edges
         if any(lane.kind in _WALKABLE for lane in edge.lanes)
     ]

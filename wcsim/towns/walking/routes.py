@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 
 from wcsim.errors import TownError
-from wcsim.towns.ground.plane_geometry import length_of
-from wcsim.types import F64, I32, Bool, Route, WalkEdge, WalkGraph, WayKind
+from wcsim.towns.ground.plane_geometry import arc_of, length_of, yaw_of
+from wcsim.types import F64, I32, Bool, Route, WalkGraph, WayKind
 
 SPACING_M = 1.0  # of a route's points
 _START_MARGIN_M = 1.0  # no start lies at the very end of a pavement
@@ -44,7 +44,10 @@ class Router:
         """The shortest route between the points of the network nearest to `start_xy` and `goal_xy`."""
         first, first_m = self._snap(start_xy)
         last, last_m = self._snap(goal_xy)
-        best = self._direct(first, first_m, last_m) if first == last else self._through(first, first_m, last, last_m)
+        if first == last:
+            best = [(first, _part(self.walk.edges[first].points_W_m, first_m, last_m))]
+        else:
+            best = self._through(first, first_m, last, last_m)
         points_m = np.concatenate([piece for _, piece in best])
         edges = np.concatenate([np.full(len(piece), index, np.int32) for index, piece in best])
         return _resampled(points_m, edges)
@@ -76,11 +79,11 @@ class Router:
         index = int(self._starts[rng.choice(len(weights), p=weights / weights.sum())])
         length_m = float(self._length_m[index])
         margin_m = min(_START_MARGIN_M, 0.25 * length_m)
-        at_m = float(rng.uniform(margin_m, length_m - margin_m))
+        at_m = rng.uniform(margin_m, length_m - margin_m)
         here, ahead = self._at(index, at_m), self._at(index, min(length_m, at_m + 0.1))
         if np.allclose(here, ahead):
             here = self._at(index, at_m - 0.1)
-        yaw_rad = float(np.arctan2(ahead[1] - here[1], ahead[0] - here[0]))
+        yaw_rad = yaw_of(ahead - here)
         return (float(here[0]), float(here[1])), yaw_rad if rng.random() < 0.5 else _turned(yaw_rad)
 
     def random_goal(
@@ -109,7 +112,7 @@ class Router:
             np.clip(bound - near_m[self._starts == index][0], 0.1 * length_m, 0.9 * length_m)
             for bound in (min_m, max_m)
         )
-        along_m = float(rng.uniform(low_m, max(low_m, high_m)))
+        along_m = rng.uniform(low_m, max(low_m, high_m))
         starts_nearer = reach_m.get(edge.start, np.inf) <= reach_m.get(edge.end, np.inf)
         at_m = along_m if starts_nearer else length_m - along_m
         goal = self._at(index, at_m)
@@ -163,9 +166,6 @@ class Router:
         point: F64 = shapely.get_coordinates(shapely.line_interpolate_point(self._lines[index], at_m))[0]
         return point
 
-    def _direct(self, index: int, from_m: float, to_m: float) -> list[tuple[int, F64]]:
-        return [(index, _part(self.walk.edges[index].points_W_m, from_m, to_m))]
-
     def _through(self, first: int, first_m: float, last: int, last_m: float) -> list[tuple[int, F64]]:
         """Pieces of the cheapest way over one end of the first and one end of the last edge."""
         a, b = self.walk.edges[first], self.walk.edges[last]
@@ -179,18 +179,15 @@ class Router:
         pieces = [(first, _part(a.points_W_m, first_m, 0.0 if nodes[0] == a.start else float(self._length_m[first])))]
         for node, following in pairwise(nodes):
             index = self._graph[node][following]["index"]
-            pieces.append((index, _oriented(self.walk.edges[index], node)))
+            edge = self.walk.edges[index]
+            pieces.append((index, edge.points_W_m if edge.start == node else edge.points_W_m[::-1]))
         pieces.append((last, _part(b.points_W_m, 0.0 if nodes[-1] == b.start else float(self._length_m[last]), last_m)))
         return pieces
 
 
-def _oriented(edge: WalkEdge, start: int) -> F64:
-    return edge.points_W_m if edge.start == start else edge.points_W_m[::-1]
-
-
 def _part(points_m: F64, from_m: float, to_m: float) -> F64:
     """The part of a polyline between two distances along it, turned round when `to_m` is the smaller."""
-    arc_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
+    arc_m = arc_of(points_m)
     low_m, high_m = min(from_m, to_m), max(from_m, to_m)
     inner = points_m[(arc_m > low_m + 1e-9) & (arc_m < high_m - 1e-9)]
     ends = np.array([[np.interp(at_m, arc_m, points_m[:, k]) for k in (0, 1)] for at_m in (low_m, high_m)])
@@ -206,7 +203,7 @@ def _resampled(points_m: F64, edges: I32) -> Route:
         points_m, edges = np.repeat(points_m[-1:], 2, axis=0), np.repeat(edges[-1:], 2)
         return Route(points_W_m=points_m, arc_m=np.zeros(2), edge_index=edges)
     points_m, edges = points_m[kept], edges[kept]
-    corner_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))])
+    corner_m = arc_of(points_m)
     count = np.maximum(1, np.ceil(np.diff(corner_m) / SPACING_M).astype(int))
     fine = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(corner_m[:-1], corner_m[1:], count, strict=True)]
     arc_m = np.concatenate([*fine, corner_m[-1:]])
@@ -216,8 +213,7 @@ def _resampled(points_m: F64, edges: I32) -> Route:
     if len(through) == len(fine_m):
         return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
     fine_m, owner = fine_m[through], owner[through]
-    arc_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine_m, axis=0), axis=1))])
-    return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
+    return Route(points_W_m=fine_m, arc_m=arc_of(fine_m), edge_index=owner)
 
 
 def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
