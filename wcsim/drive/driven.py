@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
+from typing import Final
 
 from wcsim.log.records import DriveTick, Note
+
+_COUNTED: Final = {
+    "crashed": "crashes",
+    "dropped": "drops",
+    "arrived": "arrivals",
+    "gave_up": "given_up",
+    "helped": "helps",
+    "warning": "warnings",
+    "intervening": "interventions",
+    "overruled": "overrules",
+}  # fields of a tick, and the counters of `KpiTotals`
 
 
 class DriverKind(StrEnum):
@@ -48,3 +60,8 @@ DriveObserver = Callable[[DriveTick | Note], object]
 
 Ticks are numbered over the drive, from 1 on; their arrays are copies. One that has `close` is closed with the drive.
 """
+
+
+def happened_in(tick: object) -> set[str]:
+    """What a chair's tick, of a drive or a film, counts for: names of the counters of `KpiTotals`."""
+    return {counter for field, counter in _COUNTED.items() if getattr(tick, field, False)}

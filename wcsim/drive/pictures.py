@@ -417,23 +417,10 @@ class StreetPictures:
         return images
 
 
-class DrivePictures:
-    """Draws one session's street; a session of another street needs another object.
-
-    Args:
-        session: What is drawn.
-    """
-
-    def __init__(self, session: DriveSession) -> None:
-        self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
-        self._episode = -1  # that was drawn last
-
-    def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
-        """All pictures of now, see `StreetPictures.draw`."""
-        jumped, self._episode = session.episode != self._episode, session.episode
-        moment = _moment(session.world, session.client, session.route, session.done_m)
-        moment = replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
-        return self._pictures.draw(moment, looks, dt_s)
+def moment_of(session: DriveSession, *, jumped: bool) -> Moment:
+    """The street of now around a session's chair; `jumped` as in `Moment`."""
+    moment = _moment(session.world, session.client, session.route, session.done_m)
+    return replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
 
 
 def _moment(world: World, client: ClientSnapshot, route: Route, done_m: float) -> Moment:

@@ -18,15 +18,14 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
-from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveObserver, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import DriveTick, Note, start_json
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
+from wcsim.types import AT_REST, F64, ClientSnapshot, Joystick, Route, StartSpec
 from wcsim.users.hand import in_gate
 
-AT_REST = Joystick(0.0, 0.0)
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
@@ -34,14 +33,6 @@ _BACK_M: Final = 5.0  # from a crash to where the next episode begins
 _NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
 _TRAIL_M: Final = 0.5  # between places of the trail
 _MOST_TRAIL: Final = 200
-_COUNTED: Final = (
-    ("crashed", "crashes"),
-    ("arrived", "arrivals"),
-    ("gave_up", "given_up"),
-    ("warning", "warnings"),
-    ("intervening", "interventions"),
-    ("overruled", "overrules"),
-)  # fields of a tick, and their counters; a request for help counts when it is heard
 ELSEWHERE: Final = "elsewhere, as no place before the crash is free"
 
 
@@ -310,7 +301,7 @@ class DriveSession(Closing):
     def _tell(self, driven: DriveTick, distance: float) -> None:
         """Count the tick, and tell who looks on what happened in it; `distance` is between stick and command."""
         if self._step > self.place.handover_step:
-            happened = {name for field, name in _COUNTED if getattr(driven, field)}
+            happened = happened_in(driven) - {"helps"}  # a request for help counts when it is heard
             self.metrics = self.metrics.plus(happened, distance, driven.speed_mps)
             if driven.ends:  # a drive may end before the next episode begins
                 self.metrics = self.metrics.over()

@@ -31,7 +31,7 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
-from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
+from wcsim.types import AT_REST, ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
 from wcsim.view.map import MapView, map_view
 from wcsim.view.pictures import VideoWriter, captioned, side_by_side
 
@@ -93,7 +93,7 @@ def play(world: World, scene: SceneFile) -> Iterator[RolloutStep]:
 
     def drive(now: ClientSnapshot) -> Joystick:
         at_s = now.tick * world.config.world.tick_s
-        return Joystick(0.0, 0.0) if now.seat in done else _joystick(now, scene.seats[now.seat], at_s)
+        return AT_REST if now.seat in done else _joystick(now, scene.seats[now.seat], at_s)
 
     drivers = dict.fromkeys(range(len(scene.seats)), drive)
     for step in islice(rollout(world, drivers), _ticks(world, scene)):
@@ -173,7 +173,7 @@ def _joystick(now: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
         return Joystick(*wanted.joystick)
     if wanted.script:
         begun = [step for step in wanted.script if step[0] <= at_s + 1e-9]
-        return Joystick(*begun[-1][1:]) if begun else Joystick(0.0, 0.0)
+        return Joystick(*begun[-1][1:]) if begun else AT_REST
     return now.user
 
 

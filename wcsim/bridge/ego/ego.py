@@ -35,6 +35,7 @@ from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.rewards import crash_reason, crash_words
 from wcsim.towns.walking.routes import Router, edges_ahead
 from wcsim.types import (
+    AT_REST,
     F64,
     ActorKind,
     ActorState,
@@ -86,7 +87,6 @@ class ShownActors:
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
 CLEAR_SPAWN_M = 2.0  # kept free around a chair when it appears
-AT_REST = Joystick(0.0, 0.0)
 _LONGEST_ID = 60
 
 XY = tuple[float, float]

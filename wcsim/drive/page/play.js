@@ -9,13 +9,14 @@ import { Timeline } from "./timeline.js";
 const LEAD_S = 3;
 const CRASHES = ["crash", "drop"];
 const LINES = { open: ["connected", "good"], lost: ["connection lost", "bad"] };
+const ABSENT = { speed_mps: 0 };
 const KPIS = [
   ["kpi1", "Stick difference (KPI 1)", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
   ["kpi2", "Steps per episode (KPI 2)", (k) => (k.kpi2 === null ? "–" : k.kpi2.toFixed(0))],
   ["ticks", "Steps driven", (k) => k.ticks], ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
   ["speed", "Speed", (k, c) => `${Math.abs(c.speed_mps).toFixed(2)} m/s`],
-  ["step", "Step of this episode", (k, c) => (c.step < 0 ? "–" : c.step)],
-  ["left", "To go", (k, c, s) => (s.left_m === null ? "–" : `${s.left_m.toFixed(0)} m`)],
+  ["step", "Step of this episode", (k, c) => c.step ?? "–"],
+  ["left", "To go", (k, c) => (c.left_m === undefined ? "–" : `${c.left_m.toFixed(0)} m`)],
   ["crashes", "Crashes", (k) => k.crashes ?? "–"], ["drops", "Falls off a kerb", (k) => k.drops ?? "–"],
   ["arrivals", "Arrivals", (k) => k.arrivals ?? "–"], ["warnings", "Warnings", (k) => k.warnings ?? "–"],
   ["interventions", "Interventions", (k) => k.interventions ?? "–"],
@@ -113,7 +114,7 @@ function clock(ticks) {
 
 function lamp(id, on, text) {
   const node = by(id);
-  node.dataset.on = String(on);
+  node.dataset.on = String(Boolean(on));
   put(node.querySelector("span"), text);
 }
 
@@ -141,41 +142,41 @@ function tellState(now) {
 }
 
 function tellChair(now) {
-  const own = now.chairs.find((chair) => chair.seat === now.seat);
-  numbers.tell(...(own ? [own.kpis, own, now] : []));
-  grid.show(now.unsafe);
-  grid.move(now.stick, now.commanded);
-  const asked = now.stick ? `user: ${words(now.stick)}` : "user: not known";
-  put(by("stick-text"), now.commanded ? `${asked} · chair: ${words(now.commanded)}` : asked);
-  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "none") : "not known");
-  const follows = now.stick && now.commanded;
-  lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "corrects the stick" : "none") : "not known");
-  lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
-  lamp("lamp-who", false, about.tells_who ? decides(now) : "not known");
+  const row = now.chairs.find(({ seat }) => seat === now.seat);
+  const own = row?.chair ?? ABSENT; // what is false, or not known, is left out of it
+  numbers.tell(...(row ? [row.kpis, own] : []));
+  grid.show(own.unsafe);
+  grid.move(own.stick, own.commanded);
+  const asked = own.stick ? `user: ${words(own.stick)}` : "user: not known";
+  put(by("stick-text"), own.commanded ? `${asked} · chair: ${words(own.commanded)}` : asked);
+  lamp("lamp-warning", own.warning, about.warns ? (own.warning ? "danger ahead" : "none") : "not known");
+  const follows = own.stick && own.commanded;
+  lamp("lamp-intervening", own.intervening, follows ? (own.intervening ? "corrects the stick" : "none") : "not known");
+  lamp("lamp-crash", now.crash, now.crash || (about.points.length ? "none" : "not known"));
+  lamp("lamp-who", false, about.tells_who ? decides(own) : "not known");
   if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
   crash = now.crash;
-  big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street at this moment.");
+  big(own !== ABSENT ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street at this moment.");
 }
 
-function decides(now) {
-  if (now.alone) return "user alone";
-  if (now.overruled) return "user overrules";
-  return now.unaided ? "user, not assisted" : "policy";
+function decides(own) {
+  if (own.alone) return "user alone";
+  if (own.overruled) return "user overrules";
+  return own.unaided ? "user, not assisted" : "policy";
 }
 
 function tellChairs(now) {
   const home = by("chairs");
   while (home.children.length > now.chairs.length) home.lastChild.remove();
-  now.chairs.forEach((chair, index) => {
+  now.chairs.forEach(({ seat, name: told, chair, kpis: k }, index) => {
     if (!home.children[index]) home.append(chairButton());
     const button = home.children[index];
-    button.dataset.seat = String(chair.seat);
-    button.dataset.here = String(chair.here);
-    button.setAttribute("aria-pressed", String(chair.seat === now.seat));
+    button.dataset.seat = String(seat);
+    button.dataset.here = String(Boolean(chair));
+    button.setAttribute("aria-pressed", String(seat === now.seat));
     const [name, signs, more] = button.children;
-    put(name, chair.name);
-    put(signs, !chair.here ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warning" : chair.intervening ? "▬ intervention" : "follows the user");
-    const k = chair.kpis;
+    put(name, told);
+    put(signs, !chair ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warning" : chair.intervening ? "▬ intervention" : "follows the user");
     put(more, `${counted(k.ticks, "step")} · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes === null ? "– crashes" : counted(k.crashes, "crash", "crashes")}`);
   });
 }
@@ -192,7 +193,7 @@ function chairButton() {
 
 function nextChair() {
   if (!state || !state.chairs.length) return;
-  const at = state.chairs.findIndex((chair) => chair.seat === state.seat);
+  const at = state.chairs.findIndex(({ seat }) => seat === state.seat);
   link.say("followseat", { seat: state.chairs[(at + 1) % state.chairs.length].seat });
 }
 

@@ -119,7 +119,6 @@ class _Following:
 
     def _do(self, record: Input) -> None:
         self._ended = record.reason if isinstance(record, Ended) else ""
-        self._scene.before(self._player.world, record)
         world = self._player.play(record)
         for said in self._scene.said(world, record):
             if isinstance(said, FilmNames):
