@@ -270,7 +270,6 @@ class Kpis(msgspec.Struct, frozen=True, kw_only=True):
     crashes: int | None
     drops: int | None
     arrivals: int | None
-    given_up: int | None
     helps: int
     overrules: int | None
     warnings: int | None
@@ -279,7 +278,7 @@ class Kpis(msgspec.Struct, frozen=True, kw_only=True):
 
 def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True) -> Kpis:
     """Totals as pages show them; a film may not know what happened, and may be of a policy that never warns."""
-    named = ("crashes", "drops", "arrivals", "given_up", "overrules", "interventions")
+    named = ("crashes", "drops", "arrivals", "overrules", "interventions")
     return Kpis(
         kpi1=None if totals.kpi1 is None else round(totals.kpi1, 4),
         kpi2=round(totals.kpi2, 1) if knows else None,
@@ -296,7 +295,6 @@ class DriveState(Shows, frozen=True, tag="state"):
 
     tick: int
     time_s: float
-    step: int
     driver: DriverKind
     paused: bool
     waiting: str  # why nobody drives, "" while somebody does
@@ -304,7 +302,6 @@ class DriveState(Shows, frozen=True, tag="state"):
     alone: bool  # the simulated user still has the chair, before a handover
     pace: float
     stick: tuple[float, float]
-    chosen: tuple[float, float]
     commanded: tuple[float, float]
     unsafe: list[int]
     assisted: bool
@@ -320,8 +317,6 @@ class DriveState(Shows, frozen=True, tag="state"):
     crash: str
     profile: str
     kpis: Kpis
-    tick_ms: float  # of the processor's time, a mean
-    pictures_ms: float
     rate: float  # ticks a second, a mean
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -17,7 +17,7 @@ from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.page_runner import Does, PageRunner, run_page
 from wcsim.drive.pictures import StreetPictures, moment_of
 from wcsim.drive.recording.open_study import OpenStudy
@@ -107,7 +107,6 @@ class DriveRunner(PageRunner):
         pipe: To the server.
         start: The first drive.
         keep: The file of the first world that is kept, or a study that leads through several; None to keep nothing.
-        observers: Made anew for each drive.
         clock: Monotonic seconds.
     """
 
@@ -116,11 +115,10 @@ class DriveRunner(PageRunner):
         pipe: Connection,
         start: DriveStart,
         keep: Path | OpenStudy | None = None,
-        observers: Callable[[], Sequence[DriveObserver]] = tuple,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(pipe, clock)
-        self._start, self._observers = start, observers
+        self._start = start
         self._names = numbered_names(keep) if isinstance(keep, Path) else None
         self._study = keep if isinstance(keep, OpenStudy) else None
         self._lead: StudyLead | None = None
@@ -333,9 +331,7 @@ class DriveRunner(PageRunner):
         self.close()
         self._pictures = None
         self._watch.require_rest()
-        self.session = session = DriveSession(
-            start, (self._note, *self._observers()), lambda told: self._say(m.Busy(told=told))
-        )
+        self.session = session = DriveSession(start, (self._note,), lambda told: self._say(m.Busy(told=told)))
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
         session.face_way()
@@ -421,7 +417,6 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
     return m.DriveState(
         tick=session.ticks,
         time_s=round(session.time_s, 3),
-        step=session.metrics.steps,
         driver=session.driver,
         paused=clock.paused,
         waiting=waiting,
@@ -429,7 +424,6 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
         alone=not session.handed_over,
         pace=clock.pace,
         stick=_xy(last.stick),
-        chosen=_xy(last.chosen),
         commanded=_xy(last.commanded),
         unsafe=list(session.unsafe),
         assisted=session.assistance.on,
@@ -445,8 +439,6 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
         crash=session.crash,
         profile=session.profile,
         kpis=m.kpis_of(session.metrics, session.tick_s),
-        tick_ms=round(1000.0 * clock.tick_s, 2),
-        pictures_ms=round(1000.0 * clock.picture_s, 2),
         rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
     )
 

@@ -32,8 +32,8 @@ from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.types import AT_REST, ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
-from wcsim.view.map import MapView, map_view
-from wcsim.view.pictures import VideoWriter, captioned, side_by_side
+from wcsim.view.map import street_video
+from wcsim.view.pictures import captioned
 
 _PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
@@ -179,15 +179,11 @@ def _joystick(now: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
 
 def film_scene(folder: Path, path: Path) -> None:
     """Run a scene and write it as a video (.webm). Raises TownError or ConfigError as the parts do."""
-    with _open_scene(folder, (_FILM_CAMERA,)) as (world, scene):
-        chart = MapView(world.street.mesh, _FILM_CAMERA.height_px, _FILM_SPAN_M)
-        size = (_FILM_CAMERA.width_px + _FILM_CAMERA.height_px, _FILM_CAMERA.height_px)
-        with VideoWriter(path, 1.0 / world.config.world.tick_s, size) as video:
-            for snapshot in (step.after for step in play(world, scene)):
-                frame = snapshot.clients[0].sensors.cameras[0]
-                if frame.rgb is not None:
-                    picture = captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s")
-                    video.write(side_by_side(picture, map_view(chart, world)))
+    with _open_scene(folder, (_FILM_CAMERA,)) as (world, scene), street_video(path, world, _FILM_SPAN_M) as add:
+        for snapshot in (step.after for step in play(world, scene)):
+            frame = snapshot.clients[0].sensors.cameras[0]
+            if frame.rgb is not None:
+                add(captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s"))
 
 
 def _main() -> int:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,6 +17,7 @@ from wcsim.physics.renderer.instances import ChairPose, chair_instances, chair_p
 from wcsim.physics.sensors.camera import FreeCamera
 from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Route, StreetMesh
+from wcsim.view.pictures import open_video, side_by_side
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
 _HEIGHT_M = 400.0
@@ -109,14 +112,31 @@ class MapView:
         return np.asarray(np.rint(flat * 8), np.int32)
 
 
-def map_view(view: MapView, world: World) -> U8:
+@contextmanager
+def street_video(path: Path, world: World, span_m: float) -> Iterator[Callable[[U8], U8]]:
+    """A video of the pictures (H, W, 3) of a world's last camera, each beside the map of now, `span_m` wide.
+
+    It takes a picture, and returns the frame that it was added as. Raises ConfigError as `open_video` does.
+    """
+    view = MapView(world.street.mesh, world.config.cameras[-1].height_px, span_m)
+    with open_video(path, world.config.world.tick_s) as write:
+
+        def add(picture: U8) -> U8:
+            frame = side_by_side(picture, _map_of(view, world))
+            write(frame)
+            return frame
+
+        yield add
+
+
+def _map_of(view: MapView, world: World) -> U8:
     """The map around the first wheelchair of a world now: its route, all actors and wheelchairs in it, the scale."""
-    snapshot, first = world.snapshot, world.seats[0]
+    snapshot, outlines = world.snapshot, [seat.chair.outline for seat in world.seats]
     chairs = [
-        chair_pose(client.seat, client.plant, seat.chair.outline)
-        for client, seat in zip(snapshot.clients, world.seats, strict=True)
+        chair_pose(client.seat, client.plant, outline)
+        for client, outline in zip(snapshot.clients, outlines, strict=True)
     ]
-    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, first.route)
+    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, world.seats[0].route)
     _draw_scale(image, view.px_per_m)
     return image
 

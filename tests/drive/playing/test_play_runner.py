@@ -106,7 +106,7 @@ def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
 
 def test_a_film_begins_without_the_marks_of_the_one_before(desk: Desk) -> None:
     """Who comes later is told the newest line of each kind, so that of the film before is not to stay."""
-    assert desk.said("marks") == {"say": "marks", "marks": [], "left_out": 0}
+    assert desk.said("marks") == {"say": "marks", "marks": []}
 
 
 def test_no_message_of_a_page_ends_the_film(desk: Desk) -> None:

@@ -3,7 +3,7 @@
 import { Grid, words } from "./grid.js";
 import { Link } from "./link.js";
 import { Scene } from "./scene.js";
-import { big, by, counted, line, note, Numbers, put, waitFor, wireDialogs, wireDisplay } from "./shared.js";
+import { big, by, counted, element, lamp, line, note, Numbers, put, waitFor, wireDialogs, wireDisplay } from "./shared.js";
 import { Timeline } from "./timeline.js";
 
 const LEAD_S = 3;
@@ -84,21 +84,19 @@ function jump(kinds, forward) {
 }
 
 function tellAbout(told) {
-  about = told;
+  about = { ...told.film, ...told };
   waitFor("");
-  by("place").textContent = told.title;
-  document.title = `${told.title} – wcsim film`;
-  grid.setPoints(told.points);
-  by("legend-unsafe").hidden = !told.tells_unsafe;
-  by("camera-figure").hidden = !told.camera;
-  by("live").hidden = !told.live;
-  by("unknown").replaceChildren(...(told.unknown.length ? told.unknown : ["Everything this page can show is in it."]).map((line) => { const item = document.createElement("li"); item.textContent = line; return item; }));
-  by("failed-part").hidden = !told.failed.length;
-  by("failed").replaceChildren(...told.failed.map((one) => {
-    const item = document.createElement("li");
-    const button = document.createElement("button");
-    button.type = "button";
-    button.textContent = `${one.block}.${one.seat} ${one.policy}: ${one.told}`;
+  by("place").textContent = about.title;
+  document.title = `${about.title} – wcsim film`;
+  grid.setPoints(about.points);
+  by("legend-unsafe").hidden = !about.tells_unsafe;
+  by("camera-figure").hidden = !about.camera;
+  by("live").hidden = !about.live;
+  by("unknown").replaceChildren(...(about.unknown.length ? about.unknown : ["Everything this page can show is in it."]).map((line) => element("li", line)));
+  by("failed-part").hidden = !about.failed.length;
+  by("failed").replaceChildren(...about.failed.map((one) => {
+    const item = element("li");
+    const button = element("button", `${one.block}.${one.seat} ${one.policy}: ${one.told}`, { type: "button" });
     button.addEventListener("click", () => (one.policy === about.policy && one.block === about.block
       ? link.say("followseat", { seat: one.seat }) : link.say("openepisode", { policy: one.policy, block: one.block, seat: one.seat })));
     item.append(button);
@@ -110,12 +108,6 @@ function tellAbout(told) {
 function clock(ticks) {
   const seconds = ticks * about.tick_s;
   return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
-}
-
-function lamp(id, on, text) {
-  const node = by(id);
-  node.dataset.on = String(Boolean(on));
-  put(node.querySelector("span"), text);
 }
 
 function tellState(now) {
@@ -149,10 +141,10 @@ function tellChair(now) {
   grid.move(own.stick, own.commanded);
   const asked = own.stick ? `user: ${words(own.stick)}` : "user: not known";
   put(by("stick-text"), own.commanded ? `${asked} · chair: ${words(own.commanded)}` : asked);
-  lamp("lamp-warning", own.warning, about.warns ? (own.warning ? "danger ahead" : "none") : "not known");
+  lamp("lamp-warning", Boolean(own.warning), about.warns ? (own.warning ? "danger ahead" : "none") : "not known");
   const follows = own.stick && own.commanded;
-  lamp("lamp-intervening", own.intervening, follows ? (own.intervening ? "corrects the stick" : "none") : "not known");
-  lamp("lamp-crash", now.crash, now.crash || (about.points.length ? "none" : "not known"));
+  lamp("lamp-intervening", Boolean(own.intervening), follows ? (own.intervening ? "corrects the stick" : "none") : "not known");
+  lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
   lamp("lamp-who", false, about.tells_who ? decides(own) : "not known");
   if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
   crash = now.crash;
@@ -182,11 +174,8 @@ function tellChairs(now) {
 }
 
 function chairButton() {
-  const button = document.createElement("button");
-  button.type = "button";
-  button.append(document.createElement("b"), document.createElement("span"), document.createElement("span"));
-  button.children[1].className = "signs";
-  button.children[2].className = "more";
+  const button = element("button", "", { type: "button" });
+  button.append(element("b"), element("span", "", { className: "signs" }), element("span", "", { className: "more" }));
   button.addEventListener("click", () => link.say("followseat", { seat: Number(button.dataset.seat) }));
   return button;
 }

@@ -9,7 +9,7 @@ import msgspec
 
 from wcsim.drive import messages as m
 from wcsim.drive.playing.film_states import FilmAbout, FilmChair
-from wcsim.drive.playing.tick_film import TickFilm
+from wcsim.drive.playing.tick_film import FilmMark, TickFilm
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 
@@ -30,26 +30,17 @@ class FailedLine(msgspec.Struct, frozen=True):
 class PlayAbout(m.Shows, tag="about", frozen=True, kw_only=True):
     """What is shown."""
 
-    title: str
-    tick_s: float
+    film: FilmAbout
     points: list[tuple[float, float]]
-    unknown: list[str]
-    camera: bool
-    tells_unsafe: bool
-    warns: bool
-    tells_who: bool  # decides
-    live: bool
-    ticks: int  # that are to come, 0 where that is not known
     failed: list[FailedLine]
-    policy: str = ""  # of the episode that is open, as the next
-    block: int = -1
+    policy: str  # of the episode that is open, as the next
+    block: int
 
 
 class PlayMarks(m.Shows, tag="marks", frozen=True, kw_only=True):
-    """All marks of the time line: frame, seat or -1, kind, words."""
+    """All marks of the time line."""
 
-    marks: list[tuple[int, int, str, str]]
-    left_out: int  # older ones
+    marks: list[FilmMark]
 
 
 class ChairLine(msgspec.Struct, frozen=True, kw_only=True):
@@ -141,27 +132,12 @@ class Player:
 def film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> PlayAbout:
     """What a film is; `policy` and `block` of an episode that was asked for."""
     points = action_set(about.actions).points.tolist() if about.actions else []
-    return PlayAbout(
-        title=about.title,
-        tick_s=about.tick_s,
-        points=[(x, y) for x, y in points],
-        unknown=about.unknown,
-        camera=bool(about.camera),
-        tells_unsafe=about.tells_unsafe,
-        warns=about.warns,
-        tells_who=about.tells_who,
-        live=about.live,
-        ticks=about.ticks,
-        failed=list(failed),
-        policy=policy,
-        block=block,
-    )
+    return PlayAbout(film=about, points=points, failed=list(failed), policy=policy, block=block)
 
 
 def film_marks(film: TickFilm) -> PlayMarks:
     """The marks of a film."""
-    marks = [(mark.at, mark.seat, mark.kind, mark.told) for mark in film.marks if mark.at >= film.first]
-    return PlayMarks(marks=marks, left_out=film.marked - len(film.marks))
+    return PlayMarks(marks=[mark for mark in film.marks if mark.at >= film.first])
 
 
 def film_state(

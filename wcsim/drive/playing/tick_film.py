@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, deque
 from collections.abc import Set
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -53,14 +52,13 @@ class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
     sums: dict[int, KpiTotals]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FilmMark:
+class FilmMark(NamedTuple):
     """Something on the time line."""
 
     at: int  # number of the frame
     seat: int  # -1 for all
     kind: str  # crash, drop, intervention, warning, arrival, gave-up, help, gap
-    told: str = ""
+    told: str
 
 
 class TickFilm:
@@ -75,7 +73,7 @@ class TickFilm:
         self.about, self._most_bytes = about, most_bytes
         self.first = self.count = 0
         self.packed_bytes = 0
-        self.marks = deque[_FilmMark](maxlen=MOST_MARKS)
+        self.marks = deque[FilmMark](maxlen=MOST_MARKS)
         self.marked = 0  # ever
         self._blocks: dict[int, bytes] = {}
         self._newest: list[_FilmTick] = []
@@ -100,7 +98,7 @@ class TickFilm:
 
     def mark(self, kind: str, told: str) -> None:
         """Mark the place where the next frame will be, for all chairs."""
-        self._note(_FilmMark(at=self.count, seat=-1, kind=kind, told=told))
+        self._note(FilmMark(self.count, -1, kind, told))
 
     def shot(self, at: int) -> _FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
@@ -159,9 +157,9 @@ class TickFilm:
         for name, kind in _MARKS.items():
             if name in begun and not (kind == "crash" and "drops" in begun):  # a fall is one mark
                 told = chair.reason if kind in ("crash", "drop") else ""
-                self._note(_FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
+                self._note(FilmMark(self.count, chair.seat, kind, told))
 
-    def _note(self, mark: _FilmMark) -> None:
+    def _note(self, mark: FilmMark) -> None:
         self.marks.append(mark)
         self.marked += 1
 

@@ -61,14 +61,14 @@ class _PageKind:
     ended: str  # what a page says when that process has ended
 
 
-DRIVE: Final = _PageKind(
+_DRIVE: Final = _PageKind(
     word="drive",
     page="index.html",
     run=run_drive,
     begins="starting the simulator, then the street; the page shows the progress",
     ended="The drive has ended. Start wcsim drive again.",
 )
-PLAY: Final = _PageKind(
+_PLAY: Final = _PageKind(
     word="film",
     page="play.html",
     run=run_play,
@@ -127,11 +127,15 @@ def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
 class ServeOrder:
     """Where the page is served, and what is behind it."""
 
-    start: DriveOrder | PlayStart  # as its kind takes it
-    kind: _PageKind = DRIVE
+    start: DriveOrder | PlayStart
     host: str = "127.0.0.1"
     port: int = 8080  # 0 for a free one
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
+
+    @property
+    def kind(self) -> _PageKind:
+        """What is served."""
+        return _DRIVE if isinstance(self.start, DriveOrder) else _PLAY
 
 
 class _Process(Closing):
