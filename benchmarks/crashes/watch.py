@@ -22,7 +22,8 @@ from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole,
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.rewards import GROUND_KINDS, fault, hardest
 from wcsim.towns.importing.map_marks import CAR
-from wcsim.types import AT_REST, F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street
+from wcsim.types import F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street
+from wcsim.types.chair import AT_REST
 from wcsim.users.recorded import RecordedUser
 
 _NEWEST_S, _OLDEST_S = 0.3, 1.0  # before a crash: when what was hit should have been in the picture

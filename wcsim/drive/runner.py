@@ -30,7 +30,8 @@ from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
 from wcsim.log.records import DriveTick, Note
 from wcsim.towns.scenario.town import list_towns
-from wcsim.types import AT_REST, Joystick
+from wcsim.types import Joystick
+from wcsim.types.chair import AT_REST
 from wcsim.users.profiles import profile_names
 
 _CRASH_S: Final = 3.0  # so long a crash is shown

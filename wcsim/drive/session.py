@@ -23,7 +23,8 @@ from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import DriveTick, Note, start_json
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.types import AT_REST, F64, ClientSnapshot, Joystick, Route, StartSpec
+from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
+from wcsim.types.chair import AT_REST
 from wcsim.users.hand import in_gate
 
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone

@@ -9,7 +9,8 @@ import math
 from typing import Final
 
 from wcsim.drive.session import Wish
-from wcsim.types import AT_REST, Joystick
+from wcsim.types import Joystick
+from wcsim.types.chair import AT_REST
 
 LOST_S: Final = 0.5  # without a message the stick counts no more
 GONE_S: Final = 1.5  # without one it has to be let go of before it counts again

@@ -31,7 +31,8 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
-from wcsim.types import AT_REST, ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
+from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
+from wcsim.types.chair import AT_REST
 from wcsim.view.map import street_video
 from wcsim.view.pictures import captioned
 

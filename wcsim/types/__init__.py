@@ -19,7 +19,6 @@ from wcsim.types.arrays import I64 as I64
 from wcsim.types.arrays import U8 as U8
 from wcsim.types.arrays import Bool as Bool
 from wcsim.types.arrays import ComparesArrays as ComparesArrays
-from wcsim.types.chair import AT_REST as AT_REST
 from wcsim.types.chair import CameraFrame as CameraFrame
 from wcsim.types.chair import Command as Command
 from wcsim.types.chair import Contact as Contact

@@ -35,7 +35,6 @@ from wcsim.supervisor.oracle import Oracle
 from wcsim.supervisor.rewards import crash_reason, crash_words
 from wcsim.towns.walking.routes import Router, edges_ahead
 from wcsim.types import (
-    AT_REST,
     F64,
     ActorKind,
     ActorState,
@@ -54,6 +53,7 @@ from wcsim.types import (
     UserView,
     chair_actor_id,
 )
+from wcsim.types.chair import AT_REST
 from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser
