@@ -1,6 +1,6 @@
 """A film: the states of all ticks, packed, with their sums and marks; the oldest go when it gets too large.
 
-An hour of a chair in Helsinki takes some 15 MB (docs/watching.md).
+An hour of a chair in Helsinki takes some 10 MB (docs/watching.md).
 """
 
 from __future__ import annotations
