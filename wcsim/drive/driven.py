@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import Final
 
 from wcsim.log.records import DriveTick, Note
+from wcsim.types import Joystick
 
 _COUNTED: Final = {
     "crashed": "crashes",
@@ -65,3 +66,8 @@ Ticks are numbered over the drive, from 1 on; their arrays are copies. One that 
 def happened_in(tick: object) -> set[str]:
     """What a chair's tick, of a drive or a film, counts for: names of the counters of `KpiTotals`."""
     return {counter for field, counter in _COUNTED.items() if getattr(tick, field, False)}
+
+
+def xy_of(stick: Joystick) -> tuple[float, float]:
+    """A stick as pages and films hold it."""
+    return round(stick.x, 4), round(stick.y, 4)

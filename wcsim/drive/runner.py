@@ -17,7 +17,7 @@ from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DriverKind, EventKind
+from wcsim.drive.driven import DriverKind, EventKind, xy_of
 from wcsim.drive.page_runner import Does, PageRunner, run_page
 from wcsim.drive.pictures import StreetPictures, moment_of
 from wcsim.drive.recording.open_study import OpenStudy
@@ -424,8 +424,8 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
         let_go=let_go,
         alone=not session.handed_over,
         pace=clock.pace,
-        stick=_xy(last.stick),
-        commanded=_xy(last.commanded),
+        stick=xy_of(last.stick),
+        commanded=xy_of(last.commanded),
         unsafe=list(session.unsafe),
         assisted=session.assistance.on,
         level=session.assistance.level,
@@ -442,10 +442,6 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
         kpis=m.kpis_of(session.metrics, session.tick_s),
         rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
     )
-
-
-def _xy(stick: Joystick) -> tuple[float, float]:
-    return round(stick.x, 3), round(stick.y, 3)
 
 
 def notice_of(record: DriveTick | Note) -> m.Notice | None:

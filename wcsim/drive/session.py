@@ -62,7 +62,7 @@ class DriveSession(Closing):
     ) -> None:
         """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
         self.metrics, self.driver = KpiTotals(), DriverKind.PERSON
-        self._observers, self._held = tuple(observers), ExitStack()
+        self._observers = tuple(observers)
         self.ticks = self.episode = 0  # how many there were; number of the one that is on, or ended with the last tick
         self.client: ClientSnapshot  # the chair as it is now; after a crash as it came to lie, till the next tick
         self.route: Route  # to the destination; after a crash that of the episode which it ended, till the next tick
@@ -75,21 +75,18 @@ class DriveSession(Closing):
         self._info: dict[str, Any] = {}
         self._step, self._fresh, self._ended = 0, True, False  # of this episode
         self._failure = ""  # of the policy, as far as it has been told
-        try:
-            self.place: OpenPlace = open_place(start, self._held)
-            self.profile = self.place.spec.profile
-            self.actions = action_set(self.place.config.env.actions)
-            self.tick_s = self.place.config.world.tick_s
-            self.assistance = Assistance(self.place.policy, self.actions, self.place.config.world.help_ticks)
-            self._held.callback(self.assistance.close)
+        with ExitStack() as held:
+            self.place: OpenPlace = open_place(start, held)
             spec, config = self.place.spec, self.place.config
-            self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
+            self.profile, self.tick_s = spec.profile, config.world.tick_s
+            self.actions = action_set(config.env.actions)
+            self.assistance = Assistance(self.place.policy, self.actions, config.world.help_ticks)
+            held.callback(self.assistance.close)
+            self.world = held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
             self._chair = Chair(config)
             self._begin()
             self.assistance.reset(self.client.drawn)
-        except BaseException:
-            self._held.close()
-            raise
+            self._held = held.pop_all()
         self.say(EventKind.BEGUN, self.place.told)
 
     @property

@@ -82,9 +82,9 @@ class FilmedDrive:
         self._info = Info()
         config, spec, self._policy = _senses(driver, seed, width)
         self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
-        self._ticks, self._held = 0, ExitStack()
-        try:
-            self.world = self._held.enter_context(World(town, config, (spec,), seed))
+        self._ticks = 0
+        with ExitStack() as held:
+            self.world = held.enter_context(World(town, config, (spec,), seed))
             if self._policy is not None:
                 agent = _OwnCode(PolicyAgent(self._policy), self._policy)
                 self._driver = SeatDriver(config, agent, self.world.snapshot.clients[0])
@@ -95,10 +95,8 @@ class FilmedDrive:
                 except OSError as error:
                     told = f"{video.parent}: cannot be made ({error.strerror}); choose another place"
                     raise ConfigError(told) from None
-                self._write = self._held.enter_context(street_video(video, self.world, _MAP_SPAN_M))
-        except BaseException:
-            self._held.close()
-            raise
+                self._write = held.enter_context(street_video(video, self.world, _MAP_SPAN_M))
+            self._held = held.pop_all()
 
     @property
     def taken_over(self) -> float:

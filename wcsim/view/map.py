@@ -88,8 +88,9 @@ class MapView:
         for actor in actors:
             corners = _oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
             self._box(image, T_CW, corners, colours[actor.kind])
-        for place, yaw_rad, size_lw_m in _chair_places(chairs):
-            self._box(image, T_CW, _oriented_box(place, yaw_rad, size_lw_m), _CHAIR_RGB)
+        boxes = chair_instances(chairs)
+        for place, yaw_rad, chair in zip(boxes.p_W_m, boxes.yaw_rad.tolist(), chairs, strict=True):
+            self._box(image, T_CW, _oriented_box(place, yaw_rad, chair.outline.size_lwh_m[:2]), _CHAIR_RGB)
         return image
 
     def _box(self, image: U8, T_CW: F64, corners_W_m: F64, colour: tuple[int, int, int]) -> None:
@@ -166,9 +167,3 @@ def _oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) ->
     ahead = half_length * np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
     left = half_width * np.array([-math.sin(yaw_rad), math.cos(yaw_rad), 0.0])
     return np.asarray(p_W_m + np.array([ahead + left, ahead - left, -ahead - left, -ahead + left]), np.float64)
-
-
-def _chair_places(chairs: Sequence[ChairPose]) -> list[tuple[F64, float, tuple[float, float]]]:
-    """Middle of the box (3,), yaw, length and width of every chair."""
-    rows = chair_instances(chairs)
-    return [(rows.p_W_m[i], float(rows.yaw_rad[i]), chair.outline.size_lwh_m[:2]) for i, chair in enumerate(chairs)]

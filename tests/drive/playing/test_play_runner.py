@@ -130,7 +130,7 @@ def test_who_waits_for_a_run_is_told_why_it_may_take_long(monkeypatch: pytest.Mo
     monkeypatch.setattr(play_runner, "get_context", lambda _: MagicMock(Pipe=Pipe))
     for gives_way in (True, False):
         ours, theirs = Pipe()
-        source = FilmSource(kind="run", path=Path("run"))
-        PlayRunner(theirs, PlayStart(source=source, gives_way=gives_way))._open(source)
+        source = FilmSource(kind="run", path=Path("run"), gives_way=gives_way)
+        PlayRunner(theirs, PlayStart(source=source))._open(source)
         said = json.loads(ours.recv_bytes()[1:])
         assert (said["say"], "it takes longer while the training uses the CPU" in said["told"]) == ("busy", gives_way)

@@ -40,7 +40,7 @@ def run(words: list[str]) -> int:
 
     source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
     seat = -1 if options.seat is None else options.seat
-    return serve_page(PlayStart(source=source, seat=seat, gives_way=True), options)
+    return serve_page(PlayStart(source=source, seat=seat), options)
 
 
 def _check(options: Options) -> None:

@@ -209,8 +209,3 @@ def bodies_of(actors: Sequence[object]) -> list[FilmBody]:
 def is_intervention(asked: Joystick, given: Joystick) -> bool:
     """Whether what a chair was given follows its user's stick no more, by the tolerance of KPI 1."""
     return math.hypot(asked.x - given.x, asked.y - given.y) > FOLLOWED
-
-
-def stick_of(stick: Joystick) -> XY:
-    """A stick as a film holds it."""
-    return round(stick.x, _DIGITS), round(stick.y, _DIGITS)

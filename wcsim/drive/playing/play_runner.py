@@ -17,7 +17,7 @@ from wcsim.drive.playing import play_messages as pm
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.low_priority import run_at_low_priority
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
-from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
+from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
@@ -35,9 +35,7 @@ class PlayStart:
 
     source: FilmSource
     seat: int = -1  # whom to follow, -1 for the first
-    most_bytes: int = MOST_BYTES
     failed: tuple[pm.FailedLine, ...] = ()
-    gives_way: bool = False  # to every other process, as its source does
 
 
 class PlayRunner(PageRunner):
@@ -210,7 +208,7 @@ class PlayRunner(PageRunner):
 
     def _open(self, source: FilmSource) -> None:
         """Start the process of a source."""
-        waits = "; it takes longer while the training uses the CPU" if self._start.gives_way else ""
+        waits = "; it takes longer while the training uses the CPU" if source.gives_way else ""
         self._say(m.Busy(told=f"Opening the street{waits} ..."))
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
@@ -228,7 +226,7 @@ class PlayRunner(PageRunner):
         except WcsimError as error:
             self._line(FilmLine(kind="bad", told=str(error)))
             return
-        self._pictures, self._film = StreetPictures(street, front), TickFilm(about, self._start.most_bytes)
+        self._pictures, self._film = StreetPictures(street, front), TickFilm(about)
         self._player = pm.Player(live=about.live)
         self._say(pm.film_about(about, self._start.failed, self._opened.policy, self._opened.block))
         self._say(pm.film_marks(self._film))  # none yet, and no more of the film before
@@ -237,6 +235,6 @@ class PlayRunner(PageRunner):
 
 def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
-    if start.gives_way:
+    if start.source.gives_way:
         run_at_low_priority()
     run_page(PlayRunner(pipe, start), pipe)

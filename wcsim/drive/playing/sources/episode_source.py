@@ -16,6 +16,7 @@ from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
+from wcsim.drive.driven import xy_of
 from wcsim.drive.playing.film_states import (
     FilmAbout,
     FilmLine,
@@ -24,7 +25,6 @@ from wcsim.drive.playing.film_states import (
     Said,
     TickSays,
     is_intervention,
-    stick_of,
 )
 from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.errors import ConfigError
@@ -118,8 +118,8 @@ class _BlockWatch:
         if isinstance(policy, TellsUnsafe) and not alone:
             unsafe = policy.unsafe.nonzero()[0].tolist()
         self._said[seat] = TickSays(
-            stick=stick_of(asked),
-            commanded=stick_of(given),
+            stick=xy_of(asked),
+            commanded=xy_of(given),
             unsafe=unsafe,
             warning=isinstance(policy, Warns) and policy.warning and not alone,
             intervening=not alone and is_intervention(asked, given),

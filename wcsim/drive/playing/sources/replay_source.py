@@ -12,7 +12,7 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
 from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
 from wcsim.bridge.world import World
-from wcsim.drive.driven import DriverKind, EventKind
+from wcsim.drive.driven import DriverKind, EventKind, xy_of
 from wcsim.drive.playing.film_states import (
     FilmAbout,
     FilmFrame,
@@ -22,7 +22,6 @@ from wcsim.drive.playing.film_states import (
     Said,
     TickSays,
     is_intervention,
-    stick_of,
 )
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
@@ -127,8 +126,8 @@ class RecordScene:
     def _says(self, command: Command) -> TickSays:
         asked, given = self._asked.get(command.seat), command.joystick
         return TickSays(
-            stick=None if asked is None else stick_of(asked),
-            commanded=stick_of(given),
+            stick=None if asked is None else xy_of(asked),
+            commanded=xy_of(given),
             intervening=asked is not None and is_intervention(asked, given),
         )
 
@@ -150,8 +149,8 @@ class _WhoDecides:
         while self._events and self._events[0].tick < tick.tick:
             self._note(self._events.popleft())
         return TickSays(
-            stick=stick_of(tick.stick),
-            commanded=stick_of(tick.commanded),
+            stick=xy_of(tick.stick),
+            commanded=xy_of(tick.commanded),
             warning=tick.warning,
             intervening=tick.intervening,
             overruled=tick.overruled,
