@@ -164,7 +164,7 @@ class FrameMaker:
 
     def _look(self, world: World, ended: Iterable[int]) -> None:
         for seat in world.seats:
-            if seat.index not in ended:
+            if seat.index not in ended or seat.index not in self._on:
                 self._on[seat.index] = seat.chair.outline, seat.route, seat.user.route_progress_m
 
     def _chair(self, client: ClientSnapshot, said: TickSays) -> FilmChair:
