@@ -14,7 +14,7 @@ from benchmarks.crashes.in_picture import BODY_M, Sight, actor_points, in_pictur
 from benchmarks.crashes.kerb_departures import KerbFall, nearest_way
 from benchmarks.crashes.lost_control import Stretch, Track, stretches
 from benchmarks.crashes.records import Crash, Episode, LostControl
-from wcsim.bridge.ego.ego import Ego
+from wcsim.bridge.ego.ego import AT_REST, Ego
 from wcsim.bridge.reaction.commands import ROADWAY
 from wcsim.config import RunConfig
 from wcsim.core.frames import deg
@@ -23,7 +23,6 @@ from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.rewards import GROUND_KINDS, fault, hardest
 from wcsim.towns.importing.map_marks import CAR
 from wcsim.types import F64, ActorState, ClientSnapshot, Contact, Joystick, PlantState, Street
-from wcsim.types.chair import AT_REST
 from wcsim.users.recorded import RecordedUser
 
 _NEWEST_S, _OLDEST_S = 0.3, 1.0  # before a crash: when what was hit should have been in the picture

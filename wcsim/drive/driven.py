@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from enum import StrEnum
 from typing import Final
 
 from wcsim.log.records import DriveTick, Note
+from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import Joystick
 
 _COUNTED: Final = {
@@ -71,3 +73,8 @@ def happened_in(tick: object) -> set[str]:
 def xy_of(stick: Joystick) -> tuple[float, float]:
     """A stick as pages and films hold it."""
     return round(stick.x, 4), round(stick.y, 4)
+
+
+def is_intervention(asked: Joystick, given: Joystick) -> bool:
+    """Whether what a chair was given follows its user's stick no more, by the tolerance of KPI 1."""
+    return math.hypot(asked.x - given.x, asked.y - given.y) > FOLLOWED

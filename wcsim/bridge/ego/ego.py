@@ -53,7 +53,7 @@ from wcsim.types import (
     UserView,
     chair_actor_id,
 )
-from wcsim.types.chair import AT_REST
+from wcsim.types.chair import AT_REST as AT_REST
 from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser

@@ -6,7 +6,6 @@ same from tick to tick is said again each time: packed together it takes next to
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
@@ -14,19 +13,8 @@ import msgspec
 import numpy as np
 
 from wcsim.bridge.world import World
-from wcsim.supervisor.kpi import DROP, FOLLOWED
-from wcsim.types import (
-    F64,
-    ActorKind,
-    ActorLook,
-    ActorState,
-    ClientSnapshot,
-    Joystick,
-    Outline,
-    Route,
-    SignalState,
-    Snapshot,
-)
+from wcsim.supervisor.kpi import DROP
+from wcsim.types import F64, ActorKind, ActorLook, ActorState, ClientSnapshot, Outline, Route, SignalState, Snapshot
 
 XY = tuple[float, float]
 _DIGITS: Final = 4
@@ -204,8 +192,3 @@ def _actor(body: FilmBody, row: F64) -> ActorState:
 def bodies_of(actors: Sequence[object]) -> list[FilmBody]:
     """What these actors are, or bodies of a trace."""
     return msgspec.convert(actors, list[FilmBody], from_attributes=True)
-
-
-def is_intervention(asked: Joystick, given: Joystick) -> bool:
-    """Whether what a chair was given follows its user's stick no more, by the tolerance of KPI 1."""
-    return math.hypot(asked.x - given.x, asked.y - given.y) > FOLLOWED

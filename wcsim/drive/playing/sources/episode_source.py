@@ -16,16 +16,8 @@ from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
-from wcsim.drive.driven import xy_of
-from wcsim.drive.playing.film_states import (
-    FilmAbout,
-    FilmLine,
-    FilmNames,
-    FrameMaker,
-    Said,
-    TickSays,
-    is_intervention,
-)
+from wcsim.drive.driven import is_intervention, xy_of
+from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FrameMaker, Said, TickSays
 from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.errors import ConfigError
 from wcsim.types import Snapshot

@@ -12,17 +12,8 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
 from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
 from wcsim.bridge.world import World
-from wcsim.drive.driven import DriverKind, EventKind, xy_of
-from wcsim.drive.playing.film_states import (
-    FilmAbout,
-    FilmFrame,
-    FilmLine,
-    FilmNames,
-    FrameMaker,
-    Said,
-    TickSays,
-    is_intervention,
-)
+from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
+from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FrameMaker, Said, TickSays
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
 from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked
