@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+
 from wcsim.agents.policy_api import Observation
+from wcsim.drive import messages as m
 from wcsim.log.records import DriveTick, Note
 
 
@@ -121,3 +124,9 @@ class HearsDelays:
 
     def act(self, observation: Observation) -> int:
         return 40
+
+
+def as_said(say: str, **more: object) -> m.PageMessage:
+    """What a page, or the server itself, says to a runner."""
+    own = {"ready": m.Ready, "gone": m.Gone, "end": m.End}
+    return own[say]() if say in own else m.of_page(json.dumps({"say": say, **more}, ensure_ascii=False).encode())

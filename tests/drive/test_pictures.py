@@ -13,15 +13,16 @@ from wcsim.drive.pictures import (
     WAY_RGB,
     Arm,
     CameraKind,
-    DrivePictures,
     Orbit,
     PageLooks,
     StillPictures,
+    StreetPictures,
     _ground_points,
     _mark_goal,
     clamped,
     eased,
     eye,
+    moment_of,
 )
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.physics.buffers import Images
@@ -40,14 +41,18 @@ def parts(message: bytes) -> dict[str, np.ndarray]:
     return found
 
 
+def pictures_of(session: DriveSession) -> StreetPictures:
+    return StreetPictures(session.world.street, session.world.config.cameras[0])
+
+
 def near(picture: np.ndarray, rgb: tuple[int, int, int]) -> int:
     return int((np.abs(picture.astype(int) - rgb).max(axis=2) < 40).sum())
 
 
 def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> None:
     session.tick(Wish())
-    pictures = DrivePictures(session)
-    shown = parts(pictures.draw(session, PageLooks(width_px=640, height_px=360), 0.1))
+    pictures = pictures_of(session)
+    shown = parts(pictures.draw(moment_of(session, jumped=False), PageLooks(width_px=640, height_px=360), 0.1))
     assert {letter: picture.shape[:2] for letter, picture in shown.items()} == {
         "S": (360, 640),
         "C": (240, 320),
@@ -55,17 +60,18 @@ def test_pictures_have_their_sizes_and_show_something(session: DriveSession) -> 
     }
     assert all(picture.std() > 10.0 for picture in shown.values())
     assert near(shown["S"], WAY_RGB) > 20, "the way is dotted"
-    less = parts(pictures.draw(session, PageLooks(camera=CameraKind.NOTHING, chart=False), 0.1))
+    little = PageLooks(camera=CameraKind.NOTHING, chart=False)
+    less = parts(pictures.draw(moment_of(session, jumped=False), little, 0.1))
     assert set(less) == {"S"}
 
 
 def test_the_street_moves_past_and_the_numbers_of_pictures_rise(session: DriveSession) -> None:
     session.assist(False)
-    pictures = DrivePictures(session)
-    before = pictures.draw(session, PageLooks(), 0.1)
+    pictures = pictures_of(session)
+    before = pictures.draw(moment_of(session, jumped=False), PageLooks(), 0.1)
     for _ in range(15):
         session.tick(Wish(stick=Joystick(0.0, 1.0)))
-    after = pictures.draw(session, PageLooks(), 0.1)
+    after = pictures.draw(moment_of(session, jumped=False), PageLooks(), 0.1)
     assert struct.unpack_from("<I", before) < struct.unpack_from("<I", after)
     changed = np.abs(parts(before)["S"].astype(int) - parts(after)["S"]).mean()
     assert changed > 0.3
@@ -83,20 +89,20 @@ def test_a_still_tells_whether_the_chair_faces_its_way(session: DriveSession) ->
 
 def test_the_camera_is_at_a_new_start_at_once(session: DriveSession) -> None:
     """Whatever the start's heading: it does not fly there."""
-    pictures = DrivePictures(session)
+    pictures = pictures_of(session)
     session.tick(Wish())
-    pictures.draw(session, PageLooks(), 0.1)
+    pictures.draw(moment_of(session, jumped=False), PageLooks(), 0.1)
     session.new_place()
     session.tick(Wish())
-    first = parts(pictures.draw(session, PageLooks(), 0.02))["S"]
-    later = parts(pictures.draw(session, PageLooks(), 5.0))["S"]
+    first = parts(pictures.draw(moment_of(session, jumped=True), PageLooks(), 0.02))["S"]
+    later = parts(pictures.draw(moment_of(session, jumped=False), PageLooks(), 5.0))["S"]
     assert (first == later).all()
 
 
 @pytest.mark.parametrize("kind", [CameraKind.CLASSES, CameraKind.DEPTH])
 def test_classes_and_depth_are_what_the_policy_gets(session: DriveSession, kind: CameraKind) -> None:
-    pictures = DrivePictures(session)
-    shown = parts(pictures.draw(session, PageLooks(camera=kind), 0.1))["C"]
+    pictures = pictures_of(session)
+    shown = parts(pictures.draw(moment_of(session, jumped=False), PageLooks(camera=kind), 0.1))["C"]
     assert shown.shape == (240, 320, 3)
     block = shown[100:104, 100:104]
     assert np.ptp(block.reshape(-1, 3).astype(int), axis=0).max() < 40, "pixels of the policy's 80 x 60, enlarged"

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.drive.lookers import Breaks, BreaksAtOnce, Noted
+from tests.drive.lookers import Breaks, BreaksAtOnce, Noted, as_said
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner, drive_about, drive_state
+from wcsim.drive.page_runner import DONE, JSON, LINE, PICTURES
+from wcsim.drive.runner import DriveRunner, drive_about, drive_state
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.types import ClassId, Joystick
@@ -34,7 +35,7 @@ def heard_of(start: DriveStart, monkeypatch: pytest.MonkeyPatch, *said: dict[str
     monkeypatch.setattr(runner_module, "DriveSession", slowly)
     server, pipe = Pipe()
     for message in (*said, {"say": "end"}):
-        server.send_bytes(json.dumps(message).encode())
+        server.send(as_said(**message))
     DriveRunner(pipe, start, clock=lambda: now_s[0]).run()
     pipe.close()
     heard = []
@@ -178,7 +179,7 @@ class Desk:
         self.runner._begin()
 
     def say(self, say: str, **more: object) -> None:
-        self.server.send_bytes(json.dumps({"say": say, **more}).encode())
+        self.server.send(as_said(say, **more))
 
     def turn(self, after_s: float = 0.0, **stick: object) -> list[dict[str, Any]]:
         """Let time go on, with a page that holds the stick if its message is said."""
@@ -292,20 +293,15 @@ def test_a_signal_leaves_what_takes_long_but_no_end_that_is_under_way(desk: Desk
     desk.runner.leave()
 
 
-LONG = {"town": "\U0001f9bd" * 400, "suite": "a" * 390}  # as short as it is said, and longer as it is passed on
-
-
 def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
-    raw = json.dumps({"say": "open", **LONG}, ensure_ascii=False, separators=(",", ":")).encode()
-    assert len(raw) <= m.MOST_BYTES < len(m.written(m.of_page(raw)))
-    desk.server.send_bytes(m.written(m.of_page(raw)))
-    desk.server.send_bytes(b'{"say":"nothing of the kind"}')
+    desk.server.send(m.Open(town="\U0001f9bd" * 400, suite="a" * 390))
+    desk.server.send(m.GoLive())  # of the page of a film
     desk.runner._turn()
     told = []
     while desk.server.poll():
         data = desk.server.recv_bytes()
         told += [json.loads(data[1:])["told"]] if data.startswith(JSON + b'{"say":"notice"') else []
-    assert "is not one that the page offers" in told[0] and "got a message that this server does not know" in told[1]
+    assert len(told) == 1 and "is not one that the page offers" in told[0]
     desk.turn(0.1, x=0.0)
     assert desk.runner.session is not None and desk.runner.session.ticks > 0, "the drive goes on"
 

@@ -13,10 +13,11 @@ from wcsim.drive import messages as m
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.runner import notice_of
-from wcsim.drive.session import AT_REST, DriveSession, Wish
+from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.errors import ConfigError, PolicyError, TownError
 from wcsim.types import Joystick, StartSpec
+from wcsim.types.chair import AT_REST
 from wcsim.users.user import SimulatedUser
 
 AHEAD = Wish(stick=Joystick(0.0, 1.0))

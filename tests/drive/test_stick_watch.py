@@ -1,8 +1,8 @@
 from __future__ import annotations
 
-from wcsim.drive.session import AT_REST
 from wcsim.drive.stick_watch import GONE_S, LOST_S, STANDS_STILL_S, StickWatch
 from wcsim.types import Joystick
+from wcsim.types.chair import AT_REST
 
 AHEAD = Joystick(0.0, 1.0)
 

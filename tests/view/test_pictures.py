@@ -11,7 +11,7 @@ from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.palette import COLOURS
 from wcsim.types import ActorKind, ClassId, Route
 from wcsim.view.map import ROUTE_RGB, MapView
-from wcsim.view.pictures import VideoWriter, captioned, class_colours, depth_colours, side_by_side, triptych, write_png
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, triptych, write_png
 
 
 def test_every_class_has_a_colour_of_its_own():
@@ -60,9 +60,9 @@ def test_png_is_written_whole_and_read_back(tmp_path):
 
 def test_a_video_plays_back_what_was_written(tmp_path):
     path = tmp_path / "a.webm"
-    with VideoWriter(path, 10.0, (65, 48)) as video:  # an odd width is padded
+    with open_video(path, 0.1) as write:  # an odd width is padded
         for level in range(0, 200, 10):
-            video.write(np.full((48, 65, 3), (level, 0, 0), np.uint8))
+            write(np.full((48, 65, 3), (level, 0, 0), np.uint8))
         assert not path.exists()
     assert path.read_bytes()[:4] == b"\x1aE\xdf\xa3"  # EBML, the start of every WebM file
     capture = cv2.VideoCapture(str(path))
@@ -78,21 +78,21 @@ def test_a_video_plays_back_what_was_written(tmp_path):
 
 
 def test_a_failed_video_leaves_nothing_behind(tmp_path):
-    with pytest.raises(RuntimeError), VideoWriter(tmp_path / "a.webm", 10.0, (64, 48)) as video:
-        video.write(np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(RuntimeError), open_video(tmp_path / "a.webm", 0.1) as write:
+        write(np.zeros((48, 64, 3), np.uint8))
         raise RuntimeError
     assert not list(tmp_path.iterdir())
 
 
 def test_a_video_says_what_it_cannot_do(tmp_path):
-    with pytest.raises(ConfigError, match=r"\.webm"):
-        VideoWriter(tmp_path / "a.mp4", 10.0, (64, 48))
-    with pytest.raises(ConfigError, match="folder"):
-        VideoWriter(tmp_path / "nowhere" / "a.webm", 10.0, (64, 48))
-    with VideoWriter(tmp_path / "b.webm", 10.0, (64, 48)) as video, pytest.raises(ConfigError, match="expected"):
-        video.write(np.zeros((64, 48, 3), np.uint8))
-    with pytest.raises(ConfigError, match="closed"):
-        video.write(np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(ConfigError, match=r"\.webm"), open_video(tmp_path / "a.mp4", 0.1):
+        pass
+    with pytest.raises(ConfigError, match="folder"), open_video(tmp_path / "nowhere" / "a.webm", 0.1):
+        pass
+    with open_video(tmp_path / "b.webm", 0.1) as write:
+        write(np.zeros((48, 64, 3), np.uint8))
+        with pytest.raises(ConfigError, match="expected"):
+            write(np.zeros((64, 48, 3), np.uint8))
 
 
 def test_images_are_joined_at_one_height():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from wcsim.cli.recordings.film_page import PageOptions, serve_page
 from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, parse, says
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
@@ -22,8 +23,8 @@ if TYPE_CHECKING:  # loads what --help must not
 _SET_BY_STUDY = ("--profile", "--seed", "--suite", "--block", "--seat", "--record")
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(PageOptions):
     """Drive a wheelchair yourself: a page in your browser, with keys, pointer, gamepad or switches.
 
     A policy assists you; on the page you can switch it off, change its level and overrule it. docs/drive.md
@@ -53,10 +54,6 @@ class Options:
     """In a study: the participant's number, which sets the order; the same number again resumes."""
     out: OutFolder = None
     """In a study: folder of the table and recordings, studies/NAME by default."""
-    port: Annotated[int, Bounds(0, 65535)] = 8080
-    """Port of the page; 0 takes a free one."""
-    host: str = "127.0.0.1"
-    """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
 def run(words: list[str]) -> int:
@@ -72,22 +69,10 @@ def run(words: list[str]) -> int:
     else:
         _require_place(options, words)
     print("loading the simulator and the page ...", flush=True)
-    from wcsim.drive.runner import DriveOrder
-    from wcsim.drive.serving.server import ServeOrder, serve_drive  # loads the simulators, which --help must not
+    from wcsim.drive.runner import DriveOrder  # loads the simulators, which --help must not
 
     start, keep = _studied(options, words) if options.study else _started(options, words)
-    try:
-        serve_drive(
-            ServeOrder(
-                start=DriveOrder(start=start, keep=keep),
-                host=options.host,
-                port=options.port,
-                say=lambda told: print(told, flush=True),
-            )
-        )
-    except KeyboardInterrupt:
-        print("the page is closed")
-    return 0
+    return serve_page(DriveOrder(start=start, keep=keep), options)
 
 
 def _require_place(options: Options, words: list[str]) -> None:

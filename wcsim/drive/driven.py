@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from enum import StrEnum
+from typing import Final
 
 from wcsim.log.records import DriveTick, Note
+from wcsim.supervisor.kpi import FOLLOWED
+from wcsim.types import Joystick
+
+_COUNTED: Final = {
+    "crashed": "crashes",
+    "dropped": "drops",
+    "arrived": "arrivals",
+    "gave_up": "given_up",
+    "helped": "helps",
+    "warning": "warnings",
+    "intervening": "interventions",
+    "overruled": "overrules",
+}  # fields of a tick, and the counters of `KpiTotals`
 
 
 class DriverKind(StrEnum):
@@ -48,3 +63,18 @@ DriveObserver = Callable[[DriveTick | Note], object]
 
 Ticks are numbered over the drive, from 1 on; their arrays are copies. One that has `close` is closed with the drive.
 """
+
+
+def happened_in(tick: object) -> set[str]:
+    """What a chair's tick, of a drive or a film, counts for: names of the counters of `KpiTotals`."""
+    return {counter for field, counter in _COUNTED.items() if getattr(tick, field, False)}
+
+
+def xy_of(stick: Joystick) -> tuple[float, float]:
+    """A stick as pages and films hold it."""
+    return round(stick.x, 4), round(stick.y, 4)
+
+
+def is_intervention(asked: Joystick, given: Joystick) -> bool:
+    """Whether what a chair was given follows its user's stick no more, by the tolerance of KPI 1."""
+    return math.hypot(asked.x - given.x, asked.y - given.y) > FOLLOWED

@@ -1,4 +1,4 @@
-"""What pages say and hear: typed JSON with a bound on every field, read at one door."""
+"""What the pages of a drive and of a film say and hear: typed JSON with a bound on every field, read at one door."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from wcsim.errors import ProtocolError
 from wcsim.supervisor.kpi import KpiTotals
 
 MOST_BYTES: Final = 2048  # of a page's message
-_MOST_PASSED_ON: Final = 2 * MOST_BYTES  # of the same as the server says it, with all that the page left out
 Part = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 31)]
 Name = Annotated[str, msgspec.Meta(max_length=400)]
@@ -25,6 +24,7 @@ Pixels = Annotated[int, msgspec.Meta(ge=SMALLEST_PX, le=LARGEST_PX)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=8.0)]
 AnswerNumber = Annotated[int, msgspec.Meta(ge=-1, lt=MOST_STEPS)]
 Level = Annotated[float, msgspec.Meta(ge=0.0, le=100.0)]
+Jump = Annotated[int, msgspec.Meta(ge=-100_000, le=100_000)]
 
 
 class PageMessage(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True, forbid_unknown_fields=True):
@@ -137,6 +137,37 @@ class AnswerAll(PageMessage, frozen=True):
     answers: Annotated[list[AnswerNumber], msgspec.Meta(max_length=MOST_QUESTIONS)]
 
 
+class Seek(PageMessage, frozen=True):
+    """Of a film: show this frame."""
+
+    to: Count
+
+
+class StepBy(PageMessage, frozen=True):
+    """Of a film: stand still, so many ticks farther on."""
+
+    ticks: Jump
+
+
+class FollowSeat(PageMessage, frozen=True):
+    """Of a film: show this chair."""
+
+    seat: Count
+
+
+class GoLive(PageMessage, frozen=True):
+    """Of a film: show the newest tick from now on."""
+
+
+class OpenEpisode(PageMessage, frozen=True):
+    """Of a film: drive another episode of the result."""
+
+    slow: ClassVar[bool] = True
+    policy: Name
+    block: Count
+    seat: Count
+
+
 class TakeOver(PageMessage, frozen=True):
     """This page wants to drive; the one that did looks on from now on."""
 
@@ -153,39 +184,17 @@ class End(PageMessage, frozen=True):
     """Of the server: the drive is over."""
 
 
-_Settings = Assist | SetLevel | DriveBy | Pace | Pause | SetUser
-_OfStudy = GoOn | AnswerAll
-FromPage = _Settings | _OfStudy | Stick | Help | Shown | SetView | NewPlace | Again | Open | TakeOver
-_PAGE: Final = msgspec.json.Decoder(FromPage)
-_RUNNER: Final = msgspec.json.Decoder(FromPage | Gone | Ready | End)
+_OfDrive = Stick | Help | Assist | SetLevel | DriveBy | NewPlace | Again | SetUser | Open | GoOn | AnswerAll
+_OfFilm = Seek | StepBy | FollowSeat | GoLive | OpenEpisode
+_PAGE: Final = msgspec.json.Decoder(_OfDrive | _OfFilm | Shown | SetView | Pace | Pause | TakeOver)
 
 
 def of_page(data: str | bytes) -> PageMessage:
     """What a page says. Raises ProtocolError for what is no message, in a line."""
-    return decoded(_PAGE, data)
-
-
-def of_server(data: bytes) -> PageMessage:
-    """What the server says to the runner. Raises ProtocolError."""
-    return passed_on(_RUNNER, data)
-
-
-def written(message: PageMessage) -> bytes:
-    """What the server says to the runner, as `of_server` reads it."""
-    return msgspec.json.encode(message)
-
-
-def passed_on(decoder: msgspec.json.Decoder, data: bytes) -> PageMessage:  # type: ignore[type-arg]
-    """What the server says, as a decoder of a runner reads it. Raises ProtocolError for what is none, in a line."""
-    return decoded(decoder, data, _MOST_PASSED_ON)
-
-
-def decoded(decoder: msgspec.json.Decoder, data: str | bytes, most_bytes: int = MOST_BYTES) -> PageMessage:  # type: ignore[type-arg]
-    """A page's message as a decoder reads it. Raises ProtocolError for what is none, in a line."""
-    if len(data) > most_bytes:
-        raise ProtocolError(f"a message has {len(data)} bytes; expected at most {most_bytes}")
+    if len(data) > MOST_BYTES:
+        raise ProtocolError(f"a message has {len(data)} bytes; expected at most {MOST_BYTES}")
     try:
-        message: PageMessage = decoder.decode(data)
+        message: PageMessage = _PAGE.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(
             f"got a message that this server does not know: {escaped(str(error), 200)}; reload the page"
@@ -193,18 +202,18 @@ def decoded(decoder: msgspec.json.Decoder, data: str | bytes, most_bytes: int = 
     return message
 
 
-class _Said(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True):
+class Shows(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True):
     """Base of what a page hears."""
 
 
-class Notice(_Said, frozen=True):
+class Notice(Shows, frozen=True):
     """A line for the person."""
 
     kind: str  # "good", "note", "bad", "refused"
     told: str
 
 
-class PageRole(_Said, frozen=True, tag="role"):
+class PageRole(Shows, frozen=True, tag="role"):
     """What this page may do."""
 
     drives: bool
@@ -212,7 +221,7 @@ class PageRole(_Said, frozen=True, tag="role"):
     told: str = ""
 
 
-class Keeping(_Said, frozen=True):
+class Keeping(Shows, frozen=True):
     """Whether the drive is kept in a file."""
 
     on: bool
@@ -220,20 +229,20 @@ class Keeping(_Said, frozen=True):
     told: str
 
 
-class Study(_Said, frozen=True):
+class Study(Shows, frozen=True):
     """A step of a study, and how it stands."""
 
     view: StudyView
 
 
-class Busy(_Said, frozen=True):
+class Busy(Shows, frozen=True):
     """The street is not there yet, or will not be."""
 
     told: str
     waits: bool = True  # it is on its way; False when nothing is waited for any more
 
 
-class About(_Said, frozen=True):
+class About(Shows, frozen=True):
     """What is driven; said when a place has been opened, and to each page that comes."""
 
     place: str
@@ -261,7 +270,6 @@ class Kpis(msgspec.Struct, frozen=True, kw_only=True):
     crashes: int | None
     drops: int | None
     arrivals: int | None
-    given_up: int | None
     helps: int
     overrules: int | None
     warnings: int | None
@@ -270,7 +278,7 @@ class Kpis(msgspec.Struct, frozen=True, kw_only=True):
 
 def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True) -> Kpis:
     """Totals as pages show them; a film may not know what happened, and may be of a policy that never warns."""
-    named = ("crashes", "drops", "arrivals", "given_up", "overrules", "interventions")
+    named = ("crashes", "drops", "arrivals", "overrules", "interventions")
     return Kpis(
         kpi1=None if totals.kpi1 is None else round(totals.kpi1, 4),
         kpi2=round(totals.kpi2, 1) if knows else None,
@@ -282,12 +290,11 @@ def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool
     )
 
 
-class DriveState(_Said, frozen=True, tag="state"):
+class DriveState(Shows, frozen=True, tag="state"):
     """The drive as it is, once a tick."""
 
     tick: int
     time_s: float
-    step: int
     driver: DriverKind
     paused: bool
     waiting: str  # why nobody drives, "" while somebody does
@@ -295,7 +302,6 @@ class DriveState(_Said, frozen=True, tag="state"):
     alone: bool  # the simulated user still has the chair, before a handover
     pace: float
     stick: tuple[float, float]
-    chosen: tuple[float, float]
     commanded: tuple[float, float]
     unsafe: list[int]
     assisted: bool
@@ -311,11 +317,9 @@ class DriveState(_Said, frozen=True, tag="state"):
     crash: str
     profile: str
     kpis: Kpis
-    tick_ms: float  # of the processor's time, a mean
-    pictures_ms: float
     rate: float  # ticks a second, a mean
 
 
-def spoken(message: _Said) -> bytes:
+def spoken(message: Shows) -> bytes:
     """What a page hears, as JSON."""
     return msgspec.json.encode(message)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
@@ -104,28 +104,23 @@ def eye(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
     >>> bool((T_CW[:, :3] @ np.array([0.0, 0.0, AIM_M]) + T_CW[:, 3])[2] > 0.0)
     True
     """
-    x_m, y_m, z_m = (float(value) for value in p_WB_m)
-    flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
-    ahead_m = _AHEAD_SHARE * flat_m * max(0.0, math.cos(orbit.turn_rad))
-    aim = (x_m + ahead_m * math.cos(yaw_rad), y_m + ahead_m * math.sin(yaw_rad), z_m + AIM_M)
-    return look_at(_stand(p_WB_m, yaw_rad, orbit), aim)
+    ahead_m = _AHEAD_SHARE * orbit.distance_m * math.cos(orbit.tilt_rad) * max(0.0, math.cos(orbit.turn_rad))
+    aim_W_m = p_WB_m + np.array([ahead_m * math.cos(yaw_rad), ahead_m * math.sin(yaw_rad), AIM_M])
+    return look_at(_stand(p_WB_m, yaw_rad, orbit), aim_W_m)
 
 
-def _stand(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> tuple[float, float, float]:
-    """Where that camera stands in W.
+def _stand(p_WB_m: F64, yaw_rad: float, orbit: Orbit) -> F64:
+    """Where that camera stands in W, (3,).
 
     >>> import numpy as np
-    >>> [round(value, 3) for value in _stand(np.zeros(3), 0.0, Orbit(tilt_rad=0.0, distance_m=6.0))]
+    >>> _stand(np.zeros(3), 0.0, Orbit(tilt_rad=0.0, distance_m=6.0)).round(3).tolist()
     [-6.0, 0.0, 0.9]
     """
-    x_m, y_m, z_m = (float(value) for value in p_WB_m)
     from_rad = yaw_rad + math.pi - orbit.turn_rad
     flat_m = orbit.distance_m * math.cos(orbit.tilt_rad)
-    return (
-        x_m + flat_m * math.cos(from_rad),
-        y_m + flat_m * math.sin(from_rad),
-        z_m + AIM_M + orbit.distance_m * math.sin(orbit.tilt_rad),
-    )
+    up_m = AIM_M + orbit.distance_m * math.sin(orbit.tilt_rad)
+    stand_W_m: F64 = p_WB_m + np.array([flat_m * math.cos(from_rad), flat_m * math.sin(from_rad), up_m])
+    return stand_W_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,10 +192,15 @@ def _mark_way(image: U8, depth_m: F32, camera: Pinhole, T_CW: F64, points_W_m: F
         u, v, _ = above
         size = max(6, abs(seen[1] - v) // 3)
         cv2.line(image, seen[:2], (u, v), _RIM_RGB, max(2, size // 6), cv2.LINE_AA)
-        flag = np.array([(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], np.int32)
-        cv2.fillPoly(image, [flag], GOAL_RGB, cv2.LINE_AA)
-        cv2.polylines(image, [flag], True, _RIM_RGB, 1, cv2.LINE_AA)
+        _fill(image, [(u, v), (u + round(1.4 * size), v + size // 2), (u, v + size)], GOAL_RGB)
     return image
+
+
+def _fill(image: U8, corners: Sequence[tuple[float, float]], rgb: tuple[int, int, int], rim_px: int = 1) -> None:
+    """Draw a polygon of a colour with a light rim into a picture."""
+    polygon = [np.array(corners, np.int32)]
+    cv2.fillPoly(image, polygon, rgb, cv2.LINE_AA)
+    cv2.polylines(image, polygon, True, _RIM_RGB, rim_px, cv2.LINE_AA)
 
 
 def _mark_chair(chart: U8, yaw_rad: float) -> U8:
@@ -208,8 +208,7 @@ def _mark_chair(chart: U8, yaw_rad: float) -> U8:
     middle, (ahead, left) = 0.5 * chart.shape[0], (math.cos(yaw_rad), math.sin(yaw_rad))
     corners = [(11.0, 0.0), (-8.0, 7.0), (-4.0, 0.0), (-8.0, -7.0)]
     arrow = [(middle + a * ahead - b * left, middle - a * left - b * ahead) for a, b in corners]
-    cv2.fillPoly(chart, [np.array(arrow, np.int32)], _CHAIR_RGB, cv2.LINE_AA)
-    cv2.polylines(chart, [np.array(arrow, np.int32)], True, _RIM_RGB, 2, cv2.LINE_AA)
+    _fill(chart, arrow, _CHAIR_RGB, rim_px=2)
     return chart
 
 
@@ -229,9 +228,7 @@ def _mark_goal(chart: U8, goal_m: F64, span_m: float) -> U8:
     u, v = (0.5 * size + (away if inside else away * (reach / far))).round().astype(int).tolist()
     if inside:
         cv2.line(chart, (u, v), (u, v - 16), _RIM_RGB, 2, cv2.LINE_AA)
-    flag = np.array([(u, v - 16), (u + 12, v - 11), (u, v - 6)] if inside else _arrow(u, v, away), np.int32)
-    cv2.fillPoly(chart, [flag], GOAL_RGB, cv2.LINE_AA)
-    cv2.polylines(chart, [flag], True, _RIM_RGB, 1, cv2.LINE_AA)
+    _fill(chart, [(u, v - 16), (u + 12, v - 11), (u, v - 6)] if inside else _arrow(u, v, away), GOAL_RGB)
     return chart
 
 
@@ -417,23 +414,10 @@ class StreetPictures:
         return images
 
 
-class DrivePictures:
-    """Draws one session's street; a session of another street needs another object.
-
-    Args:
-        session: What is drawn.
-    """
-
-    def __init__(self, session: DriveSession) -> None:
-        self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
-        self._episode = -1  # that was drawn last
-
-    def draw(self, session: DriveSession, looks: PageLooks, dt_s: float) -> bytes:
-        """All pictures of now, see `StreetPictures.draw`."""
-        jumped, self._episode = session.episode != self._episode, session.episode
-        moment = _moment(session.world, session.client, session.route, session.done_m)
-        moment = replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
-        return self._pictures.draw(moment, looks, dt_s)
+def moment_of(session: DriveSession, *, jumped: bool) -> Moment:
+    """The street of now around a session's chair; `jumped` as in `Moment`."""
+    moment = _moment(session.world, session.client, session.route, session.done_m)
+    return replace(moment, jumped=jumped, frame=session.client.sensors.cameras[0])
 
 
 def _moment(world: World, client: ClientSnapshot, route: Route, done_m: float) -> Moment:

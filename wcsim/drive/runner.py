@@ -1,23 +1,25 @@
-"""The process in which a drive runs: it keeps time, hears what the page wants, and says what the page shows."""
+"""The process of a drive: what the page wants is done to the session and its clock, and the page is told of both."""
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
+
+import numpy as np
 
 from wcsim.agents.evaluation.suite.list_file import open_suite, shipped
 from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
-from wcsim.drive.pictures import DrivePictures, PageLooks, clamped
+from wcsim.drive.driven import DriverKind, EventKind, xy_of
+from wcsim.drive.page_runner import Does, PageRunner, run_page
+from wcsim.drive.pictures import StreetPictures, moment_of
 from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
 from wcsim.drive.recording.study_lead import StudyHands, StudyLead
@@ -25,19 +27,28 @@ from wcsim.drive.recording.study_plan import StepKind, StudyView
 from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
-from wcsim.errors import ProtocolError, WcsimError
+from wcsim.errors import WcsimError
 from wcsim.log.records import DriveTick, Note
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
+from wcsim.types.chair import AT_REST
 from wcsim.users.profiles import profile_names
 
-JSON, PICTURES, LINE, DONE = b"J", b"P", b"L", b"D"  # what a message to the server is; the last: a slow wish is done
 _CRASH_S: Final = 3.0  # so long a crash is shown
 _IDLE_S: Final = 0.05
 _NEWEST: Final = 0.05  # share of the newest in a mean
 _SET_BY_STUDY: Final = (m.Assist, m.SetLevel, m.DriveBy, m.Pace, m.NewPlace, m.Again, m.SetUser, m.Open)
-
-
+_RESTS: Final = DriveTick(
+    tick=0,
+    episode=0,
+    time_s=0.0,
+    stick=AT_REST,
+    commanded=AT_REST,
+    chosen=AT_REST,
+    p_WB_m=np.zeros(3),
+    yaw_rad=0.0,
+    speed_mps=0.0,
+)  # before the first tick of an episode
 _NOTICES: Final[dict[str, tuple[str, str]]] = {
     EventKind.ARRIVED: ("good", "Arrived. A new destination is set."),
     EventKind.GAVE_UP: ("note", "The simulated user gave up this route. A new destination is set."),
@@ -64,7 +75,6 @@ class DriveClock:
     held_s: float = 0.0  # a crash is shown till then
     opened_s: float = 0.0
     ticked_s: float = 0.0  # 0 before the first tick
-    drawn_s: float = 0.0
     tick_s: float = 0.0  # of processor time, a mean, as the next
     picture_s: float = 0.0
     gap_s: float = 0.0  # between ticks, a mean
@@ -86,20 +96,18 @@ class DriveClock:
         self.ticked_s = now_s
         self.due_s = max(self.due_s + (tick_s / self.pace if self.pace else 0.0), now_s)
 
-    def drew(self, now_s: float, took_s: float) -> None:
+    def drew(self, took_s: float) -> None:
         """Pictures were drawn."""
-        self.drawn_s = now_s
         self.picture_s += _NEWEST * (took_s - self.picture_s)
 
 
-class DriveRunner:
+class DriveRunner(PageRunner):
     """Runs drives one after another, until the pipe to the server ends.
 
     Args:
         pipe: To the server.
         start: The first drive.
         keep: The file of the first world that is kept, or a study that leads through several; None to keep nothing.
-        observers: Made anew for each drive.
         clock: Monotonic seconds.
     """
 
@@ -108,24 +116,21 @@ class DriveRunner:
         pipe: Connection,
         start: DriveStart,
         keep: Path | OpenStudy | None = None,
-        observers: Callable[[], Sequence[DriveObserver]] = tuple,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._pipe, self._start, self._observers, self._now_s = pipe, start, observers, clock
+        super().__init__(pipe, clock)
+        self._start = start
         self._names = numbered_names(keep) if isinstance(keep, Path) else None
         self._study = keep if isinstance(keep, OpenStudy) else None
         self._lead: StudyLead | None = None
         self.session: DriveSession | None = None
-        self._pictures: DrivePictures | None = None
-        self._watch, self._looks = StickWatch(), PageLooks()
-        self.clock = DriveClock()
-        self._ready, self._stale = False, True
-        self._over = self._told_failure = self._unseen = False
+        self._watch, self.clock = StickWatch(), DriveClock()
+        self._told_failure = self._unseen = False
         self._told_waiting = ""
-        self._does: dict[type, Callable[[Any], None]] = {
+        self._drawn_episode = -1
+        does: Does = {
             m.Stick: self._stick,
             m.Help: lambda _: self._open_session().ask_for_help(),
-            m.SetView: self._view,
             m.Assist: self._assist,
             m.SetLevel: lambda said: self._open_session().set_level(said.level),
             m.DriveBy: self._drive_by,
@@ -138,19 +143,8 @@ class DriveRunner:
             m.GoOn: lambda said: self._leads().go_on(said.step),
             m.AnswerAll: lambda said: self._leads().answer(said.step, said.answers),
             m.Gone: lambda _: self._watch.let_go(),
-            m.Ready: self._take_ready,
-            m.End: self._end,
         }
-
-    def run(self) -> None:
-        """Drive until the server ends. Raises what opens the first place no more than a line to the server."""
-        with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-            try:
-                self._begin()
-                while not self._over:
-                    self._turn()
-            finally:
-                self.close()
+        self._does |= does
 
     def close(self) -> None:
         """End the drive, and say what it was."""
@@ -164,13 +158,7 @@ class DriveRunner:
             )
             session.close()
             with suppress(BrokenPipeError, OSError):
-                self._pipe.send_bytes(LINE + told.encode())
-
-    def leave(self, *_: object) -> None:
-        """Of SIGTERM: leave the opening of a street at once; an end that is under way goes on."""
-        if not self._over:
-            self._over = True
-            raise SystemExit
+                self._log(told)
 
     @property
     def waiting(self) -> str:
@@ -189,17 +177,16 @@ class DriveRunner:
 
     def _turn(self) -> None:
         self._pipe.poll(self._wait_s())  # once: a page says its stick more often than that, and what follows is due
-        while self._pipe.poll():
-            self._hear(self._pipe.recv_bytes())
+        self._hear()
         if self._lead is not None:
             self._lead.wait()
         now_s = self._now_s()
         if self._unseen and self._ready:  # the street is seen before its first tick, which may have kernels to compile
-            self._show(now_s)
+            self._show()
         if self._goes() and now_s >= self.clock.next_s:
             self._tick(now_s)
         if self._ready and self._stale:
-            self._show(now_s)
+            self._show()
         if self.waiting != self._told_waiting:  # also where no tick says it
             self._state()
 
@@ -237,18 +224,15 @@ class DriveRunner:
         if self._lead is not None:
             self._lead.driven()
 
-    def _show(self, now_s: float) -> None:
+    def _show(self) -> None:
         session, pictures = self.session, self._pictures
         if session is None or pictures is None:
             return
         before = time.process_time()
-        dt_s = min(1.0, now_s - self.clock.drawn_s) if not self.clock.paused else 0.0
-        self._pipe.send_bytes(PICTURES + pictures.draw(session, self._looks, dt_s))
-        self._ready = self._stale = self._unseen = False
-        self.clock.drew(now_s, time.process_time() - before)
-
-    def _say(self, message: Any) -> None:
-        self._pipe.send_bytes(JSON + m.spoken(message))
+        jumped, self._drawn_episode = session.episode != self._drawn_episode, session.episode
+        self._draw(moment_of(session, jumped=jumped), pictures, 0.0 if self.clock.paused else 1.0)
+        self._unseen = False
+        self.clock.drew(time.process_time() - before)
 
     def _note(self, record: DriveTick | Note) -> None:
         notice = notice_of(record)
@@ -268,25 +252,8 @@ class DriveRunner:
 
     # --- what the page wants ---
 
-    def _hear(self, data: bytes) -> None:
-        try:
-            message = m.of_server(data)
-        except ProtocolError as error:
-            self._refuse(error)
-            return
-        try:
-            self._refuse_in_study(message)
-            self._does[type(message)](message)
-        except WcsimError as error:
-            self._refuse(error)
-        if message.slow:
-            self._pipe.send_bytes(DONE)
-        if not isinstance(message, m.Stick | m.Ready | m.End):
-            self._stale = True
-            self._state()
-
-    def _refuse(self, error: WcsimError) -> None:
-        self._say(m.Notice(kind="refused", told=str(error)))
+    def _heard(self) -> None:
+        self._state()
 
     def _open_session(self) -> DriveSession:
         if self.session is None:
@@ -302,17 +269,6 @@ class DriveRunner:
         session.assist(said.on)
         self._told_failure = bool(session.assistance.failed)
         self.clock.paused = self.clock.paused or (said.on and self._told_failure)
-
-    def _view(self, said: m.SetView) -> None:
-        orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
-        size = {"width_px": said.width_px, "height_px": said.height_px}
-        self._looks = PageLooks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
-
-    def _take_ready(self, _: m.Ready) -> None:
-        self._ready = True
-
-    def _end(self, _: m.End) -> None:
-        self._over = True
 
     def _set_pace(self, said: m.Pace) -> None:
         self.clock.pace = said.times if said.times else 0.0
@@ -350,10 +306,9 @@ class DriveRunner:
     def _open_other(self, said: m.Open) -> None:
         before = self.session.place.start if self.session is not None else self._start
         profile = before.profile if self.session is None or before.suite else self.session.profile
-        start = DriveStart(
+        start = replace(
+            before,
             town=said.town or before.town,
-            policy=before.policy,
-            network=before.network,
             profile="" if said.suite else profile or DriveStart().profile,  # a suite's own user may be a file of it
             seed=said.seed,
             suite=said.suite,
@@ -377,13 +332,12 @@ class DriveRunner:
         self.close()
         self._pictures = None
         self._watch.require_rest()
-        self.session = session = DriveSession(
-            start, (self._note, *self._observers()), lambda told: self._say(m.Busy(told=told))
-        )
+        self.session = session = DriveSession(start, (self._note,), lambda told: self._say(m.Busy(told=told)))
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
         session.face_way()
-        self._pictures = DrivePictures(session)
+        self._pictures = StreetPictures(session.world.street, session.world.config.cameras[0])
+        self._drawn_episode = -1
         self.clock.opened(self._now_s())
         self._stale, self._unseen, self._told_failure = True, True, False
         self._say(drive_about(session))
@@ -407,6 +361,7 @@ class DriveRunner:
             self._say(m.Notice(kind="bad", told=str(error)))
             self._over = True
             return
+        self._does.update(dict.fromkeys(_SET_BY_STUDY, _refuse_in_study))
         self._lead.begin()
 
     def _open_part(self, start: DriveStart, path: Path) -> DriveSession:
@@ -427,13 +382,10 @@ class DriveRunner:
             raise WcsimError("this drive is not a study; start one with --study")
         return self._lead
 
-    def _refuse_in_study(self, message: m.PageMessage) -> None:
-        """What a study sets, nobody changes."""
-        if self._lead is not None and isinstance(message, _SET_BY_STUDY):
-            raise WcsimError("the study sets this; it cannot be changed while the study runs")
 
-    def _log(self, told: str) -> None:
-        self._pipe.send_bytes(LINE + told.encode())
+def _refuse_in_study(_: m.PageMessage) -> None:
+    """What a study sets, nobody changes."""
+    raise WcsimError("the study sets this; it cannot be changed while the study runs")
 
 
 def drive_about(session: DriveSession) -> m.About:
@@ -462,42 +414,34 @@ def drive_about(session: DriveSession) -> m.About:
 
 def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: bool) -> m.DriveState:
     """The drive as it is; see `m.DriveState`. All rests at the beginning of an episode."""
-    rest, last = Joystick(0.0, 0.0), session.last
+    last = session.last or _RESTS
     return m.DriveState(
         tick=session.ticks,
         time_s=round(session.time_s, 3),
-        step=session.metrics.steps,
         driver=session.driver,
         paused=clock.paused,
         waiting=waiting,
         let_go=let_go,
         alone=not session.handed_over,
         pace=clock.pace,
-        stick=_xy(last.stick if last else rest),
-        chosen=_xy(last.chosen if last else rest),
-        commanded=_xy(last.commanded if last else rest),
+        stick=xy_of(last.stick),
+        commanded=xy_of(last.commanded),
         unsafe=list(session.unsafe),
         assisted=session.assistance.on,
         level=session.assistance.level,
         help_s=round(session.help_left_s, 3),
-        warning=last is not None and last.warning,
-        intervening=last is not None and last.intervening,
-        overruled=last is not None and last.overruled,
+        warning=last.warning,
+        intervening=last.intervening,
+        overruled=last.overruled,
         on_road=session.client.events.on_carriageway,
-        speed_mps=round(last.speed_mps, 3) if last else 0.0,
+        speed_mps=round(last.speed_mps, 3),
         left_m=round(session.left_m, 1),
         bearing_deg=round(deg(session.bearing_rad)),
         crash=session.crash,
         profile=session.profile,
         kpis=m.kpis_of(session.metrics, session.tick_s),
-        tick_ms=round(1000.0 * clock.tick_s, 2),
-        pictures_ms=round(1000.0 * clock.picture_s, 2),
         rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
     )
-
-
-def _xy(stick: Joystick) -> tuple[float, float]:
-    return round(stick.x, 3), round(stick.y, 3)
 
 
 def notice_of(record: DriveTick | Note) -> m.Notice | None:
@@ -518,7 +462,4 @@ def notice_of(record: DriveTick | Note) -> m.Notice | None:
 
 def run_drive(pipe: Connection, order: DriveOrder) -> None:
     """What the drive's process does."""
-    runner = DriveRunner(pipe, order.start, order.keep)
-    signal.signal(signal.SIGTERM, runner.leave)
-    with pipe:
-        runner.run()
+    run_page(DriveRunner(pipe, order.start, order.keep), pipe)

@@ -18,15 +18,15 @@ from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
-from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveObserver, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
 from wcsim.log.records import DriveTick, Note, start_json
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
+from wcsim.types.chair import AT_REST
 from wcsim.users.hand import in_gate
 
-AT_REST = Joystick(0.0, 0.0)
 _NO_STICKS: Final[F64] = np.zeros((0, 2))  # of a person: known at the ticks' beginnings alone
 _FACES_RAD: Final = math.radians(45.0)  # a way within this to either side is one that a start faces
 _START_TRIES: Final = 6
@@ -34,14 +34,6 @@ _BACK_M: Final = 5.0  # from a crash to where the next episode begins
 _NEAR: Final = 20  # points of the way, a metre from each other, at which a start may be that is to face it
 _TRAIL_M: Final = 0.5  # between places of the trail
 _MOST_TRAIL: Final = 200
-_COUNTED: Final = (
-    ("crashed", "crashes"),
-    ("arrived", "arrivals"),
-    ("gave_up", "given_up"),
-    ("warning", "warnings"),
-    ("intervening", "interventions"),
-    ("overruled", "overrules"),
-)  # fields of a tick, and their counters; a request for help counts when it is heard
 ELSEWHERE: Final = "elsewhere, as no place before the crash is free"
 
 
@@ -70,7 +62,7 @@ class DriveSession(Closing):
     ) -> None:
         """Open the town and the policy; `say` is for `load_street`. Raises what `starting.open_place` does."""
         self.metrics, self.driver = KpiTotals(), DriverKind.PERSON
-        self._observers, self._held = tuple(observers), ExitStack()
+        self._observers = tuple(observers)
         self.ticks = self.episode = 0  # how many there were; number of the one that is on, or ended with the last tick
         self.client: ClientSnapshot  # the chair as it is now; after a crash as it came to lie, till the next tick
         self.route: Route  # to the destination; after a crash that of the episode which it ended, till the next tick
@@ -83,21 +75,18 @@ class DriveSession(Closing):
         self._info: dict[str, Any] = {}
         self._step, self._fresh, self._ended = 0, True, False  # of this episode
         self._failure = ""  # of the policy, as far as it has been told
-        try:
-            self.place: OpenPlace = open_place(start, self._held)
-            self.profile = self.place.spec.profile
-            self.actions = action_set(self.place.config.env.actions)
-            self.tick_s = self.place.config.world.tick_s
-            self.assistance = Assistance(self.place.policy, self.actions, self.place.config.world.help_ticks)
-            self._held.callback(self.assistance.close)
+        with ExitStack() as held:
+            self.place: OpenPlace = open_place(start, held)
             spec, config = self.place.spec, self.place.config
-            self.world = self._held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
+            self.profile, self.tick_s = spec.profile, config.world.tick_s
+            self.actions = action_set(config.env.actions)
+            self.assistance = Assistance(self.place.policy, self.actions, config.world.help_ticks)
+            held.callback(self.assistance.close)
+            self.world = held.enter_context(World(self.place.town, config, (spec,), self.place.seed, say=say))
             self._chair = Chair(config)
             self._begin()
             self.assistance.reset(self.client.drawn)
-        except BaseException:
-            self._held.close()
-            raise
+            self._held = held.pop_all()
         self.say(EventKind.BEGUN, self.place.told)
 
     @property
@@ -310,7 +299,7 @@ class DriveSession(Closing):
     def _tell(self, driven: DriveTick, distance: float) -> None:
         """Count the tick, and tell who looks on what happened in it; `distance` is between stick and command."""
         if self._step > self.place.handover_step:
-            happened = {name for field, name in _COUNTED if getattr(driven, field)}
+            happened = happened_in(driven) - {"helps"}  # a request for help counts when it is heard
             self.metrics = self.metrics.plus(happened, distance, driven.speed_mps)
             if driven.ends:  # a drive may end before the next episode begins
                 self.metrics = self.metrics.over()

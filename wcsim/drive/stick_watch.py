@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from wcsim.drive.session import AT_REST, Wish
+from wcsim.drive.session import Wish
 from wcsim.types import Joystick
+from wcsim.types.chair import AT_REST
 
 LOST_S: Final = 0.5  # without a message the stick counts no more
 GONE_S: Final = 1.5  # without one it has to be let go of before it counts again

@@ -32,8 +32,9 @@ from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
 from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
 from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
-from wcsim.view.map import MapView, map_view
-from wcsim.view.pictures import VideoWriter, captioned, side_by_side
+from wcsim.types.chair import AT_REST
+from wcsim.view.map import street_video
+from wcsim.view.pictures import captioned
 
 _PINNED_LIBM = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-AVX512F,-AVX512VL,-AVX"
 """Keeps the C library to the code that every x86-64 CPU runs, because PyBullet's results depend on its sin and cos."""
@@ -93,7 +94,7 @@ def play(world: World, scene: SceneFile) -> Iterator[RolloutStep]:
 
     def drive(now: ClientSnapshot) -> Joystick:
         at_s = now.tick * world.config.world.tick_s
-        return Joystick(0.0, 0.0) if now.seat in done else _joystick(now, scene.seats[now.seat], at_s)
+        return AT_REST if now.seat in done else _joystick(now, scene.seats[now.seat], at_s)
 
     drivers = dict.fromkeys(range(len(scene.seats)), drive)
     for step in islice(rollout(world, drivers), _ticks(world, scene)):
@@ -173,21 +174,17 @@ def _joystick(now: ClientSnapshot, wanted: SceneSeat, at_s: float) -> Joystick:
         return Joystick(*wanted.joystick)
     if wanted.script:
         begun = [step for step in wanted.script if step[0] <= at_s + 1e-9]
-        return Joystick(*begun[-1][1:]) if begun else Joystick(0.0, 0.0)
+        return Joystick(*begun[-1][1:]) if begun else AT_REST
     return now.user
 
 
 def film_scene(folder: Path, path: Path) -> None:
     """Run a scene and write it as a video (.webm). Raises TownError or ConfigError as the parts do."""
-    with _open_scene(folder, (_FILM_CAMERA,)) as (world, scene):
-        chart = MapView(world.street.mesh, _FILM_CAMERA.height_px, _FILM_SPAN_M)
-        size = (_FILM_CAMERA.width_px + _FILM_CAMERA.height_px, _FILM_CAMERA.height_px)
-        with VideoWriter(path, 1.0 / world.config.world.tick_s, size) as video:
-            for snapshot in (step.after for step in play(world, scene)):
-                frame = snapshot.clients[0].sensors.cameras[0]
-                if frame.rgb is not None:
-                    picture = captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s")
-                    video.write(side_by_side(picture, map_view(chart, world)))
+    with _open_scene(folder, (_FILM_CAMERA,)) as (world, scene), street_video(path, world, _FILM_SPAN_M) as add:
+        for snapshot in (step.after for step in play(world, scene)):
+            frame = snapshot.clients[0].sensors.cameras[0]
+            if frame.rgb is not None:
+                add(captioned(frame.rgb, f"{scene.name} {snapshot.time_s:.1f} s"))
 
 
 def _main() -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from wcsim.types.arrays import F32, F64, U8, ComparesArrays
 
@@ -14,6 +14,9 @@ class Joystick:
 
     x: float
     y: float
+
+
+AT_REST: Final = Joystick(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

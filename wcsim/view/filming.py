@@ -23,8 +23,8 @@ from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, SeatSpec, Snapshot
-from wcsim.view.map import MapView, map_view
-from wcsim.view.pictures import VideoWriter, captioned, side_by_side
+from wcsim.view.map import street_video
+from wcsim.view.pictures import captioned
 
 _ACTOR_CLASSES = np.array([c.value for c in ClassId if ClassId.PERSON <= c <= ClassId.BICYCLE], np.uint8)
 _IN_VIEW_PX = 12  # an actor counts as in view from about this many pixels of its class on
@@ -82,18 +82,21 @@ class FilmedDrive:
         self._info = Info()
         config, spec, self._policy = _senses(driver, seed, width)
         self.camera, self.tick_s = config.cameras[-1], config.world.tick_s
-        self._ticks, self._held = 0, ExitStack()
-        try:
-            self.world = self._held.enter_context(World(town, config, (spec,), seed))
+        self._ticks = 0
+        with ExitStack() as held:
+            self.world = held.enter_context(World(town, config, (spec,), seed))
             if self._policy is not None:
                 agent = _OwnCode(PolicyAgent(self._policy), self._policy)
                 self._driver = SeatDriver(config, agent, self.world.snapshot.clients[0])
             self._steps = rollout(self.world, {} if self._driver is None else {0: self._driver.choose})
             if video is not None:  # last: what failed before leaves no file
-                self._open_video(video)
-        except BaseException:
-            self._held.close()
-            raise
+                try:
+                    video.parent.mkdir(parents=True, exist_ok=True)
+                except OSError as error:
+                    told = f"{video.parent}: cannot be made ({error.strerror}); choose another place"
+                    raise ConfigError(told) from None
+                self._write = held.enter_context(street_video(video, self.world, _MAP_SPAN_M))
+            self._held = held.pop_all()
 
     @property
     def taken_over(self) -> float:
@@ -120,9 +123,7 @@ class FilmedDrive:
             crash = "   CRASH" if info["events"].crashed else ""
             picture = captioned(self._colours(), f"{policy.name}   {caption}{crash}")
             _with_sticks(picture, info["asked"], info["given"], warning=isinstance(policy, Warns) and policy.warning)
-        frame = side_by_side(picture, map_view(self._map, self.world))
-        self._writer.write(frame)
-        return frame
+        return self._write(picture)
 
     def shot(self, after_s: float) -> Shot:
         """What the camera sees now, so long after the beginning."""
@@ -148,15 +149,6 @@ class FilmedDrive:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._held.__exit__(kind, error, at)
-
-    def _open_video(self, path: Path) -> None:
-        width, height = self.camera.width_px, self.camera.height_px
-        self._map = MapView(self.world.street.mesh, height, _MAP_SPAN_M)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"{path.parent}: cannot be made ({error.strerror}); choose another place") from None
-        self._writer = self._held.enter_context(VideoWriter(path, 1.0 / self.tick_s, (width + height, height)))
 
     def _frame(self) -> CameraFrame:
         return self.world.snapshot.clients[0].sensors.cameras[-1]

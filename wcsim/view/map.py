@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,6 +17,7 @@ from wcsim.physics.renderer.instances import ChairPose, chair_instances, chair_p
 from wcsim.physics.sensors.camera import FreeCamera
 from wcsim.physics.sensors.camera_geometry import look_along
 from wcsim.types import F64, U8, ActorKind, ActorState, ClassId, Route, StreetMesh
+from wcsim.view.pictures import open_video, side_by_side
 
 # From so high that roofs and trees lean out of the picture hardly at all, and the map is true to scale.
 _HEIGHT_M = 400.0
@@ -85,8 +88,9 @@ class MapView:
         for actor in actors:
             corners = _oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
             self._box(image, T_CW, corners, colours[actor.kind])
-        for place, yaw_rad, size_lw_m in _chair_places(chairs):
-            self._box(image, T_CW, _oriented_box(place, yaw_rad, size_lw_m), _CHAIR_RGB)
+        boxes = chair_instances(chairs)
+        for place, yaw_rad, chair in zip(boxes.p_W_m, boxes.yaw_rad.tolist(), chairs, strict=True):
+            self._box(image, T_CW, _oriented_box(place, yaw_rad, chair.outline.size_lwh_m[:2]), _CHAIR_RGB)
         return image
 
     def _box(self, image: U8, T_CW: F64, corners_W_m: F64, colour: tuple[int, int, int]) -> None:
@@ -109,14 +113,31 @@ class MapView:
         return np.asarray(np.rint(flat * 8), np.int32)
 
 
-def map_view(view: MapView, world: World) -> U8:
+@contextmanager
+def street_video(path: Path, world: World, span_m: float) -> Iterator[Callable[[U8], U8]]:
+    """A video of the pictures (H, W, 3) of a world's last camera, each beside the map of now, `span_m` wide.
+
+    It takes a picture, and returns the frame that it was added as. Raises ConfigError as `open_video` does.
+    """
+    view = MapView(world.street.mesh, world.config.cameras[-1].height_px, span_m)
+    with open_video(path, world.config.world.tick_s) as write:
+
+        def add(picture: U8) -> U8:
+            frame = side_by_side(picture, _map_of(view, world))
+            write(frame)
+            return frame
+
+        yield add
+
+
+def _map_of(view: MapView, world: World) -> U8:
     """The map around the first wheelchair of a world now: its route, all actors and wheelchairs in it, the scale."""
-    snapshot, first = world.snapshot, world.seats[0]
+    snapshot, outlines = world.snapshot, [seat.chair.outline for seat in world.seats]
     chairs = [
-        chair_pose(client.seat, client.plant, seat.chair.outline)
-        for client, seat in zip(snapshot.clients, world.seats, strict=True)
+        chair_pose(client.seat, client.plant, outline)
+        for client, outline in zip(snapshot.clients, outlines, strict=True)
     ]
-    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, first.route)
+    image = view.draw(snapshot.clients[0].plant.p_WB_m, snapshot.actors, chairs, world.seats[0].route)
     _draw_scale(image, view.px_per_m)
     return image
 
@@ -146,9 +167,3 @@ def _oriented_box(p_W_m: F64, yaw_rad: float, size_lw_m: tuple[float, float]) ->
     ahead = half_length * np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
     left = half_width * np.array([-math.sin(yaw_rad), math.cos(yaw_rad), 0.0])
     return np.asarray(p_W_m + np.array([ahead + left, ahead - left, -ahead - left, -ahead + left]), np.float64)
-
-
-def _chair_places(chairs: Sequence[ChairPose]) -> list[tuple[F64, float, tuple[float, float]]]:
-    """Middle of the box (3,), yaw, length and width of every chair."""
-    rows = chair_instances(chairs)
-    return [(rows.p_W_m[i], float(rows.yaw_rad[i]), chair.outline.size_lwh_m[:2]) for i, chair in enumerate(chairs)]

@@ -15,7 +15,7 @@ from wcsim.config import RunConfig
 from wcsim.supervisor.observation import decode_depth
 from wcsim.types import U8, Route
 from wcsim.view.map import MapView
-from wcsim.view.pictures import VideoWriter, captioned, class_colours, depth_colours, side_by_side
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side
 
 _FILM_PX: Final = 480
 
@@ -41,13 +41,9 @@ def around_picture(view: MapView, step: PlayedStep, trail: Sequence[PlayedStep])
 
 def film_steps(path: Path, view: MapView, steps: Sequence[PlayedStep], config: RunConfig) -> None:
     """A video of what was seen beside the street around, with sticks and speed. Raises ConfigError."""
-    tick_s = config.world.tick_s
-    frames = (_film_frame(view, steps, number, config) for number in range(len(steps)))
-    first = next(frames)
-    with VideoWriter(path, 1.0 / tick_s, (first.shape[1], first.shape[0])) as writer:
-        writer.write(first)
-        for frame in frames:
-            writer.write(frame)
+    with open_video(path, config.world.tick_s) as write:
+        for number in range(len(steps)):
+            write(_film_frame(view, steps, number, config))
 
 
 def _film_frame(view: MapView, steps: Sequence[PlayedStep], number: int, config: RunConfig) -> U8:

@@ -5,9 +5,9 @@ Videos are WebM files with VP8, written through OpenCV, which a browser plays.
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
@@ -86,75 +86,47 @@ def write_png(path: Path, image: U8) -> None:
     write_bytes(path, data.tobytes())
 
 
-class VideoWriter:
-    """Writes frames to a .webm file; the file appears under its name when it is closed without an error.
+@contextmanager
+def open_video(path: Path, tick_s: float) -> Iterator[Callable[[U8], None]]:
+    """Writes frames (H, W, 3), RGB, to a .webm file, which appears under its name at the end, unless there is an error.
 
-    Use it as a context manager: after an error inside the block nothing is left on disk.
+    A video without frames is not written.
+
+    Args:
+        path: Where the video goes; must end in .webm.
+        tick_s: From a frame to the next.
+
+    Raises:
+        ConfigError: The name cannot be used, the folder cannot be written, or a frame has another size than the first.
     """
+    if path.suffix != ".webm":
+        raise ConfigError(f"{path}: expected a name that ends in .webm, the only video format that is written here")
+    refused = ConfigError(f"{path}: cannot be written; choose a folder that exists and is writable")
+    if not path.parent.is_dir():
+        raise refused
+    shape: tuple[int, ...] = ()
+    with whole_file(path) as part:
+        video = cv2.VideoWriter()
 
-    def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
-        """Open the file.
+        def write(image: U8) -> None:
+            nonlocal shape
+            height, width = image.shape[:2]
+            pad_v, pad_u = height % 2, width % 2  # FFmpeg's VP8 wants even sides: the last row or column is repeated
+            if not shape:
+                # OpenCV says of every WebM file that its tag is not supported, and writes a sound one.
+                with without_line(b"OpenCV: FFMPEG: tag"):
+                    code = cv2.VideoWriter.fourcc(*"VP80")
+                    if not video.open(str(part), code, 1.0 / tick_s, (width + pad_u, height + pad_v)):
+                        raise refused
+                shape = image.shape
+            if image.shape != shape:
+                raise ConfigError(f"{path}: got a frame of {image.shape}; expected {shape} as at first")
+            video.write(np.pad(image[..., ::-1], ((0, pad_v), (0, pad_u), (0, 0)), mode="edge"))
 
-        Args:
-            path: where the video goes; must end in .webm.
-            fps: frames a second of playing time.
-            size: width and height in pixels.
-
-        Raises:
-            ConfigError: when the name, the rate or the size cannot be used, or the folder cannot be written.
-        """
-        if path.suffix != ".webm":
-            raise ConfigError(f"{path}: expected a name that ends in .webm, the only video format that is written here")
-        if fps <= 0 or min(size) < 2:
-            raise ConfigError(f"{path}: got {fps} frames a second of {size} pixels; expected a positive rate and size")
-        self.path = path
-        self.size = size
-        self.frames = 0
-        self._held = ExitStack()
-        # FFmpeg's VP8 wants even sides; an odd one is padded by repeating the last row or column.
-        self._padded = (size[0] + size[0] % 2, size[1] + size[1] % 2)
-        if not path.parent.is_dir():
-            raise ConfigError(f"{path}: cannot be written; choose a folder that exists and is writable")
-        self._part = self._held.enter_context(whole_file(path))
-        # OpenCV says of every WebM file that its tag is not supported, and writes a sound one.
-        with without_line(b"OpenCV: FFMPEG: tag"):
-            self._writer: cv2.VideoWriter | None = cv2.VideoWriter(
-                str(self._part), cv2.VideoWriter.fourcc(*"VP80"), fps, self._padded
-            )
-        if not self._writer.isOpened():
-            self._end(keep=False)
-            raise ConfigError(f"{path}: cannot be written; choose a folder that exists and is writable")
-
-    def __enter__(self) -> VideoWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._end(keep=error is None and self.frames > 0)
-
-    def write(self, image: U8) -> None:
-        """Add a frame (H, W, 3), RGB. Raises ConfigError when it has another size or the video is closed."""
-        width, height = self.size
-        if self._writer is None:
-            raise ConfigError(f"{self.path}: this video is closed; open another to write more frames")
-        if image.shape != (height, width, 3):
-            raise ConfigError(f"{self.path}: got a frame of {image.shape}; expected {(height, width, 3)} as at first")
-        padding = ((0, self._padded[1] - height), (0, self._padded[0] - width), (0, 0))
-        self._writer.write(np.pad(image[..., ::-1], padding, mode="edge"))
-        self.frames += 1
-
-    def close(self) -> None:
-        """Finish the file and put it under its name; a second call does nothing. A video without frames is dropped."""
-        self._end(keep=self.frames > 0)
-
-    def _end(self, *, keep: bool) -> None:
-        if self._writer is not None:
-            self._writer.release()
-            self._writer = None
-        if not keep:
-            self._part.unlink(missing_ok=True)
-        self._held.close()
+        try:
+            yield write
+        finally:
+            video.release()
 
 
 def side_by_side(*images: U8) -> U8:

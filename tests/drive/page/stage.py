@@ -24,14 +24,14 @@ ABOUT = m.About(
     profiles=["competent"], suites={}, levels=(0.0, 2.0), own_level=1.0, tells_unsafe=True, tick_s=0.1,
 )  # fmt: skip
 KPIS = m.Kpis(
-    kpi1=0.0, kpi2=1.0, ticks=1, way_m=0.0, crashes=0, drops=0, arrivals=0, given_up=0, helps=0, overrules=0,
+    kpi1=0.0, kpi2=1.0, ticks=1, way_m=0.0, crashes=0, drops=0, arrivals=0, helps=0, overrules=0,
     warnings=0, interventions=0,
 )  # fmt: skip
 STATE = m.DriveState(
-    tick=1, time_s=0.1, step=1, driver=DriverKind.PERSON, paused=False, waiting="", let_go=False, alone=False, pace=1.0,
-    stick=REST, chosen=REST, commanded=REST, unsafe=[], assisted=True, level=1.0, help_s=0.0, warning=False,
+    tick=1, time_s=0.1, driver=DriverKind.PERSON, paused=False, waiting="", let_go=False, alone=False, pace=1.0,
+    stick=REST, commanded=REST, unsafe=[], assisted=True, level=1.0, help_s=0.0, warning=False,
     intervening=False, overruled=False, on_road=False, speed_mps=0.0, left_m=9.0, bearing_deg=0.0, crash="",
-    profile="competent", kpis=KPIS, tick_ms=1.0, pictures_ms=1.0, rate=10.0,
+    profile="competent", kpis=KPIS, rate=10.0,
 )  # fmt: skip
 
 

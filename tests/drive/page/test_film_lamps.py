@@ -9,7 +9,7 @@ import pytest
 from tests.drive.page.stage import PageAlone
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT, film_of
-from wcsim.drive.playing.film_states import FilmAbout, Flag
+from wcsim.drive.playing.film_states import FilmAbout
 from wcsim.drive.playing.play_messages import Player, film_about, film_state
 
 pytestmark = [
@@ -18,10 +18,10 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
 ]
 DECIDES = (
-    (Flag(0), "policy"),
-    (Flag.UNAIDED, "user, not assisted"),
-    (Flag.UNAIDED | Flag.ALONE, "user alone"),
-    (Flag.OVERRULED, "user overrules"),
+    ("", "policy"),
+    ("unaided", "user, not assisted"),
+    ("unaided alone", "user alone"),
+    ("overruled", "user overrules"),
 )
 JOURNAL = FilmAbout(title="a journal", town="nowhere", tick_s=0.1, actions="square81")
 
@@ -29,10 +29,10 @@ JOURNAL = FilmAbout(title="a journal", town="nowhere", tick_s=0.1, actions="squa
 def test_the_lamp_says_who_decides_where_that_is_known(browser: Any) -> None:
     context = browser.new_context()
     page = PageAlone(context, "play.html")
-    for about, told in ((ABOUT, DECIDES), (JOURNAL, [(Flag(0), "not known")])):
+    for about, told in ((ABOUT, DECIDES), (JOURNAL, [("", "not known")])):
         page.hear(film_about(about, (), "", -1))
-        for flags, words in told:
-            page.hear(film_state(film_of(1, {0: flags}), Player(), 0, {0: "ann"}, ("", "", True)))
+        for happened, words in told:
+            page.hear(film_state(film_of(1, {0: happened}), Player(), 0, {0: "ann"}, ("", "", True)))
             page.until(lambda words=words: page.text("#lamp-who span") == words)
     assert page.errors == []
     context.close()

@@ -12,9 +12,8 @@ import pytest
 from tests.drive.page.stage import ABOUT, KPIS, PageAlone, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT as FILM
-from tests.drive.playing.films import chair, step
+from tests.drive.playing.films import chair, frame
 from wcsim.drive import messages as m
-from wcsim.drive.playing.film_states import Flag
 from wcsim.drive.playing.play_messages import Player, film_about, film_marks, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
@@ -73,9 +72,9 @@ def test_the_place_has_the_seed_of_the_street(stage: Stage) -> None:
 def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
     made = TickFilm(FILM)
     for at in range(3):
-        made.add(step(at, chair(0, at, Flag.CRASHED if at == 1 else Flag(0), reason="hit a scooter" * (at == 1))))
+        made.add(frame(at, chair(0, at, "crashed" * (at == 1), reason="hit a scooter" * (at == 1))))
     player = Player()
-    player.seek(2, first=0, count=3)
+    player.seek(2, range(3))
     film.hear(film_about(FILM, (), "", -1))
     film.hear(film_marks(made))
     film.hear(film_state(made, player, 0, {0: "ann"}, ("", "", False)))

@@ -108,7 +108,7 @@ def test_a_watched_run_is_the_run_that_nobody_watched(corner: Path, tmp_path: Pa
             page.click("#back")
             wait(page, "document.getElementById('live').getAttribute('aria-pressed') === 'false'")
             page.click("#live")
-            wait(page, "document.getElementById('clock').textContent.includes('epoch 1')")
+            wait(page, "document.getElementById('clock').textContent.includes('world 1')")
             assert process.wait(4 * PATIENCE_S) == 0
             wait(page, "document.getElementById('told').textContent.startsWith('The run has ended')")
             axe_finds_nothing(page)

@@ -4,8 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.drive.playing.films import ABOUT, chair, film_of, step
-from wcsim.drive.playing.film_states import Flag
+from tests.drive.playing.films import ABOUT, chair, film_of, frame
 from wcsim.drive.playing.play_messages import (
     CRASH_TICKS,
     Player,
@@ -18,12 +17,12 @@ from wcsim.drive.playing.play_messages import (
 from wcsim.drive.playing.tick_film import MOST_MARKS, TickFilm
 from wcsim.errors import ProtocolError
 
-CRASH = Flag.CRASHED
+CRASH = "crashed"
 
 
 def state(film: TickFilm, at: int, seat: int = 0) -> PlayState:
     player = Player()
-    player.seek(at, first=film.first, count=film.count)
+    player.seek(at, film.span)
     return film_state(film, player, seat, {0: "ann", 1: "ben"}, ("reading", "", True))
 
 
@@ -43,17 +42,17 @@ def test_any_frame_is_there_at_once_whatever_was_looked_at_before() -> None:
 
 
 def test_a_way_is_kept_with_its_length() -> None:
-    route = film_of(2, {}).route(chair(0, 0))
+    route = film_of(2, {}).shot(0).frame.route(0)
     assert route is not None
     assert route.arc_m.tolist() == [0.0, 5.0, 11.0]
-    assert film_of(1, {}).route(chair(0, 0, way=-1)) is None
+    assert film_of(1, {}).shot(0).frame.route(7) is None
 
 
 def test_numbers_up_to_here_are_exact_after_any_jump() -> None:
     """As they were when this frame was the newest."""
     flags = {
-        10: Flag.WARNING, 11: Flag.WARNING | Flag.INTERVENING, 12: Flag.INTERVENING, 40: CRASH | Flag.DROPPED,
-        200: Flag.ARRIVED, 300: CRASH, 301: Flag.INTERVENING, 420: Flag.HELPED,
+        10: "warning", 11: "warning intervening", 12: "intervening", 40: "crashed dropped",
+        200: "arrived", 300: CRASH, 301: "intervening", 420: "helped",
     }  # fmt: skip
     whole = film_of(450, flags)
     for at in (449, 12, 300, 40, 39):
@@ -69,29 +68,28 @@ def test_numbers_up_to_here_are_exact_after_any_jump() -> None:
 
 def test_what_is_not_known_counts_for_nothing() -> None:
     film = TickFilm(ABOUT)
-    film.add(step(0, chair(0, 0, stick=None)))
-    film.add(step(1, chair(0, 1)))
+    film.add(frame(0, chair(0, 0, stick=None)))
+    film.add(frame(1, chair(0, 1)))
     first, second = (state(film, at).chairs[0].kpis for at in (0, 1))
     assert (first.ticks, first.kpi1, second.kpi1) == (1, None, 0.25)
 
 
 def test_what_was_driven_before_a_handover_is_not_judged() -> None:
     film = TickFilm(ABOUT)
-    for episode, (alone, ticks) in enumerate(((3, 8), (2, 4), (5, 5))):
+    for alone, ticks in ((3, 8), (2, 4), (5, 5)):
         for at in range(ticks):
-            ends = Flag.TRUNCATED if at == ticks - 1 else Flag(0)
-            flags = Flag.ALONE if at < alone else Flag(0)
+            happened = "alone" * (at < alone) + " truncated" * (at == ticks - 1)
             far = (0.0, 0.0) if at < alone else (0.0, 0.75)
-            film.add(step(film.count, chair(0, at, flags | ends, commanded=far, episode=episode)))
+            film.add(frame(film.count, chair(0, at, happened, commanded=far)))
     kpis = state(film, film.count - 1).chairs[0].kpis
     assert (kpis.kpi1, kpis.ticks) == (0.25, 17)
     assert kpis.kpi2 == pytest.approx((5 + 2) / 2), "an episode that ended before its handover is none"
-    assert state(film, 9).alone and state(film, 5).chairs[0].kpis.kpi2 == 3.0
+    assert state(film, 9).chairs[0].chair.alone and state(film, 5).chairs[0].kpis.kpi2 == 3.0
 
 
 def test_all_that_begins_in_one_tick_is_marked() -> None:
-    both = Flag.WARNING | Flag.INTERVENING
-    film = film_of(9, {3: both | Flag.ARRIVED | Flag.HELPED, 4: both, 6: Flag.INTERVENING, 7: both})
+    both = "warning intervening"
+    film = film_of(9, {3: f"{both} arrived helped", 4: both, 6: "intervening", 7: both})
     told = [(mark.at, mark.kind) for mark in film.marks]
     first = [(3, kind) for kind in ("arrival", "help", "warning", "intervention")]
     assert told == [*first, (6, "intervention"), (7, "warning")]
@@ -100,21 +98,21 @@ def test_all_that_begins_in_one_tick_is_marked() -> None:
 
 
 def test_marks_are_where_something_begins() -> None:
-    flags = {5: Flag.WARNING, 6: Flag.WARNING, 9: CRASH, 20: CRASH | Flag.DROPPED, 30: Flag.ARRIVED}
+    flags = {5: "warning", 6: "warning", 9: CRASH, 20: "crashed dropped", 30: "arrived"}
     film = film_of(40, flags)
     film.mark("gap", "a fresh world")
     told = [(mark.at, mark.seat, mark.kind) for mark in film.marks]
     assert told == [(5, 0, "warning"), (9, 0, "crash"), (20, 0, "drop"), (30, 0, "arrival"), (40, -1, "gap")]
     assert state(film, 9 + CRASH_TICKS - 1).crash == ""
     crashed = TickFilm(ABOUT)
-    crashed.add(step(0, chair(0, 0, CRASH, reason="hit a car")))
+    crashed.add(frame(0, chair(0, 0, CRASH, reason="hit a car")))
     assert state(crashed, 0).crash == "hit a car"
 
 
 def test_a_crash_is_told_for_a_while_and_of_its_own_chair_alone() -> None:
     film = TickFilm(ABOUT)
     for at in range(60):
-        film.add(step(at, chair(0, at, CRASH if at == 20 else Flag(0), reason="hit a tram"), chair(1, at)))
+        film.add(frame(at, chair(0, at, CRASH if at == 20 else "", reason="hit a tram"), chair(1, at)))
     assert [bool(state(film, at).crash) for at in (19, 20, 20 + CRASH_TICKS - 1, 20 + CRASH_TICKS)] == [0, 1, 1, 0]
     assert state(film, 20, seat=1).crash == ""
 
@@ -130,36 +128,18 @@ def test_memory_is_bounded_and_the_oldest_go_first() -> None:
     assert state(film, 1999).chairs[0].kpis.ticks == 2000, "what was let go of still counts"
 
 
-def test_ways_go_with_the_last_frame_that_tells_of_them() -> None:
-    """Chair 0 is on a new way every ten ticks, chair 1 on its first one for 500."""
-    film, line = TickFilm(ABOUT, most_bytes=20_000), np.array([[0.0, 0.0], [3.0, 4.0]], "<f4")
-    for at in range(2000):
-        new = [(line + at).tobytes()] if at % 10 == 0 else []
-        ways = new + ([line.tobytes()] if at in (0, 500) else [])
-        numbers = {0: at // 10 + (at >= 10) + (at >= 510), 1: 1 if at < 500 else 52}
-        both = [chair(seat, at, way=way) for seat, way in numbers.items()]
-        film.add(msgspec.structs.replace(step(at, *both), ways=ways))
-    assert min(film._ways) == 52
-    for at in range(film.first, 2000, 7):
-        for each in film.shot(at).frame.chairs:
-            assert film.route(each) is not None
-
-
 def test_marks_are_bounded_too() -> None:
     film = film_of(1, {})
     for _ in range(MOST_MARKS + 10):
         film.mark("gap", "again")
-    told = film_marks(film)
-    assert (len(told.marks), told.left_out) == (MOST_MARKS, 10)
+    assert len(film_marks(film).marks) == MOST_MARKS
 
 
 def test_a_chair_that_is_not_in_the_street_is_told_of() -> None:
     film = TickFilm(ABOUT)
-    film.add(step(0, chair(1, 0)))
+    film.add(frame(0, chair(1, 0)))
     now = state(film, 0)
-    assert not now.here
-    assert [(line.name, line.here) for line in now.chairs] == [("ann", False), ("ben", True)]
-    assert (now.stick, now.unsafe, now.left_m) == (None, [], None)
+    assert [(line.name, line.chair is not None) for line in now.chairs] == [("ann", False), ("ben", True)]
 
 
 def test_a_page_gets_it_as_json() -> None:

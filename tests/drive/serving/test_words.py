@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from wcsim.drive import messages as m
-from wcsim.drive.playing.play_messages import StepBy
 from wcsim.drive.serving.server import Words
 
 
@@ -29,7 +28,7 @@ def test_a_drive_that_does_not_hear_costs_no_memory() -> None:
     for number in range(5000):
         words.put(m.Stick(x=0.0, y=0.0))
         words.put(m.SetLevel(level=number % 100))
-        words.put(StepBy(ticks=1))
+        words.put(m.StepBy(ticks=1))
     assert len(words.take()) == 256, "steps add up"
 
 

@@ -53,6 +53,7 @@ from wcsim.types import (
     UserView,
     chair_actor_id,
 )
+from wcsim.types.chair import AT_REST as AT_REST
 from wcsim.users.profiles import UserProfile, sample
 from wcsim.users.recorded import JoystickRecording, RecordedUser, find_user
 from wcsim.users.user import SimulatedUser
@@ -86,7 +87,6 @@ class ShownActors:
 GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
 CLEAR_SPAWN_M = 2.0  # kept free around a chair when it appears
-AT_REST = Joystick(0.0, 0.0)
 _LONGEST_ID = 60
 
 XY = tuple[float, float]

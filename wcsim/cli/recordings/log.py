@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 
 import tyro
 
-from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
+from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import Bounds, OutFile, Parts, check_output, in_bounds, result_file, run_part, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
@@ -121,7 +121,7 @@ def _play(options: PlayOptions) -> int:
         log_of(path)
         worlds_of(header, options.hook)
     source = FilmSource(kind="log", path=path.absolute(), epoch=options.epoch, hook=options.hook, town=options.town)
-    return serve_film(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
+    return serve_page(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
 
 
 def _verify(options: VerifyOptions) -> int:

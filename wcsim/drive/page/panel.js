@@ -1,7 +1,7 @@
 // Lamps, numbers, and the controls of assistance, time and place.
 
 import { words } from "./grid.js";
-import { by, Numbers, put } from "./shared.js";
+import { by, element, lamp, Numbers, put } from "./shared.js";
 
 const KPIS = [
   ["speed", "Speed", (k, s) => `${Math.abs(s.speed_mps).toFixed(2)} m/s`],
@@ -146,19 +146,8 @@ export class Panel {
     const mark = by("own-level").firstElementChild;
     mark.textContent = "▲";
     mark.style.left = `calc(8px + (100% - 16px) * ${share / 100})`;
-    const words = document.createElement("b");
-    words.textContent = `original: ${level.toFixed(2)}`;
-    by("own-level").replaceChildren(mark, words);
+    by("own-level").replaceChildren(mark, element("b", `original: ${level.toFixed(2)}`));
     by("own-level").dataset.side = share >= 50 ? "left" : "right";
-  }
-
-  lamp(id, on, text) {
-    const lamp = by(id);
-    const word = lamp.querySelector("span");
-    if (lamp.dataset.on === String(on) && word.textContent === text) return false;
-    lamp.dataset.on = String(on);
-    word.textContent = text;
-    return true;
   }
 
   tellState(state) {
@@ -184,17 +173,17 @@ export class Panel {
   }
 
   lamps(state, before) {
-    if (this.lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");
+    if (lamp("lamp-warning", state.warning, state.warning ? "danger ahead" : "none") && state.warning) this.say("Warning: danger ahead.");
     const told = this.deeds.tell(state, performance.now());
-    if (this.lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
+    if (lamp("lamp-intervening", state.intervening, told.lamp) && state.intervening && !before?.intervening && told.begins) this.say("The assistance intervenes.");
     if (told.ended) this.say(`The assistance ${told.ended}.`);
     put(by("did"), told.line);
-    this.lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : !state.assisted ? "off" : state.help_s > 0 ? `helps for ${Math.ceil(state.help_s)} s` : "on");
+    lamp("lamp-assist", state.assisted && !state.overruled, state.overruled ? "overruled" : !state.assisted ? "off" : state.help_s > 0 ? `helps for ${Math.ceil(state.help_s)} s` : "on");
     if (before && before.assisted !== state.assisted) this.say(`Assistance ${state.assisted ? "on" : "off"}.`);
-    if (this.lamp("lamp-road", state.on_road, state.on_road ? "you are on the road" : "you are not on it") && state.on_road) this.say("You are on the road.");
+    if (lamp("lamp-road", state.on_road, state.on_road ? "you are on the road" : "you are not on it") && state.on_road) this.say("You are on the road.");
     const turn = state.bearing_deg;
     const side = Math.abs(turn) > 150 ? "behind you" : Math.abs(turn) < 20 ? "ahead" : `${Math.round(Math.abs(turn) / 10) * 10}° to the ${turn > 0 ? "left" : "right"}`;
-    this.lamp("lamp-way", false, side);
+    lamp("lamp-way", false, side);
     by("way-arrow").setAttribute("transform", `rotate(${-turn} 12 12)`);
   }
 
@@ -212,17 +201,17 @@ export class Panel {
 
 // The lamp that says whether this drive is kept, and where; what is to be said aloud of it, "" for nothing.
 export function tellKeeping(message) {
-  const lamp = by("keeping");
+  const sign = by("keeping");
   const name = message.file.split("/").pop();
   const word = message.on ? "Recording" : "Not recording";
   const where = message.on ? (name ? `to ${name}` : "starts when you drive") : message.told || (name ? `${name} is complete` : "");
   const said = `${word} ${where}`;
-  const before = lamp.hidden ? "" : lamp.textContent.trim().replace(/\s+/g, " ");
-  lamp.hidden = false;
-  lamp.dataset.on = String(message.on);
-  lamp.title = message.file;
-  lamp.querySelector("strong").textContent = word;
-  lamp.querySelector(".where").textContent = where;
+  const before = sign.hidden ? "" : sign.textContent.trim().replace(/\s+/g, " ");
+  sign.hidden = false;
+  sign.dataset.on = String(message.on);
+  sign.title = message.file;
+  sign.querySelector("strong").textContent = word;
+  sign.querySelector(".where").textContent = where;
   return before === said ? "" : `${said}.`;
 }
 

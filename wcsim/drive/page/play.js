@@ -3,19 +3,20 @@
 import { Grid, words } from "./grid.js";
 import { Link } from "./link.js";
 import { Scene } from "./scene.js";
-import { big, by, counted, line, note, Numbers, put, waitFor, wireDialogs, wireDisplay } from "./shared.js";
+import { big, by, counted, element, lamp, line, note, Numbers, put, waitFor, wireDialogs, wireDisplay } from "./shared.js";
 import { Timeline } from "./timeline.js";
 
 const LEAD_S = 3;
 const CRASHES = ["crash", "drop"];
 const LINES = { open: ["connected", "good"], lost: ["connection lost", "bad"] };
+const ABSENT = { speed_mps: 0 };
 const KPIS = [
   ["kpi1", "Stick difference (KPI 1)", (k) => (k.kpi1 === null ? "–" : k.kpi1.toFixed(3))],
   ["kpi2", "Steps per episode (KPI 2)", (k) => (k.kpi2 === null ? "–" : k.kpi2.toFixed(0))],
   ["ticks", "Steps driven", (k) => k.ticks], ["way", "Driven", (k) => `${k.way_m.toFixed(0)} m`],
   ["speed", "Speed", (k, c) => `${Math.abs(c.speed_mps).toFixed(2)} m/s`],
-  ["step", "Step of this episode", (k, c) => (c.step < 0 ? "–" : c.step)],
-  ["left", "To go", (k, c, s) => (s.left_m === null ? "–" : `${s.left_m.toFixed(0)} m`)],
+  ["step", "Step of this episode", (k, c) => c.step ?? "–"],
+  ["left", "To go", (k, c) => (c.left_m === undefined ? "–" : `${c.left_m.toFixed(0)} m`)],
   ["crashes", "Crashes", (k) => k.crashes ?? "–"], ["drops", "Falls off a kerb", (k) => k.drops ?? "–"],
   ["arrivals", "Arrivals", (k) => k.arrivals ?? "–"], ["warnings", "Warnings", (k) => k.warnings ?? "–"],
   ["interventions", "Interventions", (k) => k.interventions ?? "–"],
@@ -83,21 +84,19 @@ function jump(kinds, forward) {
 }
 
 function tellAbout(told) {
-  about = told;
+  about = { ...told.film, ...told };
   waitFor("");
-  by("place").textContent = told.title;
-  document.title = `${told.title} – wcsim film`;
-  grid.setPoints(told.points);
-  by("legend-unsafe").hidden = !told.tells_unsafe;
-  by("camera-figure").hidden = !told.camera;
-  by("live").hidden = !told.live;
-  by("unknown").replaceChildren(...(told.unknown.length ? told.unknown : ["Everything this page can show is in it."]).map((line) => { const item = document.createElement("li"); item.textContent = line; return item; }));
-  by("failed-part").hidden = !told.failed.length;
-  by("failed").replaceChildren(...told.failed.map((one) => {
-    const item = document.createElement("li");
-    const button = document.createElement("button");
-    button.type = "button";
-    button.textContent = `${one.block}.${one.seat} ${one.policy}: ${one.told}`;
+  by("place").textContent = about.title;
+  document.title = `${about.title} – wcsim film`;
+  grid.setPoints(about.points);
+  by("legend-unsafe").hidden = !about.tells_unsafe;
+  by("camera-figure").hidden = !about.camera;
+  by("live").hidden = !about.live;
+  by("unknown").replaceChildren(...(about.unknown.length ? about.unknown : ["Everything this page can show is in it."]).map((line) => element("li", line)));
+  by("failed-part").hidden = !about.failed.length;
+  by("failed").replaceChildren(...about.failed.map((one) => {
+    const item = element("li");
+    const button = element("button", `${one.block}.${one.seat} ${one.policy}: ${one.told}`, { type: "button" });
     button.addEventListener("click", () => (one.policy === about.policy && one.block === about.block
       ? link.say("followseat", { seat: one.seat }) : link.say("openepisode", { policy: one.policy, block: one.block, seat: one.seat })));
     item.append(button);
@@ -109,12 +108,6 @@ function tellAbout(told) {
 function clock(ticks) {
   const seconds = ticks * about.tick_s;
   return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(1).padStart(4, "0")}`;
-}
-
-function lamp(id, on, text) {
-  const node = by(id);
-  node.dataset.on = String(on);
-  put(node.querySelector("span"), text);
 }
 
 function tellState(now) {
@@ -141,58 +134,55 @@ function tellState(now) {
 }
 
 function tellChair(now) {
-  const own = now.chairs.find((chair) => chair.seat === now.seat);
-  numbers.tell(...(own ? [own.kpis, own, now] : []));
-  grid.show(now.unsafe);
-  grid.move(now.stick, now.commanded);
-  const asked = now.stick ? `user: ${words(now.stick)}` : "user: not known";
-  put(by("stick-text"), now.commanded ? `${asked} · chair: ${words(now.commanded)}` : asked);
-  lamp("lamp-warning", now.warning, about.warns ? (now.warning ? "danger ahead" : "none") : "not known");
-  const follows = now.stick && now.commanded;
-  lamp("lamp-intervening", now.intervening, follows ? (now.intervening ? "corrects the stick" : "none") : "not known");
+  const row = now.chairs.find(({ seat }) => seat === now.seat);
+  const own = row?.chair ?? ABSENT; // what is false, or not known, is left out of it
+  numbers.tell(...(row ? [row.kpis, own] : []));
+  grid.show(own.unsafe);
+  grid.move(own.stick, own.commanded);
+  const asked = own.stick ? `user: ${words(own.stick)}` : "user: not known";
+  put(by("stick-text"), own.commanded ? `${asked} · chair: ${words(own.commanded)}` : asked);
+  lamp("lamp-warning", Boolean(own.warning), about.warns ? (own.warning ? "danger ahead" : "none") : "not known");
+  const follows = own.stick && own.commanded;
+  lamp("lamp-intervening", Boolean(own.intervening), follows ? (own.intervening ? "corrects the stick" : "none") : "not known");
   lamp("lamp-crash", Boolean(now.crash), now.crash || (about.points.length ? "none" : "not known"));
-  lamp("lamp-who", false, about.tells_who ? decides(now) : "not known");
+  lamp("lamp-who", false, about.tells_who ? decides(own) : "not known");
   if (now.crash && now.crash !== crash) say(`The chair ${now.crash}.`);
   crash = now.crash;
-  big(now.here ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street at this moment.");
+  big(own !== ABSENT ? (now.crash ? `The chair ${now.crash}.` : "") : "This chair is not in the street at this moment.");
 }
 
-function decides(now) {
-  if (now.alone) return "user alone";
-  if (now.overruled) return "user overrules";
-  return now.unaided ? "user, not assisted" : "policy";
+function decides(own) {
+  if (own.alone) return "user alone";
+  if (own.overruled) return "user overrules";
+  return own.unaided ? "user, not assisted" : "policy";
 }
 
 function tellChairs(now) {
   const home = by("chairs");
   while (home.children.length > now.chairs.length) home.lastChild.remove();
-  now.chairs.forEach((chair, index) => {
+  now.chairs.forEach(({ seat, name: told, chair, kpis: k }, index) => {
     if (!home.children[index]) home.append(chairButton());
     const button = home.children[index];
-    button.dataset.seat = String(chair.seat);
-    button.dataset.here = String(chair.here);
-    button.setAttribute("aria-pressed", String(chair.seat === now.seat));
+    button.dataset.seat = String(seat);
+    button.dataset.here = String(Boolean(chair));
+    button.setAttribute("aria-pressed", String(seat === now.seat));
     const [name, signs, more] = button.children;
-    put(name, chair.name);
-    put(signs, !chair.here ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warning" : chair.intervening ? "▬ intervention" : "follows the user");
-    const k = chair.kpis;
+    put(name, told);
+    put(signs, !chair ? "not here" : chair.crashed ? "✕ crash" : chair.warning ? "▲ warning" : chair.intervening ? "▬ intervention" : "follows the user");
     put(more, `${counted(k.ticks, "step")} · KPI 1 ${k.kpi1 === null ? "–" : k.kpi1.toFixed(3)} · KPI 2 ${k.kpi2 === null ? "–" : k.kpi2.toFixed(0)} · ${k.crashes === null ? "– crashes" : counted(k.crashes, "crash", "crashes")}`);
   });
 }
 
 function chairButton() {
-  const button = document.createElement("button");
-  button.type = "button";
-  button.append(document.createElement("b"), document.createElement("span"), document.createElement("span"));
-  button.children[1].className = "signs";
-  button.children[2].className = "more";
+  const button = element("button", "", { type: "button" });
+  button.append(element("b"), element("span", "", { className: "signs" }), element("span", "", { className: "more" }));
   button.addEventListener("click", () => link.say("followseat", { seat: Number(button.dataset.seat) }));
   return button;
 }
 
 function nextChair() {
   if (!state || !state.chairs.length) return;
-  const at = state.chairs.findIndex((chair) => chair.seat === state.seat);
+  const at = state.chairs.findIndex(({ seat }) => seat === state.seat);
   link.say("followseat", { seat: state.chairs[(at + 1) % state.chairs.length].seat });
 }
 

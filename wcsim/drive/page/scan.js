@@ -2,7 +2,7 @@
 // with it until any press stops it. Three or four: a direction each, while held; left and right held together for a
 // second show the other choices, of which 1 goes back, 3 on, and 2 picks.
 
-import { wireHold } from "./shared.js";
+import { element, wireHold } from "./shared.js";
 
 const ACTS = [
   { name: "Ask for help", act: "help" }, { name: "Overrule", act: "overrule" }, { name: "Pause / resume", act: "pause" },
@@ -68,11 +68,7 @@ export class Scan {
   }
 
   button(name) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.tabIndex = -1;
-    button.textContent = name;
-    return button;
+    return element("button", name, { type: "button", tabIndex: -1 });
   }
 
   holdButton(code) {

@@ -1,7 +1,13 @@
 // The pictures, and the camera that the person turns around the chair.
 
+import { by, element } from "./shared.js";
+
 const HOME = { turn_rad: 0, tilt_rad: 0.38, distance_m: 6 };
 const STEP = { left: [-0.25, 0, 1], right: [0.25, 0, 1], up: [0, 0.12, 1], down: [0, -0.12, 1], in: [0, 0, 0.85], out: [0, 0, 1.18] };
+const VIEWS = {
+  left: ["⟲", "Turn the view left"], right: ["⟳", "Turn the view right"], up: ["▲", "View from higher"], down: ["▼", "View from lower"],
+  in: ["+", "Nearer"], out: ["−", "Farther"], home: ["⌂", "View from behind again"],
+};
 const KEYS = { KeyJ: "left", KeyL: "right", KeyI: "up", KeyK: "down", Equal: "in", NumpadAdd: "in", BracketRight: "in", Minus: "out", NumpadSubtract: "out", Slash: "out", Digit0: "home" };
 const MOST_PX = 960;
 
@@ -9,14 +15,19 @@ export class Scene {
   constructor(link) {
     this.link = link;
     this.orbit = { ...HOME };
-    this.canvases = { S: document.getElementById("scene"), C: document.getElementById("camera"), M: document.getElementById("chart") };
+    this.canvases = { S: by("scene"), C: by("camera"), M: by("chart") };
     this.shown = 0;
     const scene = this.canvases.S;
     this.drag(scene);
     scene.addEventListener("wheel", (event) => { event.preventDefault(); this.zoom(Math.exp(event.deltaY / 600)); }, { passive: false });
-    for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => this.step(button.dataset.view));
-    document.getElementById("camera-kind").addEventListener("change", () => this.tell());
-    document.getElementById("chart-on").addEventListener("change", () => this.tell());
+    for (const [name, [sign, told]] of Object.entries(VIEWS)) {
+      const button = element("button", sign, { type: "button" });
+      button.setAttribute("aria-label", told);
+      button.addEventListener("click", () => this.step(name));
+      by("view").append(button);
+    }
+    by("camera-kind").addEventListener("change", () => this.tell());
+    by("chart-on").addEventListener("change", () => this.tell());
     new ResizeObserver(() => this.tell()).observe(scene);
   }
 
@@ -66,7 +77,7 @@ export class Scene {
     const size = (length) => Math.round(Math.min(1280, Math.max(160, length * scale)));
     this.link.say("setview", {
       ...this.orbit, width_px: size(box.width), height_px: size(box.height),
-      camera: document.getElementById("camera-kind").value, chart: document.getElementById("chart-on").checked,
+      camera: by("camera-kind").value, chart: by("chart-on").checked,
     });
   }
 

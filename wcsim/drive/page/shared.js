@@ -5,6 +5,12 @@ let noticeTimer = 0;
 
 export const by = (id) => document.getElementById(id);
 
+export function element(name, text = "", more = {}) {
+  const made = document.createElement(name);
+  if (text) made.textContent = text;
+  return Object.assign(made, more);
+}
+
 export function put(node, text) {
   if (node.textContent !== String(text)) node.textContent = String(text);
 }
@@ -35,6 +41,16 @@ export function waitFor(told, counts = true) {
   busyTimer = setInterval(() => big(`${told} (${Math.round((performance.now() - busySince) / 1000)} s)`), 1000);
 }
 
+// A lamp; whether it has changed.
+export function lamp(id, on, text) {
+  const node = by(id);
+  const word = node.querySelector("span");
+  if (node.dataset.on === String(on) && word.textContent === text) return false;
+  node.dataset.on = String(on);
+  word.textContent = text;
+  return true;
+}
+
 // How many, in words.
 export const counted = (count, one, several = `${one}s`) => `${count} ${count === 1 ? one : several}`;
 
@@ -50,15 +66,10 @@ export class Numbers {
     this.rows = rows;
     this.cells = {};
     for (const [name, label] of rows) {
-      const pair = document.createElement("div");
-      const term = document.createElement("dt");
-      const value = document.createElement("dd");
-      term.textContent = label;
-      value.textContent = "–";
-      value.id = `kpi-${name}`;
-      pair.append(term, value);
+      const pair = element("div");
+      this.cells[name] = element("dd", "–", { id: `kpi-${name}` });
+      pair.append(element("dt", label), this.cells[name]);
       by("kpis").append(pair);
-      this.cells[name] = value;
     }
   }
 
@@ -92,8 +103,13 @@ export const isPushed = (event) => Boolean(event.buttons & 1);
 // Contrast, larger text, single letters: kept in the browser; `after` is called at each change.
 export function wireDisplay(after = () => {}) {
   const wantsContrast = matchMedia("(prefers-contrast: more)").matches;
-  for (const [name, first] of [["contrast", wantsContrast], ["larger", false], ["letters", true]]) {
-    const box = by(name);
+  for (const [name, first, told] of [["contrast", wantsContrast, "High contrast"], ["larger", false, "Larger text"], ["letters", true, "Letter keys are shortcuts"]]) {
+    const label = element("label", "", { className: "tick" });
+    const box = element("input", "", { id: name, type: "checkbox" });
+    const row = element("p");
+    label.append(box, ` ${told}`);
+    row.append(label);
+    by("switches").append(row);
     box.checked = kept(name) === null ? first : kept(name) === "true";
     const apply = () => { document.documentElement.dataset[name] = String(box.checked); keep(name, String(box.checked)); after(); };
     box.addEventListener("change", apply);

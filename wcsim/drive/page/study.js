@@ -1,15 +1,9 @@
 // A study: pages to read, questions, rests, and a strip above the drive. What comes next is the server's to say.
 
-import { by } from "./shared.js";
+import { by, element } from "./shared.js";
 
 const STOP_MS = 5000;
 const OF_OTHERS = { welcome: "is reading the first page", read: "is reading about the next part", ask: "is answering questions", rest: "is resting", end: "has finished" };
-
-function element(name, text = "", more = {}) {
-  const made = document.createElement(name);
-  if (text) made.textContent = text;
-  return Object.assign(made, more);
-}
 
 export class Study {
   constructor(link, acts) {

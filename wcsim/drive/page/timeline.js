@@ -1,6 +1,6 @@
 // The time line: marks as shapes in rows above a range input, so that they are told apart without colours.
 
-import { counted } from "./shared.js";
+import { counted, element } from "./shared.js";
 
 const KINDS = { // one, several
   crash: ["crash", "crashes", "--bad", "✕"], drop: ["fall off a kerb", "falls off kerbs", "--bad", "▼"], intervention: ["intervention", "interventions", "--do", "▬"],
@@ -62,11 +62,10 @@ export class Timeline {
     if (said === this.counts) return;
     this.counts = said;
     this.legend.replaceChildren(...Object.entries(KINDS).filter(([kind]) => counts[kind]).map(([kind, [one, several, colour, shape]]) => {
-      const item = document.createElement("li");
-      const sign = document.createElement("b");
-      sign.textContent = shape;
-      sign.style.color = `var(${colour})`;
+      const item = element("li");
+      const sign = element("b", shape);
       sign.setAttribute("aria-hidden", "true");
+      sign.style.color = `var(${colour})`;
       item.append(sign, counted(counts[kind], one, several));
       return item;
     }));

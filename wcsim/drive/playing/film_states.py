@@ -1,100 +1,96 @@
-"""The light state of a street after a tick: enough to draw it from anywhere, a kilobyte instead of a world.
+"""The light state of a street after a tick: enough to draw it from anywhere, a few kilobytes instead of a world.
 
-A source says what it is (`FilmAbout`), then a `FilmStep` a tick, and lines in between (`FilmLine`). Bodies, ways and
-the colours of signals are said once and numbered from 0 on, in the order in which they come.
+A source says what it is (`FilmAbout`), then a `FilmFrame` a tick, and lines in between (`FilmLine`). What stays the
+same from tick to tick is said again each time: packed together it takes next to nothing.
 """
 
 from __future__ import annotations
 
-from enum import IntFlag
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 import msgspec
 import numpy as np
 
-from wcsim.types import ActorKind, ActorLook, ActorState, Outline, Route, SignalState
+from wcsim.bridge.world import World
+from wcsim.supervisor.kpi import DROP
+from wcsim.types import F64, ActorKind, ActorLook, ActorState, ClientSnapshot, Outline, Route, SignalState, Snapshot
 
-ACTOR_ROW: Final = np.dtype(
-    [
-        ("body", "<i4"),
-        ("p_W_m", "<f4", 3),
-        ("yaw_rad", "<f4"),
-        ("pitch_rad", "<f4"),
-        ("v_W_mps", "<f4", 2),
-        ("lamps", "<i4"),
-    ]
-)
-"""An actor of a tick; `body` is its number. 0.5 mm are lost at 8 km from the town's origin."""
 XY = tuple[float, float]
+_DIGITS: Final = 4
 
 
-class Flag(IntFlag):
-    """What happened to a chair in a tick, and what shone."""
-
-    CRASHED = 1
-    DROPPED = 2  # beside `CRASHED`: it fell off a kerb
-    ARRIVED = 4
-    GAVE_UP = 8
-    TRUNCATED = 16
-    WARNING = 32
-    INTERVENING = 64
-    OVERRULED = 128
-    HELPED = 256
-    ALONE = 512  # the user drives alone, before a handover
-    UNAIDED = 1024  # no policy has a say: there is none, it is off, or follows the stick whatever comes
-
-
-class FilmBody(msgspec.Struct, frozen=True, array_like=True):
+class FilmBody(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
     """What an actor is; see `ActorState`."""
 
     id: str
-    kind: str
-    size_lwh_m: tuple[float, float, float]
-    look: str = ActorLook.USUAL.value
+    kind: ActorKind
     piece: int = 0
+    look: ActorLook = ActorLook.USUAL
+    signals: int = 0
 
 
-class FilmChair(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
+class TickSays(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What was asked and given in a tick for one chair, and what its policy said; None is what is not known."""
+
+    stick: XY | None = None  # what its user asked for in this tick
+    commanded: XY | None = None  # what it was given
+    unsafe: list[int] | None = None  # actions that its policy holds for unsafe
+    warning: bool = False
+    intervening: bool = False
+    overruled: bool = False
+    helped: bool = False
+    alone: bool = False  # the user drives alone, before a handover
+    unaided: bool = False  # no policy has a say: there is none, it is off, or follows the stick whatever comes
+
+
+class FilmChair(TickSays, frozen=True, kw_only=True, omit_defaults=True):
     """A chair after a tick; None is what a source does not know."""
 
     seat: int
-    p_WB_m: tuple[float, float, float]
-    q_WB: tuple[float, float, float, float]
-    outline: tuple[float, float, float, float]  # length, width, height, middle ahead of the axle
+    p_WB_m: list[float]  # 3
+    q_WB: list[float]  # 4
+    outline: Outline
     speed_mps: float
-    stick: XY | None = None  # what its user asked for in this tick
-    commanded: XY | None = None  # what it was given
-    flags: int = 0
+    crashed: bool = False
+    dropped: bool = False  # beside `crashed`: it fell off a kerb
+    arrived: bool = False
+    gave_up: bool = False
+    truncated: bool = False
     reason: str = ""  # of a crash, as `Events.crash`
-    episode: int = -1
     step: int = -1  # of the episode, 1 after its first tick
-    way: int = -1  # number of its route, -1 where it is not known
-    done_m: float = 0.0
-    left_m: float = -1.0
-    unsafe: list[int] | None = None  # actions that its policy holds for unsafe
+    done_m: float = 0.0  # of its route
+    left_m: float | None = None
 
 
-class FilmFrame(msgspec.Struct, frozen=True, array_like=True, kw_only=True):
+class FilmFrame(msgspec.Struct, frozen=True, kw_only=True):
     """The street after a tick."""
 
     epoch: int
     tick: int
     time_s: float
-    actors: bytes  # rows of `ACTOR_ROW`
-    signals: int  # number of their colours, -1 where they are not known
+    bodies: list[FilmBody]  # of the actors
+    rows: bytes  # (n, 11) float32 of them: position, yaw, pitch, velocity, size; 8 km from the origin to 0.5 mm
     chairs: list[FilmChair]
+    ways: dict[int, bytes] = {}  # by seat: its route's points, (n, 2) float32
+    signals: tuple[SignalState, ...] = ()
+
+    @property
+    def actors(self) -> tuple[ActorState, ...]:
+        """The actors."""
+        rows = np.frombuffer(self.rows, "<f4").reshape(len(self.bodies), 11).astype(np.float64)
+        return tuple(_actor(body, row) for body, row in zip(self.bodies, rows, strict=True))
+
+    def route(self, seat: int) -> Route | None:
+        """A chair's way, without the edges it goes along; None where it is not known."""
+        if seat not in self.ways:
+            return None
+        xy = np.frombuffer(self.ways[seat], "<f4").reshape(-1, 2).astype(np.float64)
+        arc_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
+        return Route(points_W_m=xy, arc_m=arc_m, edge_index=np.zeros(len(xy), np.int32))
 
 
-class FilmStep(msgspec.Struct, frozen=True, tag="step", kw_only=True):
-    """A tick, and what is named in it for the first time."""
-
-    frame: FilmFrame
-    bodies: list[FilmBody] = []
-    ways: list[bytes] = []  # points (n, 2) float32 each
-    signals: list[list[tuple[str, str]]] = []
-
-
-class FilmAbout(msgspec.Struct, frozen=True, tag="about", kw_only=True):
+class FilmAbout(msgspec.Struct, frozen=True, kw_only=True):
     """What a source shows."""
 
     title: str
@@ -110,69 +106,89 @@ class FilmAbout(msgspec.Struct, frozen=True, tag="about", kw_only=True):
     live: bool = False
 
 
-class FilmLine(msgspec.Struct, frozen=True, tag="line", kw_only=True):
+class FilmLine(msgspec.Struct, frozen=True, kw_only=True):
     """Something to say: `kind` is "now" for what goes on, "mark" for the time line, "bad", or "end"."""
 
     kind: str
     told: str
 
 
-class FilmNames(msgspec.Struct, frozen=True, tag="names", kw_only=True):
+class FilmNames(msgspec.Struct, frozen=True, kw_only=True):
     """Who sits where."""
 
     names: dict[int, str]
 
 
-Said = FilmAbout | FilmStep | FilmLine | FilmNames
-_SAID: Final = msgspec.msgpack.Decoder(Said)
-_ENCODER: Final = msgspec.msgpack.Encoder()
+Said = FilmAbout | FilmFrame | FilmLine | FilmNames
 
 
-def said_bytes(said: Said) -> bytes:
-    """What a source says, as bytes."""
-    return _ENCODER.encode(said)
+class FrameMaker:
+    """Makes frames of a world, and remembers the way that each chair was on: by an episode's end it has another one."""
+
+    def __init__(self) -> None:
+        self._on: dict[int, tuple[Outline, Route, float]] = {}  # by seat: its box, its way, what is done of that
+
+    def begin(self, world: World) -> None:
+        """The world before a tick: the ways that the chairs are on now, for those that end with it."""
+        self._look(world, ())
+
+    def look(self, world: World) -> None:
+        """The world after a tick."""
+        self._look(world, {client.seat for client in world.snapshot.clients if client.first is not None})
+
+    def frame(self, now: Snapshot, said: Mapping[int, TickSays]) -> FilmFrame:
+        """A tick that `look` has seen; `said` by seat."""
+        rows = [(*a.p_W_m, a.yaw_rad, a.pitch_rad, *a.v_W_mps, *a.size_lwh_m) for a in now.actors]
+        return FilmFrame(
+            epoch=now.epoch,
+            tick=now.tick,
+            time_s=now.time_s,
+            bodies=bodies_of(now.actors),
+            rows=np.array(rows, "<f4").tobytes(),
+            signals=now.signals,
+            chairs=[self._chair(client, said.get(client.seat, TickSays())) for client in now.clients],
+            ways={client.seat: self._on[client.seat][1].points_W_m.astype("<f4").tobytes() for client in now.clients},
+        )
+
+    def _look(self, world: World, ended: Iterable[int]) -> None:
+        for seat in world.seats:
+            if seat.index not in ended or seat.index not in self._on:
+                self._on[seat.index] = seat.chair.outline, seat.route, seat.user.route_progress_m
+
+    def _chair(self, client: ClientSnapshot, said: TickSays) -> FilmChair:
+        events, plant = client.events, client.plant
+        outline, route, done_m = self._on[client.seat]
+        return FilmChair(
+            **msgspec.structs.asdict(said),
+            seat=client.seat,
+            p_WB_m=plant.p_WB_m.round(_DIGITS).tolist(),
+            q_WB=plant.q_WB.round(_DIGITS + 2).tolist(),
+            outline=outline,
+            speed_mps=round(float(plant.v_B_mps[0]), _DIGITS),
+            crashed=events.crashed,
+            dropped=events.crashed and events.crash_reason == DROP,
+            arrived=events.arrived,
+            gave_up=events.gave_up,
+            truncated=events.truncated,
+            reason=events.crash,
+            step=events.step,
+            done_m=round(done_m, 2),
+            left_m=round(max(0.0, float(route.arc_m[-1]) - done_m), 2),
+        )
 
 
-def said_of(data: bytes) -> Said:
-    """What a source says, see `said_bytes`."""
-    said: Said = _SAID.decode(data)
-    return said
-
-
-def actors_of(rows: bytes, bodies: list[FilmBody]) -> tuple[ActorState, ...]:
-    """The actors of a frame."""
-    return tuple(_actor(row, bodies[row["body"]]) for row in np.frombuffer(rows, ACTOR_ROW))
-
-
-def _actor(row: np.void, body: FilmBody) -> ActorState:
-    vx_mps, vy_mps = row["v_W_mps"].tolist()
+def _actor(body: FilmBody, row: F64) -> ActorState:
+    length_m, width_m, height_m = row[8:].tolist()
     return ActorState(
-        id=body.id,
-        kind=ActorKind(body.kind),
-        p_W_m=row["p_W_m"].astype(np.float64),
-        yaw_rad=float(row["yaw_rad"]),
-        pitch_rad=float(row["pitch_rad"]),
-        v_W_mps=np.array([vx_mps, vy_mps, 0.0]),
-        size_lwh_m=body.size_lwh_m,
-        signals=int(row["lamps"]),
-        look=ActorLook(body.look),
-        piece=body.piece,
+        **msgspec.structs.asdict(body),
+        p_W_m=row[:3],
+        yaw_rad=float(row[3]),
+        pitch_rad=float(row[4]),
+        v_W_mps=row[5:8],
+        size_lwh_m=(length_m, width_m, height_m),
     )
 
 
-def route_of(points: bytes) -> Route:
-    """A way, without the edges it goes along."""
-    xy = np.frombuffer(points, "<f4").reshape(-1, 2).astype(np.float64)
-    arc_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
-    return Route(points_W_m=xy, arc_m=arc_m, edge_index=np.zeros(len(xy), np.int32))
-
-
-def signals_of(colours: list[tuple[str, str]]) -> tuple[SignalState, ...]:
-    """The signals of a frame."""
-    return tuple(SignalState(tls_id=name, colours=letters) for name, letters in colours)
-
-
-def outline_of(chair: FilmChair) -> Outline:
-    """The box around a chair."""
-    length_m, width_m, height_m, middle_x_m = chair.outline
-    return Outline(length_m=length_m, width_m=width_m, height_m=height_m, middle_x_m=middle_x_m)
+def bodies_of(actors: Sequence[object]) -> list[FilmBody]:
+    """What these actors are, or bodies of a trace."""
+    return msgspec.convert(actors, list[FilmBody], from_attributes=True)

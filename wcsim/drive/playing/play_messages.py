@@ -1,72 +1,21 @@
-"""What the pages of a film say and hear, beside what those of a drive do: typed JSON with bounds, and its contents.
-
-A film is shown from a playback position, `Player`; what it is, its state and its marks are made into messages.
-"""
+"""What the page of a film hears: what the film is, how it stands, its marks; and the playback position, `Player`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, ClassVar, Final
+from typing import Final
 
 import msgspec
 
 from wcsim.drive import messages as m
-from wcsim.drive.messages import Count, Name, PageMessage
-from wcsim.drive.playing.film_states import FilmAbout, FilmChair, Flag
-from wcsim.drive.playing.tick_film import TickFilm
+from wcsim.drive.playing.film_states import FilmAbout, FilmChair
+from wcsim.drive.playing.tick_film import FilmMark, TickFilm
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 
 SLOWEST, FASTEST = 0.25, 8.0
 _LATE_S: Final = 0.5  # a player that was kept from its turn for longer does not make up for it
 CRASH_TICKS: Final = 15  # so long a crash is shown
-Jump = Annotated[int, msgspec.Meta(ge=-100_000, le=100_000)]
-
-
-class Seek(PageMessage, frozen=True):
-    """Show this frame."""
-
-    to: Count
-
-
-class StepBy(PageMessage, frozen=True):
-    """Stand still, so many ticks farther on."""
-
-    ticks: Jump
-
-
-class FollowSeat(PageMessage, frozen=True):
-    """Show this chair."""
-
-    seat: Count
-
-
-class GoLive(PageMessage, frozen=True):
-    """Show the newest tick from now on."""
-
-
-class OpenEpisode(PageMessage, frozen=True):
-    """Drive another episode of the result."""
-
-    slow: ClassVar[bool] = True
-    policy: Name
-    block: Count
-    seat: Count
-
-
-_FromPage = m.Shown | m.SetView | m.Pause | m.Pace | m.TakeOver | Seek | StepBy | FollowSeat | GoLive | OpenEpisode
-_PAGE: Final = msgspec.json.Decoder(_FromPage)
-_RUNNER: Final = msgspec.json.Decoder(_FromPage | m.Gone | m.Ready | m.End)
-
-
-def of_play_page(data: str | bytes) -> PageMessage:
-    """What a page says. Raises ProtocolError for what is no message, in a line."""
-    return m.decoded(_PAGE, data)
-
-
-def of_play_server(data: bytes) -> PageMessage:
-    """What the server says to the runner. Raises ProtocolError."""
-    return m.passed_on(_RUNNER, data)
 
 
 class FailedLine(msgspec.Struct, frozen=True):
@@ -78,29 +27,20 @@ class FailedLine(msgspec.Struct, frozen=True):
     told: str
 
 
-class PlayAbout(msgspec.Struct, tag_field="say", tag="about", frozen=True, kw_only=True):
+class PlayAbout(m.Shows, tag="about", frozen=True, kw_only=True):
     """What is shown."""
 
-    title: str
-    tick_s: float
+    film: FilmAbout
     points: list[tuple[float, float]]
-    unknown: list[str]
-    camera: bool
-    tells_unsafe: bool
-    warns: bool
-    tells_who: bool  # decides
-    live: bool
-    ticks: int  # that are to come, 0 where that is not known
     failed: list[FailedLine]
-    policy: str = ""  # of the episode that is open, as the next
-    block: int = -1
+    policy: str  # of the episode that is open, as the next
+    block: int
 
 
-class PlayMarks(msgspec.Struct, tag_field="say", tag="marks", frozen=True, kw_only=True):
-    """All marks of the time line: frame, seat or -1, kind, words."""
+class PlayMarks(m.Shows, tag="marks", frozen=True, kw_only=True):
+    """All marks of the time line."""
 
-    marks: list[tuple[int, int, str, str]]
-    left_out: int  # older ones
+    marks: list[FilmMark]
 
 
 class ChairLine(msgspec.Struct, frozen=True, kw_only=True):
@@ -108,16 +48,11 @@ class ChairLine(msgspec.Struct, frozen=True, kw_only=True):
 
     seat: int
     name: str
-    here: bool
-    warning: bool
-    intervening: bool
-    crashed: bool
-    speed_mps: float
-    step: int
+    chair: FilmChair | None  # None while it is not in the street
     kpis: m.Kpis
 
 
-class PlayState(msgspec.Struct, tag_field="say", tag="state", frozen=True, kw_only=True):
+class PlayState(m.Shows, tag="state", frozen=True, kw_only=True):
     """The film as it stands."""
 
     at: int
@@ -131,18 +66,8 @@ class PlayState(msgspec.Struct, tag_field="say", tag="state", frozen=True, kw_on
     live: bool
     epoch: int
     tick: int
-    seat: int
-    here: bool  # the chair that is followed is in the street
-    stick: tuple[float, float] | None
-    commanded: tuple[float, float] | None
-    unsafe: list[int]
-    warning: bool
-    intervening: bool
-    overruled: bool
-    alone: bool
-    unaided: bool
-    crash: str
-    left_m: float | None
+    seat: int  # that is followed
+    crash: str  # of that chair, in words, shown a while
     chairs: list[ChairLine]
     size_mb: float
 
@@ -151,7 +76,7 @@ class Player:
     """The number of the frame that is shown.
 
     >>> player = Player()
-    >>> player.advance(0.0, first=0, count=100, tick_s=0.1), player.advance(0.25, first=0, count=100, tick_s=0.1)
+    >>> player.advance(0.0, range(100), 0.1), player.advance(0.25, range(100), 0.1)
     (False, True)
     >>> player.at
     2
@@ -164,31 +89,31 @@ class Player:
         self._now_s: float | None = None
         self._owed_s = 0.0  # of the film
 
-    def advance(self, now_s: float, *, first: int, count: int, tick_s: float) -> bool:
-        """Let time go to `now_s`; whether another frame is shown. Frames are there from `first` to `count` - 1."""
+    def advance(self, now_s: float, span: range, tick_s: float) -> bool:
+        """Let time go to `now_s`; whether another frame is shown, of those of `span` that are there."""
         gone_s = 0.0 if self._now_s is None else min(max(0.0, now_s - self._now_s), _LATE_S)
         self._now_s, before = now_s, self.at
-        if count <= first:
+        if not span:
             return False
         if self.live:
-            self.at = count - 1
+            self.at = span.stop - 1
         elif not self.paused:
             self._owed_s += gone_s * self.pace
             ticks = int(self._owed_s / tick_s + 1e-9)
-            self._owed_s = self._owed_s - ticks * tick_s if self.at + ticks < count else 0.0
+            self._owed_s = self._owed_s - ticks * tick_s if self.at + ticks < span.stop else 0.0
             self.at += ticks
-        self.at = min(max(self.at, first), count - 1)
+        self.at = min(max(self.at, span.start), span.stop - 1)
         return self.at != before
 
-    def seek(self, to: int, *, first: int, count: int) -> None:
+    def seek(self, to: int, span: range) -> None:
         """Show this frame, or the nearest that is there."""
         self.live, self._owed_s, self.jumped = False, 0.0, True
-        self.at = min(max(to, first), max(first, count - 1))
+        self.at = min(max(to, span.start), max(span.start, span.stop - 1))
 
-    def step(self, by: int, *, first: int, count: int) -> None:
+    def step(self, by: int, span: range) -> None:
         """Stand still, so many frames farther on, or back."""
         self.paused = True
-        self.seek(self.at + by, first=first, count=count)
+        self.seek(self.at + by, span)
 
     def go_live(self) -> None:
         """Show the newest frame from now on, as it comes."""
@@ -207,27 +132,12 @@ class Player:
 def film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> PlayAbout:
     """What a film is; `policy` and `block` of an episode that was asked for."""
     points = action_set(about.actions).points.tolist() if about.actions else []
-    return PlayAbout(
-        title=about.title,
-        tick_s=about.tick_s,
-        points=[(x, y) for x, y in points],
-        unknown=about.unknown,
-        camera=bool(about.camera),
-        tells_unsafe=about.tells_unsafe,
-        warns=about.warns,
-        tells_who=about.tells_who,
-        live=about.live,
-        ticks=about.ticks,
-        failed=list(failed),
-        policy=policy,
-        block=block,
-    )
+    return PlayAbout(film=about, points=points, failed=list(failed), policy=policy, block=block)
 
 
 def film_marks(film: TickFilm) -> PlayMarks:
     """The marks of a film."""
-    marks = [(mark.at, mark.seat, mark.kind, mark.told) for mark in film.marks if mark.at >= film.first]
-    return PlayMarks(marks=marks, left_out=film.marked - len(film.marks))
+    return PlayMarks(marks=[mark for mark in film.marks if mark.at >= film.first])
 
 
 def film_state(
@@ -244,9 +154,8 @@ def film_state(
     """
     shot = film.shot(player.at)
     chairs = {chair.seat: chair for chair in shot.frame.chairs}
-    own = chairs.get(seat)
-    flags = Flag(0) if own is None else Flag(own.flags)
     told, ended, reading = words
+    about = film.about
     return PlayState(
         at=player.at,
         first=film.first,
@@ -260,38 +169,19 @@ def film_state(
         epoch=shot.frame.epoch,
         tick=shot.frame.tick,
         seat=seat,
-        here=own is not None,
-        stick=None if own is None else own.stick,
-        commanded=None if own is None else own.commanded,
-        unsafe=[] if own is None else own.unsafe or [],
-        warning=Flag.WARNING in flags,
-        intervening=Flag.INTERVENING in flags,
-        overruled=Flag.OVERRULED in flags,
-        alone=Flag.ALONE in flags,
-        unaided=Flag.UNAIDED in flags,
         crash=_crash(film, player.at, seat),
-        left_m=None if own is None or own.left_m < 0 else round(own.left_m, 1),
         chairs=[
-            _line(each, chairs.get(each), names, shot.sums.get(each), film.about) for each in sorted({*names, *chairs})
+            ChairLine(
+                seat=each,
+                name=names.get(each, f"chair {each}"),
+                chair=chairs.get(each),
+                kpis=m.kpis_of(
+                    shot.sums.get(each, KpiTotals()), about.tick_s, knows=bool(about.actions), warns=about.warns
+                ),
+            )
+            for each in sorted({*names, *chairs})
         ],
         size_mb=round(film.packed_bytes / 2**20, 1),
-    )
-
-
-def _line(
-    seat: int, chair: FilmChair | None, names: Mapping[int, str], sums: KpiTotals | None, about: FilmAbout
-) -> ChairLine:
-    flags = Flag(0) if chair is None else Flag(chair.flags)
-    return ChairLine(
-        seat=seat,
-        name=names.get(seat, f"chair {seat}"),
-        here=chair is not None,
-        warning=Flag.WARNING in flags,
-        intervening=Flag.INTERVENING in flags,
-        crashed=Flag.CRASHED in flags,
-        speed_mps=0.0 if chair is None else round(chair.speed_mps, 2),
-        step=-1 if chair is None else chair.step,
-        kpis=m.kpis_of(sums or KpiTotals(), about.tick_s, knows=bool(about.actions), warns=about.warns),
     )
 
 

@@ -1,29 +1,24 @@
-"""The process that plays a film: it takes what the source says, keeps time, hears the page, and draws for it."""
+"""The process that plays a film: it takes what the source says, and does to the player what the page wants."""
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
-import msgspec
-
 from wcsim.config import CameraConfig, parse_json
 from wcsim.drive import messages as m
-from wcsim.drive.pictures import PageLooks, StreetPictures, clamped
+from wcsim.drive.page_runner import Does, PageRunner, run_page
+from wcsim.drive.pictures import StreetPictures
 from wcsim.drive.playing import play_messages as pm
-from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, said_of
+from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.low_priority import run_at_low_priority
-from wcsim.drive.playing.play_messages import Player, film_about, film_marks, film_state
 from wcsim.drive.playing.sources.source_process import FilmSource, run_source
-from wcsim.drive.playing.tick_film import MOST_BYTES, TickFilm
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES
-from wcsim.errors import ProtocolError, WcsimError
+from wcsim.drive.playing.tick_film import TickFilm
+from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 
@@ -40,12 +35,10 @@ class PlayStart:
 
     source: FilmSource
     seat: int = -1  # whom to follow, -1 for the first
-    most_bytes: int = MOST_BYTES
     failed: tuple[pm.FailedLine, ...] = ()
-    gives_way: bool = False  # to every other process, as its source does
 
 
-class PlayRunner:
+class PlayRunner(PageRunner):
     """Plays films one after another, until the pipe to the server ends.
 
     Args:
@@ -55,40 +48,27 @@ class PlayRunner:
     """
 
     def __init__(self, pipe: Connection, start: PlayStart, clock: Callable[[], float] = time.monotonic) -> None:
-        self._pipe, self._start, self._clock = pipe, start, clock
+        super().__init__(pipe, clock)
+        self._start, self._opened = start, start.source
         self._film: TickFilm | None = None
-        self._pictures: StreetPictures | None = None
-        self._player, self._looks = Player(), PageLooks()
+        self._player = pm.Player()
         self._names: dict[int, str] = {}
-        self._seat, self._told, self._ended, self._over = start.seat, "", "", False
-        self._ready, self._stale, self._changed = False, True, True
-        self._drawn_s = self._said_s = self._marked_s = 0.0
+        self._seat, self._told, self._ended = start.seat, "", ""
+        self._changed = True
+        self._said_s = self._marked_s = 0.0
         self._marked = 0
-        self._opened = start.source
         self._source: Connection | None = None
         self._process: Any = None  # spawn's own class of processes has no public name
-        self._does: dict[type, Callable[[Any], None]] = {
-            m.SetView: self._view,
+        does: Does = {
             m.Pause: self._pause,
             m.Pace: lambda said: self._player.set_pace(said.times),
-            m.Ready: self._take_ready,
-            m.End: self._end,
-            pm.Seek: lambda said: self._player.seek(said.to, **self._bounds()),
-            pm.StepBy: lambda said: self._player.step(said.ticks, **self._bounds()),
-            pm.FollowSeat: self._follow,
-            pm.GoLive: lambda _: self._player.go_live(),
-            pm.OpenEpisode: self._open_episode,
+            m.Seek: lambda said: self._player.seek(said.to, self._span),
+            m.StepBy: lambda said: self._player.step(said.ticks, self._span),
+            m.FollowSeat: self._follow,
+            m.GoLive: lambda _: self._player.go_live(),
+            m.OpenEpisode: self._open_episode,
         }
-
-    def run(self) -> None:
-        """Play until the server ends."""
-        with suppress(EOFError, BrokenPipeError, ConnectionResetError):
-            try:
-                self._open(self._start.source)
-                while not self._over:
-                    self._turn()
-            finally:
-                self.close()
+        self._does |= does
 
     def close(self) -> None:
         """End the source; one that does not end is killed."""
@@ -108,14 +88,13 @@ class PlayRunner:
     def _turn(self) -> None:
         pipes = [self._pipe] if self._source is None else [self._pipe, self._source]
         wait(pipes, self._wait_s())
-        while self._pipe.poll():
-            self._hear(self._pipe.recv_bytes())
+        self._hear()
         self._take()
-        film, now_s = self._film, self._clock()
+        film, now_s = self._film, self._now_s()
         if film is None or not film.count:
             return
         player = self._player
-        if player.advance(now_s, first=film.first, count=film.count, tick_s=film.about.tick_s):
+        if player.advance(now_s, film.span, film.about.tick_s):
             self._stale = self._changed = True
         if self._source is None and player.at == film.count - 1 and not player.paused:  # the end
             player.pause(True)
@@ -123,7 +102,7 @@ class PlayRunner:
         if self._changed or now_s - self._said_s > _TOLD_S:
             self._state(film, now_s)
         if self._ready and self._stale:
-            self._show(film, now_s)
+            self._show(film)
 
     def _wait_s(self) -> float:
         film = self._film
@@ -133,27 +112,27 @@ class PlayRunner:
 
     def _take(self) -> None:
         """What the source says, for a while."""
-        until_s = self._clock() + _TAKE_S
+        until_s = self._now_s() + _TAKE_S
         try:
             while self._source is not None and self._source.poll():
-                self._said(self._source.recv_bytes())
-                if self._clock() > until_s:
+                self._said(self._source.recv())
+                if self._now_s() > until_s:
                     return
         except (EOFError, ConnectionResetError):
             self._source_gone()
 
-    def _said(self, data: bytes) -> None:
-        said = said_of(data)
-        if isinstance(said, FilmStep) and self._film is not None:
-            if self._seat < 0 and said.frame.chairs:
-                self._seat = said.frame.chairs[0].seat
-            self._film.add(said)
-        elif isinstance(said, FilmAbout):
-            self._begin(said)
-        elif isinstance(said, FilmNames):
-            self._names = dict(said.names)
-        elif isinstance(said, FilmLine):
-            self._line(said)
+    def _said(self, said: Said) -> None:
+        match said:
+            case FilmFrame() if self._film is not None:
+                if self._seat < 0 and said.chairs:
+                    self._seat = said.chairs[0].seat
+                self._film.add(said)
+            case FilmAbout():
+                self._show_first(said)
+            case FilmNames():
+                self._names = said.names
+            case FilmLine():
+                self._line(said)
 
     def _line(self, said: FilmLine) -> None:
         self._changed = True
@@ -161,7 +140,7 @@ class PlayRunner:
             self._film.mark("gap", said.told)
         elif said.kind == "bad":
             self._say(m.Notice(kind="bad", told=said.told))
-            self._pipe.send_bytes(LINE + said.told.encode())
+            self._log(said.told)
         elif said.kind == "end":
             self._ended, self._told = said.told, ""
         else:
@@ -181,75 +160,38 @@ class PlayRunner:
 
     def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)
-        self._say(film_state(film, self._player, self._seat, self._names, words))
+        self._say(pm.film_state(film, self._player, self._seat, self._names, words))
         self._said_s, self._changed = now_s, False
         if film.marked != self._marked and now_s - self._marked_s > _MARKS_S:
             self._marked, self._marked_s = film.marked, now_s
-            self._say(film_marks(film))
+            self._say(pm.film_marks(film))
 
-    def _show(self, film: TickFilm, now_s: float) -> None:
-        if self._pictures is None:
-            return
+    def _show(self, film: TickFilm) -> None:
         moment = film.moment(self._player.at, self._seat, self._player.jumped)
-        if moment is None:
-            return
-        dt_s = min(1.0, now_s - self._drawn_s) * self._player.pace
-        self._pipe.send_bytes(PICTURES + self._pictures.draw(moment, self._looks, dt_s))
-        self._drawn_s, self._ready, self._stale, self._player.jumped = now_s, False, False, False
-
-    def _say(self, message: Any) -> None:
-        self._pipe.send_bytes(JSON + msgspec.json.encode(message))
+        if self._pictures is not None and moment is not None:
+            self._draw(moment, self._pictures, self._player.pace)
+            self._player.jumped = False
 
     # --- what the page wants ---
 
-    def _hear(self, data: bytes) -> None:
-        try:
-            message = pm.of_play_server(data)
-        except ProtocolError as error:
-            self._refuse(error)
-            return
-        does = self._does.get(type(message))
-        if does is None:
-            return
-        try:
-            does(message)
-        except WcsimError as error:
-            self._refuse(error)
-        if message.slow:
-            self._pipe.send_bytes(DONE)
-        if not isinstance(message, m.Ready | m.End):
-            self._stale = self._changed = True
+    def _heard(self) -> None:
+        self._changed = True
 
-    def _refuse(self, error: WcsimError) -> None:
-        self._say(m.Notice(kind="refused", told=str(error)))
-
-    def _bounds(self) -> dict[str, int]:
-        return (
-            {"first": 0, "count": 0} if self._film is None else {"first": self._film.first, "count": self._film.count}
-        )
-
-    def _view(self, said: m.SetView) -> None:
-        orbit = clamped(said.turn_rad, said.tilt_rad, said.distance_m)
-        size = {"width_px": said.width_px, "height_px": said.height_px}
-        self._looks = PageLooks(orbit=orbit, camera=said.camera, chart=said.chart, **size)
+    @property
+    def _span(self) -> range:
+        return range(0) if self._film is None else self._film.span
 
     def _pause(self, said: m.Pause) -> None:
         """Who goes on at the end begins again."""
         film, player = self._film, self._player
         if not said.on and self._source is None and film is not None and player.at == film.count - 1:
-            player.seek(film.first, **self._bounds())
+            player.seek(film.first, film.span)
         player.pause(said.on)
 
-    def _take_ready(self, _: m.Ready) -> None:
-        self._ready = True
-
-    def _end(self, _: m.End) -> None:
-        self._over = True
-
-    def _follow(self, said: pm.FollowSeat) -> None:
+    def _follow(self, said: m.FollowSeat) -> None:
         self._seat, self._player.jumped = said.seat, True
 
-    def _open_episode(self, said: pm.OpenEpisode) -> None:
+    def _open_episode(self, said: m.OpenEpisode) -> None:
         source = self._start.source
         if source.kind != "episode":
             raise WcsimError("this film is not of a suite; expected a result of wcsim test --suite")
@@ -261,9 +203,12 @@ class PlayRunner:
 
     # --- films ---
 
+    def _begin(self) -> None:
+        self._open(self._start.source)
+
     def _open(self, source: FilmSource) -> None:
         """Start the process of a source."""
-        waits = "; it takes longer while the training uses the CPU" if self._start.gives_way else ""
+        waits = "; it takes longer while the training uses the CPU" if source.gives_way else ""
         self._say(m.Busy(told=f"Opening the street{waits} ..."))
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
@@ -273,7 +218,7 @@ class PlayRunner:
         self._process.start()
         theirs.close()
 
-    def _begin(self, about: FilmAbout) -> None:
+    def _show_first(self, about: FilmAbout) -> None:
         """A film begins: its street is loaded here too. One that cannot be drawn is told of."""
         try:
             street = load_street(find_town(about.town))
@@ -281,23 +226,15 @@ class PlayRunner:
         except WcsimError as error:
             self._line(FilmLine(kind="bad", told=str(error)))
             return
-        self._pictures, self._film = StreetPictures(street, front), TickFilm(about, self._start.most_bytes)
-        live = about.live
-        self._player = Player(live=live)
-        self._say(film_about(about, self._start.failed, self._opened.policy, self._opened.block))
-        self._say(film_marks(self._film))  # none yet, and no more of the film before
+        self._pictures, self._film = StreetPictures(street, front), TickFilm(about)
+        self._player = pm.Player(live=about.live)
+        self._say(pm.film_about(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._say(pm.film_marks(self._film))  # none yet, and no more of the film before
         self._stale = self._changed = True
 
 
 def run_play(pipe: Connection, start: PlayStart) -> None:
     """What the player's process does."""
-    if start.gives_way:
+    if start.source.gives_way:
         run_at_low_priority()
-    signal.signal(signal.SIGTERM, _leave)
-    with pipe:
-        PlayRunner(pipe, start).run()
-
-
-def _leave(*_: object) -> None:
-    """Of SIGTERM: the film's process is ended too."""
-    raise SystemExit
+    run_page(PlayRunner(pipe, start), pipe)

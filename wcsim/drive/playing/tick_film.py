@@ -1,6 +1,6 @@
 """A film: the states of all ticks, packed, with their sums and marks; the oldest go when it gets too large.
 
-An hour of a chair in Helsinki takes some 15 MB (docs/watching.md).
+An hour of a chair in Helsinki takes some 10 MB (docs/watching.md).
 """
 
 from __future__ import annotations
@@ -8,47 +8,34 @@ from __future__ import annotations
 import math
 from collections import OrderedDict, deque
 from collections.abc import Set
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 import zstandard
 
+from wcsim.drive.driven import happened_in
 from wcsim.drive.pictures import Moment
-from wcsim.drive.playing.film_states import (
-    FilmAbout,
-    FilmBody,
-    FilmChair,
-    FilmFrame,
-    FilmStep,
-    Flag,
-    actors_of,
-    outline_of,
-    route_of,
-    signals_of,
-)
+from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmFrame
 from wcsim.errors import ProtocolError
 from wcsim.physics.renderer.instances import ChairPose
 from wcsim.supervisor.actions import MAX_DISTANCE
 from wcsim.supervisor.kpi import KpiTotals
-from wcsim.types import Route
 
 MOST_BYTES: Final = 512 << 20
 MOST_MARKS: Final = 4000
 _BLOCK: Final = 128  # ticks that are packed together
 _OPEN: Final = 6  # blocks that are kept unpacked
 _LEVEL: Final = 3
-_COUNTED: Final = (
-    (Flag.DROPPED, "drops", "drop"),
-    (Flag.CRASHED, "crashes", "crash"),
-    (Flag.ARRIVED, "arrivals", "arrival"),
-    (Flag.GAVE_UP, "given_up", "gave-up"),
-    (Flag.HELPED, "helps", "help"),
-    (Flag.WARNING, "warnings", "warning"),
-    (Flag.INTERVENING, "interventions", "intervention"),
-    (Flag.OVERRULED, "overrules", ""),
-)  # what counts for which total, and its mark, "" for none
+_MARKS: Final = {
+    "crashes": "crash",
+    "drops": "drop",
+    "arrivals": "arrival",
+    "given_up": "gave-up",
+    "helps": "help",
+    "warnings": "warning",
+    "interventions": "intervention",
+}  # kinds, by what they count
 
 
 def _distance(chair: FilmChair) -> float | None:
@@ -65,14 +52,13 @@ class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
     sums: dict[int, KpiTotals]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _FilmMark:
+class FilmMark(NamedTuple):
     """Something on the time line."""
 
     at: int  # number of the frame
     seat: int  # -1 for all
     kind: str  # crash, drop, intervention, warning, arrival, gave-up, help, gap
-    told: str = ""
+    told: str
 
 
 class TickFilm:
@@ -87,40 +73,36 @@ class TickFilm:
         self.about, self._most_bytes = about, most_bytes
         self.first = self.count = 0
         self.packed_bytes = 0
-        self.marks = deque[_FilmMark](maxlen=MOST_MARKS)
+        self.marks = deque[FilmMark](maxlen=MOST_MARKS)
         self.marked = 0  # ever
-        self._bodies: list[FilmBody] = []
-        self._ways: dict[int, bytes] = {}  # those that a frame may tell of
-        self._numbered = 0  # of ways, ever
-        self._signals: list[list[tuple[str, str]]] = []
         self._blocks: dict[int, bytes] = {}
         self._newest: list[_FilmTick] = []
         self._unpacked: OrderedDict[int, list[_FilmTick]] = OrderedDict()
-        self._routes: OrderedDict[int, Route] = OrderedDict()
         self._sums: dict[int, KpiTotals] = {}
         self._alone: dict[int, int] = {}  # ticks of an episode before its handover, by seat
         self._decoder = msgspec.msgpack.Decoder(list[_FilmTick])
 
-    def add(self, step: FilmStep) -> None:
+    @property
+    def span(self) -> range:
+        """The frames that are there."""
+        return range(self.first, self.count)
+
+    def add(self, frame: FilmFrame) -> None:
         """One tick more."""
-        self._bodies += step.bodies
-        self._ways |= dict(enumerate(step.ways, self._numbered))
-        self._numbered += len(step.ways)
-        self._signals += step.signals
-        for chair in step.frame.chairs:
+        for chair in frame.chairs:
             self._count(chair)
-        self._newest.append(_FilmTick(step.frame, {chair.seat: self._sums[chair.seat] for chair in step.frame.chairs}))
+        self._newest.append(_FilmTick(frame, {chair.seat: self._sums[chair.seat] for chair in frame.chairs}))
         self.count += 1
         if len(self._newest) == _BLOCK:
             self._pack()
 
     def mark(self, kind: str, told: str) -> None:
         """Mark the place where the next frame will be, for all chairs."""
-        self._note(_FilmMark(at=self.count, seat=-1, kind=kind, told=told))
+        self._note(FilmMark(self.count, -1, kind, told))
 
     def shot(self, at: int) -> _FilmTick:
         """A frame. Raises ProtocolError for a number that is not there."""
-        if not self.first <= at < self.count:
+        if at not in self.span:
             raise ProtocolError(f"the film has no step {at}; expected {self.first} to {self.count - 1}")
         block, row = divmod(at, _BLOCK)
         if block == self.count // _BLOCK:
@@ -139,29 +121,15 @@ class TickFilm:
         chair = next((each for each in frame.chairs if each.seat == seat), None)
         if chair is None:
             return None
-        begins = chair.step == 1
         return Moment(
-            actors=actors_of(frame.actors, self._bodies),
-            signals=() if frame.signals < 0 else signals_of(self._signals[frame.signals]),
+            actors=frame.actors,
+            signals=frame.signals,
             chairs=tuple(_pose(each) for each in frame.chairs),
             seat=seat,
-            jumped=jumped or begins,
-            route=self._route(chair.way),
+            jumped=jumped or chair.step == 1,
+            route=frame.route(seat),
             done_m=chair.done_m,
         )
-
-    def route(self, chair: FilmChair) -> Route | None:
-        """A chair's way, None where it is not known."""
-        return self._route(chair.way)
-
-    def _route(self, way: int) -> Route | None:
-        if way not in self._ways:
-            return None
-        if way not in self._routes:
-            self._routes[way] = route_of(self._ways[way])
-            if len(self._routes) > 4 * _OPEN:
-                self._routes.popitem(last=False)
-        return self._routes[way]
 
     def _pack(self) -> None:
         packed = zstandard.ZstdCompressor(level=_LEVEL).compress(msgspec.msgpack.encode(self._newest))
@@ -173,39 +141,28 @@ class TickFilm:
             self.packed_bytes -= len(self._blocks.pop(oldest))
             self._unpacked.pop(oldest, None)
             self.first = (oldest + 1) * _BLOCK
-            self._forget_ways()
-
-    def _forget_ways(self) -> None:
-        """Those that came up before all that the oldest frame is on are nobody's any more."""
-        on = [chair.way for chair in self.shot(self.first).frame.chairs if chair.way >= 0]
-        for way in [way for way in self._ways if way < min(on, default=0)]:
-            del self._ways[way]
 
     def _count(self, chair: FilmChair) -> None:
         """Mark and count what a chair did; as in a test, nothing before a handover is judged."""
-        flags, seat = Flag(chair.flags), chair.seat
+        seat, happened = chair.seat, happened_in(chair)
         before = self._sums.get(seat, KpiTotals())
-        happened = {name for flag, name, _ in _COUNTED if flag in flags}
         self._mark(chair, before.begun(happened))
-        is_alone = Flag.ALONE in flags
-        alone = (0 if chair.step == 1 else self._alone.get(seat, 0)) + is_alone
-        steps = chair.step - alone if chair.step >= 0 else before.steps + (not is_alone)
-        after = before.plus(happened, None if is_alone else _distance(chair), chair.speed_mps, steps)
-        ends = bool(flags & (Flag.CRASHED | Flag.TRUNCATED))
+        alone = (0 if chair.step == 1 else self._alone.get(seat, 0)) + chair.alone
+        steps = chair.step - alone if chair.step >= 0 else before.steps + (not chair.alone)
+        after = before.plus(happened, None if chair.alone else _distance(chair), chair.speed_mps, steps)
+        ends = chair.crashed or chair.truncated
         self._alone[seat], self._sums[seat] = (0, after.over()) if ends else (alone, after)
 
     def _mark(self, chair: FilmChair, begun: Set[str]) -> None:
-        for _, name, kind in _COUNTED:
-            if kind and name in begun and not (kind == "crash" and "drops" in begun):  # a fall is one mark
+        for name, kind in _MARKS.items():
+            if name in begun and not (kind == "crash" and "drops" in begun):  # a fall is one mark
                 told = chair.reason if kind in ("crash", "drop") else ""
-                self._note(_FilmMark(at=self.count, seat=chair.seat, kind=kind, told=told))
+                self._note(FilmMark(self.count, chair.seat, kind, told))
 
-    def _note(self, mark: _FilmMark) -> None:
+    def _note(self, mark: FilmMark) -> None:
         self.marks.append(mark)
         self.marked += 1
 
 
 def _pose(chair: FilmChair) -> ChairPose:
-    return ChairPose(
-        seat=chair.seat, p_WB_m=np.array(chair.p_WB_m), q_WB=np.array(chair.q_WB), outline=outline_of(chair)
-    )
+    return ChairPose(seat=chair.seat, p_WB_m=np.array(chair.p_WB_m), q_WB=np.array(chair.q_WB), outline=chair.outline)

@@ -31,9 +31,9 @@ from websockets.http11 import Request, Response
 from wcsim.core.closing import Closing
 from wcsim.core.reading import escaped
 from wcsim.drive import messages as m
-from wcsim.drive.playing.play_messages import StepBy, of_play_page
+from wcsim.drive.page_runner import DONE, JSON, LINE, PICTURES
 from wcsim.drive.playing.play_runner import PlayStart, run_play
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder, run_drive
+from wcsim.drive.runner import DriveOrder, run_drive
 from wcsim.drive.serving.access_control import LOOPBACK, AccessControl, content_policy, new_token
 from wcsim.drive.serving.audience import Audience, PageLine
 from wcsim.drive.stick_watch import rests
@@ -56,24 +56,21 @@ class _PageKind:
 
     word: str  # for it in messages
     page: str  # its file
-    of_page: Callable[[str | bytes], m.PageMessage]  # raises ProtocolError for what is no message of it
     run: Callable[[Connection, Any], None]  # what its process does, with what it begins with
     begins: str  # what is done once the address is known, for whoever started it
     ended: str  # what a page says when that process has ended
 
 
-DRIVE: Final = _PageKind(
+_DRIVE: Final = _PageKind(
     word="drive",
     page="index.html",
-    of_page=m.of_page,
     run=run_drive,
     begins="starting the simulator, then the street; the page shows the progress",
     ended="The drive has ended. Start wcsim drive again.",
 )
-PLAY: Final = _PageKind(
+_PLAY: Final = _PageKind(
     word="film",
     page="play.html",
-    of_page=of_play_page,
     run=run_play,
     begins="starting the player, then loading the recording",
     ended="The player has ended. Start the command again.",
@@ -123,18 +120,22 @@ def _says_as_much(message: m.PageMessage, before: m.PageMessage) -> bool:
         return still_pressed and (rests(message.x, message.y) or not rests(before.x, before.y))
     if isinstance(message, _PLACES) and isinstance(before, _PLACES):
         return _PLACES.index(type(before)) <= _PLACES.index(type(message))
-    return type(message) is type(before) and not isinstance(message, StepBy)
+    return type(message) is type(before) and not isinstance(message, m.StepBy)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServeOrder:
     """Where the page is served, and what is behind it."""
 
-    start: DriveOrder | PlayStart  # as its kind takes it
-    kind: _PageKind = DRIVE
+    start: DriveOrder | PlayStart
     host: str = "127.0.0.1"
     port: int = 8080  # 0 for a free one
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
+
+    @property
+    def kind(self) -> _PageKind:
+        """What is served."""
+        return _DRIVE if isinstance(self.start, DriveOrder) else _PLAY
 
 
 class _Process(Closing):
@@ -195,7 +196,7 @@ class _Process(Closing):
                 self._some.wait()
                 self._some.clear()
                 for message in self._words.take():
-                    self._pipe.send_bytes(m.written(message))
+                    self._pipe.send(message)
 
 
 def _listen(pipe: Connection, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
@@ -330,7 +331,7 @@ class DriveServer:
         async for data in connection:
             line.silent = False
             try:
-                message = self._order.kind.of_page(data)
+                message = m.of_page(data)
             except ProtocolError as error:
                 refused += 1
                 line.put(m.spoken(m.Notice(kind="refused", told=str(error))))
@@ -424,8 +425,4 @@ def _in_a_line(record: logging.LogRecord) -> bool:
 
 def serve_drive(order: ServeOrder) -> None:
     """Serve until Ctrl-C. Raises ConfigError, see `DriveServer.run`; KeyboardInterrupt goes on to the caller."""
-    asyncio.run(_serve(order))
-
-
-async def _serve(order: ServeOrder) -> None:
-    await DriveServer(order).run()
+    asyncio.run(DriveServer(order).run())

@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.journals import JournaledWorld
 from wcsim.bridge.sumo.session import world_in_this_process
-from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Said
+from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources import follow_source
 from wcsim.drive.playing.sources.follow_source import follow_film
 from wcsim.errors import ConfigError, JournalError
@@ -53,7 +53,7 @@ class Watched:
 
     @property
     def ticks(self) -> list[tuple[int, int]]:
-        return [(said.frame.epoch, said.frame.tick) for said in self.said if isinstance(said, FilmStep)]
+        return [(said.epoch, said.tick) for said in self.said if isinstance(said, FilmFrame)]
 
     def told(self, kind: str = "now") -> list[str]:
         return [said.told for said in self.said if isinstance(said, FilmLine) and said.kind == kind]
@@ -95,8 +95,8 @@ def test_it_goes_over_to_the_newest_epoch_when_it_is_far_behind(
     assert watched.ticks == [(1, tick) for tick in range(1, 31)]
     assert "30 ticks were skipped to reach the newest world." in watched.told("mark")
     assert any(line.endswith("ticks behind the run") for line in watched.told())
-    (step, *_) = [said for said in watched.said if isinstance(said, FilmStep)]
-    assert [chair.seat for chair in step.frame.chairs] == [0, 1], "who sat there before sits there still"
+    (frame, *_) = [said for said in watched.said if isinstance(said, FilmFrame)]
+    assert [chair.seat for chair in frame.chairs] == [0, 1], "who sat there before sits there still"
 
 
 def test_a_part_that_is_put_aside_is_read_to_its_end(whole: bytes, tmp_path: Path) -> None:

@@ -21,10 +21,11 @@ from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.recordings import replay
 from wcsim.config import resolve
 from wcsim.core.files import numbered_names
-from wcsim.drive.driven import DriverKind
-from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said, said_bytes, said_of
-from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film, failed_episodes
+from wcsim.drive.driven import DriverKind, happened_in
+from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
+from wcsim.drive.playing.sources.episode_source import episode_film, failed_episodes
 from wcsim.drive.playing.sources.replay_source import replay_film
+from wcsim.drive.playing.sources.source_process import FilmSource
 from wcsim.drive.playing.sources.state_source import state_film
 from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.drive.recording.session_recorder import SessionRecorder
@@ -50,10 +51,9 @@ class Filmed:
             self.hear(one)
 
     def hear(self, said: Said) -> None:
-        said = said_of(said_bytes(said))
         if isinstance(said, FilmAbout):
             self.film = TickFilm(said)
-        elif isinstance(said, FilmStep):
+        elif isinstance(said, FilmFrame):
             self.film.add(said)
         elif isinstance(said, FilmNames):
             self.names = dict(said.names)
@@ -89,8 +89,8 @@ def test_a_journal_shows_everybody_where_they_were(run: Path, corner: Path) -> N
     assert shown.film.about.ticks == len(ticked) and not shown.film.about.tells_who
     moment = shown.film.moment(100, 0, jumped=False)
     assert moment is not None and moment.route is not None and moment.actors
-    assert any(chair.flags & Flag.INTERVENING for frame in frames for chair in frame.chairs)
-    assert any(chair.flags & Flag.TRUNCATED for frame in frames for chair in frame.chairs)
+    assert any(chair.intervening for frame in frames for chair in frame.chairs)
+    assert any(chair.truncated for frame in frames for chair in frame.chairs)
     assert not world_in_this_process()
 
 
@@ -110,8 +110,8 @@ def test_a_trace_shows_places_alone(run: Path, corner: Path) -> None:
     frames = shown.frames()
     assert len(frames) == sum(len(record.plants) > 0 for record in records)
     chair = frames[-1].chairs[0]
-    assert (chair.stick, chair.way, chair.flags) == (None, -1, 0)
-    assert chair.p_WB_m == tuple(records[-1].plants[0][:3].tolist())
+    assert (chair.stick, frames[-1].ways, happened_in(chair)) == (None, {}, set())
+    assert chair.p_WB_m == records[-1].plants[0][:3].tolist()
     assert shown.film.about.camera == ""
     moment = shown.film.moment(len(frames) - 1, chair.seat, jumped=False)
     assert moment is not None and moment.route is None
@@ -178,14 +178,14 @@ def test_who_decided_in_a_drive_is_told(corner: Path, tmp_path: Path) -> None:
         for _ in range(6):
             session.tick(ahead)
     shown = Filmed(replay_film(tmp_path / "a.drive"))
-    flags = [Flag(frame.chairs[0].flags) for frame in shown.frames()]
-    assert [Flag.ALONE in each for each in flags] == [True] * 4 + [False] * 20
-    assert [Flag.UNAIDED in each for each in flags] == ([False] * 6 + [True] * 6) * 2
+    ticks = [frame.chairs[0] for frame in shown.frames()]
+    assert [each.alone for each in ticks] == [True] * 4 + [False] * 20
+    assert [each.unaided for each in ticks] == ([False] * 6 + [True] * 6) * 2
     sums = shown.film.shot(23).sums[0]
     assert (sums.kpi1, sums.kpi2) == (pytest.approx(kpi1, abs=1e-3), kpi2)
-    second = [Flag(frame.chairs[0].flags) for frame in Filmed(replay_film(tmp_path / "a-2.drive")).frames()]
-    assert all(Flag.UNAIDED in each for each in second)
-    assert not any(Flag.ALONE in each for each in second), "a simulated user who was told to drive"
+    second = [frame.chairs[0] for frame in Filmed(replay_film(tmp_path / "a-2.drive")).frames()]
+    assert all(each.unaided for each in second)
+    assert not any(each.alone for each in second), "a simulated user who was told to drive"
 
 
 def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner: Path, tmp_path: Path) -> None:
@@ -196,8 +196,8 @@ def test_an_older_drive_in_a_town_that_tells_of_no_driver_has_no_handover(corner
             session.tick(Wish())
     drive = read_drive(tmp_path / "a.drive")
     assert all(tick.intent is not None for tick in drive.ticks) and "driver" not in {e.kind for e in drive.events}
-    flags = [Flag(frame.chairs[0].flags) for frame in Filmed(replay_film(tmp_path / "a.drive")).frames()]
-    assert len(flags) == 4 and not any(Flag.ALONE in each for each in flags)
+    ticks = [frame.chairs[0] for frame in Filmed(replay_film(tmp_path / "a.drive")).frames()]
+    assert len(ticks) == 4 and not any(each.alone for each in ticks)
 
 
 def test_follow_decides_nothing_in_a_drive(corner: Path, tmp_path: Path) -> None:
@@ -208,7 +208,7 @@ def test_follow_decides_nothing_in_a_drive(corner: Path, tmp_path: Path) -> None
             session.tick(Wish())
     shown = Filmed(replay_film(tmp_path / "a.drive"))
     assert shown.film.about.tells_who
-    assert [Flag.UNAIDED in Flag(frame.chairs[0].flags) for frame in shown.frames()] == [True, True]
+    assert [frame.chairs[0].unaided for frame in shown.frames()] == [True, True]
 
 
 @pytest.fixture(scope="module")
@@ -223,8 +223,8 @@ def tested(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def choice(folder: Path, **changes: object) -> EpisodeChoice:
-    return EpisodeChoice(**{"folder": folder, "policy": "", "block": 0, "own": (), **changes})
+def choice(folder: Path, **changes: object) -> FilmSource:
+    return FilmSource(**{"kind": "episode", "path": folder, "policy": "", "block": 0, "own": (), **changes})
 
 
 def test_an_own_network_goes_with_the_episodes_of_a_test(tested: Path) -> None:
@@ -244,7 +244,7 @@ def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
     for record in kept:
         own = [chair for frame in frames for chair in frame.chairs if chair.seat == record["seat"]]
         assert len(own) == record["steps"] + 5
-        assert [bool(chair.flags & Flag.ALONE) for chair in own[:6]] == [True] * 5 + [False]
+        assert [chair.alone for chair in own[:6]] == [True] * 5 + [False]
         assert all(chair.stick is not None and chair.commanded is not None for chair in own)
         at = max(at for at, frame in enumerate(frames) if any(chair.seat == record["seat"] for chair in frame.chairs))
         sums = shown.film.shot(at).sums[record["seat"]]
@@ -252,7 +252,7 @@ def test_an_episode_of_a_test_is_driven_as_it_was(tested: Path) -> None:
         assert sums.kpi2 == record["steps"]
     assert shown.film.about.warns and not shown.film.about.tells_unsafe
     assert shown.film.about.tells_who
-    assert not any(chair.flags & Flag.UNAIDED for frame in frames for chair in frame.chairs)
+    assert not any(chair.unaided for frame in frames for chair in frame.chairs)
 
 
 def test_follow_decides_nothing_in_an_episode(tested: Path, tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_follow_decides_nothing_in_an_episode(tested: Path, tmp_path: Path) -> N
         (tmp_path / name).write_text((tested / name).read_text().replace('"stop"', '"follow"'))
     shown = Filmed()
     episode_film(choice(tmp_path), shown.hear)
-    assert all(chair.flags & Flag.UNAIDED for frame in shown.frames() for chair in frame.chairs)
+    assert all(chair.unaided for frame in shown.frames() for chair in frame.chairs)
 
 
 def test_an_episode_that_goes_another_way_says_so(tested: Path, tmp_path: Path) -> None:

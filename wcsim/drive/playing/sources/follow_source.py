@@ -60,9 +60,7 @@ def follow_film(run: Path, hook: str, say: Callable[[Said], object], gone: Gone,
         say(replay_about(tail.header, 0, live=True))
         following = _Following(run, tail.header, hook, say)
         try:
-            while first and following.waiting < _MOST_WAITING:
-                following.hear(first)
-                first = tail.read()
+            following.hear(first)
             while following.turn(tail, gone, clock):
                 pass
         finally:
@@ -102,8 +100,7 @@ class _Following:
         now_s = clock()
         if not self._queue or now_s - self._asked_s > _POLL_S:
             self._asked_s = now_s
-            records = tail.read() if self.waiting < _MOST_WAITING else []
-            if records:
+            while self.waiting < _MOST_WAITING and (records := tail.read()):
                 self._heard_s = now_s
                 self.hear(records)
         if self._queue:
@@ -119,7 +116,6 @@ class _Following:
 
     def _do(self, record: Input) -> None:
         self._ended = record.reason if isinstance(record, Ended) else ""
-        self._scene.before(self._player.world, record)
         world = self._player.play(record)
         for said in self._scene.said(world, record):
             if isinstance(said, FilmNames):

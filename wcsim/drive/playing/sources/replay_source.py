@@ -12,15 +12,14 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
 from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
 from wcsim.bridge.world import World
-from wcsim.drive.driven import DriverKind, EventKind
-from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, FilmStep, Flag, Said
-from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_before, intervening
+from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
+from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FrameMaker, Said, TickSays
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
 from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked
 from wcsim.server.specs import town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
-from wcsim.types import Joystick
+from wcsim.types import Command, Joystick
 
 NOT_IN_JOURNALS: Final = (
     "Warnings, unsafe positions and who is in control: a journal records the commands of the chairs only.",
@@ -29,12 +28,6 @@ NOT_IN_JOURNALS: Final = (
 NOT_IN_DRIVES: Final = (
     "Unsafe positions: a drive records what the policy chose, not why.",
     "Sensor errors of the camera: its picture is drawn without them.",
-)
-_SAYS: Final = (
-    (Flag.WARNING, "warning"),
-    (Flag.INTERVENING, "intervening"),
-    (Flag.OVERRULED, "overruled"),
-    (Flag.HELPED, "helped"),
 )
 
 
@@ -70,7 +63,7 @@ def replay_film(path: Path, epoch: int | None = None, hook: str = "") -> Iterato
     log, header = log_of(path), read_header(path)
     yield replay_about(header, count_ticks(log, epoch), epoch=epoch)
     scene = RecordScene(log if isinstance(log, DriveRecording) else None)
-    with closing(replayed(log, epoch, None, hook, scene.before)) as steps:
+    with closing(replayed(log, epoch, None, hook)) as steps:
         for world, record in steps:
             yield from scene.said(world, record)
     yield FilmLine(kind="end", told=scene.told(f"The whole {header.kind} is loaded."))
@@ -86,14 +79,8 @@ class RecordScene:
         self._names: dict[int, str] = {}
         self._asked: dict[int, Joystick] = {}
 
-    def before(self, world: World | None, record: Input) -> None:
-        """What is so before a record is done."""
-        if isinstance(record, Ticked) and world is not None:
-            self._maker.begin(world)
-            self._asked = asked_before(world.snapshot.clients)
-
     def said(self, world: World, record: Input) -> Iterator[Said]:
-        """What there is to say after it."""
+        """What there is to say after one."""
         match record:
             case EpochBegun():
                 world.go_blind()
@@ -106,9 +93,9 @@ class RecordScene:
                     self._names[record.seat] = record.name
                     yield FilmNames(names=dict(self._names))
             case Ticked():
-                yield self._step(world, record)
-            case _:
-                return
+                yield self._frame(world, record)
+        self._maker.begin(world)
+        self._asked = {client.seat: (client.first or client).user for client in world.snapshot.clients}
 
     def told(self, told: str) -> str:
         """A line, with what went another way."""
@@ -116,17 +103,24 @@ class RecordScene:
             return told
         return f"{told} {self.differs} ticks differ: it was made with other versions or on another machine."
 
-    def _step(self, world: World, record: Ticked) -> FilmStep:
+    def _frame(self, world: World, record: Ticked) -> FilmFrame:
+        now = world.snapshot
+        self._maker.look(world)
         if self._drive is not None and self._decides is not None:
             tick = self._drive.tick_of(record)
-            self.differs += tuple(world.snapshot.clients[0].plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
-            return self._maker.step_of(world, {0: _said(tick, self._decides.flags(tick))})
-        self.differs += record.state_hash != world.snapshot.state_hash
-        said = {}
-        for command in record.commands:
-            stick, given = self._asked.get(command.seat), command.joystick
-            said[command.seat] = TickSays(stick=stick, commanded=given, flags=intervening(stick, given))
-        return self._maker.step_of(world, said)
+            self.differs += tuple(now.clients[0].plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
+            return self._maker.frame(now, {0: self._decides.says(tick)})
+        self.differs += record.state_hash != now.state_hash
+        said = {command.seat: self._says(command) for command in record.commands}
+        return self._maker.frame(now, said)
+
+    def _says(self, command: Command) -> TickSays:
+        asked, given = self._asked.get(command.seat), command.joystick
+        return TickSays(
+            stick=None if asked is None else xy_of(asked),
+            commanded=xy_of(given),
+            intervening=asked is not None and is_intervention(asked, given),
+        )
 
 
 class _WhoDecides:
@@ -138,15 +132,23 @@ class _WhoDecides:
         self._assisted, self._simulated = True, False
         self._can_assist = about.policy not in ("", UNAIDED)
 
-    def flags(self, tick: DriveTick) -> Flag:
+    def says(self, tick: DriveTick) -> TickSays:
         """Of the next tick. A simulated user who drives where the person was to does so before a handover.
 
         Handovers are in episodes of suites alone; elsewhere an older recording may not say that the user was to drive.
         """
         while self._events and self._events[0].tick < tick.tick:
             self._note(self._events.popleft())
-        alone = self._hands_over and not self._simulated and not by_person(tick)
-        return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._can_assist and self._assisted else Flag.UNAIDED)
+        return TickSays(
+            stick=xy_of(tick.stick),
+            commanded=xy_of(tick.commanded),
+            warning=tick.warning,
+            intervening=tick.intervening,
+            overruled=tick.overruled,
+            helped=tick.helped,
+            alone=self._hands_over and not self._simulated and not by_person(tick),
+            unaided=not (self._can_assist and self._assisted),
+        )
 
     def _note(self, event: Note) -> None:
         if event.kind == EventKind.ASSISTANCE:
@@ -155,9 +157,3 @@ class _WhoDecides:
             self._assisted = False
         elif event.kind == EventKind.DRIVER:
             self._simulated = event.detail == DriverKind.SIMULATED
-
-
-def _said(tick: DriveTick, flags: Flag) -> TickSays:
-    for flag, name in _SAYS:
-        flags |= flag if getattr(tick, name) else Flag(0)
-    return TickSays(stick=tick.stick, commanded=tick.commanded, flags=flags)

@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Literal
 
-from wcsim.drive.playing.film_states import FilmLine, Said, said_bytes
+from wcsim.drive.playing.film_states import FilmLine, Said
 from wcsim.drive.playing.low_priority import run_at_low_priority
 from wcsim.errors import WcsimError
 
@@ -38,15 +38,12 @@ def run_source(pipe: Connection, source: FilmSource) -> None:
     if source.gives_way:
         run_at_low_priority()
 
-    def say(said: Said) -> None:
-        pipe.send_bytes(said_bytes(said))
-
     with suppress(BrokenPipeError, ConnectionResetError):
         try:
-            _film(source, say, pipe)
+            _film(source, pipe.send, pipe)
         except WcsimError as error:
-            say(FilmLine(kind="bad", told=str(error)))
-            say(FilmLine(kind="end", told="The recording ends here."))
+            pipe.send(FilmLine(kind="bad", told=str(error)))
+            pipe.send(FilmLine(kind="end", told="The recording ends here."))
 
 
 def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -> None:
@@ -57,10 +54,9 @@ def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -
         follow_film(source.path, source.hook, say, pipe.poll)  # nobody says anything into it: it has ended then
         return
     if source.kind == "episode":
-        from wcsim.drive.playing.sources.episode_source import EpisodeChoice, episode_film
+        from wcsim.drive.playing.sources.episode_source import episode_film
 
-        choice = EpisodeChoice(folder=source.path, policy=source.policy, block=source.block, own=source.own)
-        episode_film(choice, say)
+        episode_film(source, say)
         return
     from wcsim.log.reader import read_header
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -10,14 +11,13 @@ import numpy as np
 
 from wcsim.config import ChairConfig
 from wcsim.core.reading import escaped
-from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmLine, Said
-from wcsim.drive.playing.sources.frame_maker import FrameMaker, quaternion
+from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmFrame, FilmLine, Said, bodies_of
 from wcsim.errors import ConfigError, TownError
 from wcsim.log.reader import read_states
 from wcsim.log.records import Header, WorldState
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town, find_town
-from wcsim.types import F64, ActorState
+from wcsim.types import Outline
 from wcsim.view.filming import SIGHT_M
 
 NOT_IN_TRACES: Final = (
@@ -26,6 +26,8 @@ NOT_IN_TRACES: Final = (
     "Crashes, arrivals and routes. A chair that jumps has started another episode.",
     "Traffic signals, brake lights and vehicle models.",
 )
+
+_EAST: Final = [0.0, 0.0, 0.0, 1.0]  # for no turn at all, which somebody may have written into a file
 
 
 def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator[Said]:
@@ -53,11 +55,9 @@ def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator
         unknown=list(NOT_IN_TRACES),
         ticks=len(chosen),
     )
-    maker, outline = FrameMaker(), _outline(header)
+    outline = _outline(header)
     for record in chosen:
-        chairs = _chairs(record, outline)
-        places_W_m = record.plants[:, :2]
-        yield maker.step(record.epoch, record.tick, record.time_s, _near(record, places_W_m), chairs)
+        yield _frame(record, outline)
     yield FilmLine(kind="end", told="The whole trace is loaded.")
 
 
@@ -77,51 +77,35 @@ def _town(header: Header, name: str) -> Town:
     return town
 
 
-def _outline(header: Header) -> tuple[float, float, float, float]:
+def _outline(header: Header) -> Outline:
     usual = plant_spec(ChairConfig()).outline
     length_m, middle_x_m = header.chair_box_m or (usual.length_m, usual.middle_x_m)
-    return length_m, usual.width_m, usual.height_m, middle_x_m
+    return replace(usual, length_m=length_m, middle_x_m=middle_x_m)
 
 
-def _chairs(record: WorldState, outline: tuple[float, float, float, float]) -> list[FilmChair]:
-    seats = record.seats or tuple(range(len(record.plants)))
-    found = []
-    for seat, plant, given in zip(seats, record.plants.tolist(), record.commands.tolist(), strict=True):
-        x_m, y_m, z_m = plant[:3]
-        found.append(
+def _frame(record: WorldState, outline: Outline) -> FilmFrame:
+    """A state, with those that are in sight of a chair."""
+    gaps_m = np.hypot(*np.moveaxis(record.actors[:, None, :2] - record.plants[None, :, :2], -1, 0)).min(axis=1)
+    near = np.flatnonzero(gaps_m < SIGHT_M).tolist() if record.bodies else []
+    bodies = [record.bodies[number] for number in near]
+    rows = [(*record.actors[number], *record.bodies[number].size_lwh_m) for number in near]
+    return FilmFrame(
+        epoch=record.epoch,
+        tick=record.tick,
+        time_s=record.time_s,
+        bodies=bodies_of(bodies),
+        rows=np.array(rows, "<f4").tobytes(),
+        chairs=[
             FilmChair(
                 seat=seat,
-                p_WB_m=(x_m, y_m, z_m),
-                q_WB=_turn(plant[3:7]),
+                p_WB_m=plant[:3],
+                q_WB=plant[3:7] if any(plant[3:7]) else _EAST,
                 outline=outline,
                 speed_mps=plant[7],
                 commanded=(given[0], given[1]),
             )
-        )
-    return found
-
-
-def _turn(values: Sequence[float]) -> tuple[float, float, float, float]:
-    """A turn; none at all, which somebody may have written into a file, is taken for straight east."""
-    return quaternion(values) if any(values) else (0.0, 0.0, 0.0, 1.0)
-
-
-def _near(record: WorldState, places_W_m: F64) -> list[ActorState]:
-    """Who is in sight of a chair."""
-    if not record.bodies:
-        return []
-    gaps_m = np.hypot(*np.moveaxis(record.actors[:, None, :2] - places_W_m[None], -1, 0)).min(axis=1)
-    return [
-        ActorState(
-            id=body.id,
-            kind=body.kind,
-            p_W_m=row[:3],
-            yaw_rad=float(row[3]),
-            pitch_rad=float(row[4]),
-            v_W_mps=row[5:8],
-            size_lwh_m=body.size_lwh_m,
-            piece=body.piece,
-        )
-        for body, row, gap_m in zip(record.bodies, record.actors, gaps_m, strict=True)
-        if gap_m < SIGHT_M
-    ]
+            for seat, plant, given in zip(
+                record.seats or range(len(record.plants)), record.plants.tolist(), record.commands.tolist(), strict=True
+            )
+        ],
+    )
