@@ -77,8 +77,7 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
 
 def _parts(result: TestResult) -> list[tuple[str, list[ResultRow]]]:
     """Each part's rows, and those of all where there are several parts."""
-    parts = dict.fromkeys(row.part for row in result.rows)
-    found = [(part, [row for row in result.rows if row.part == part]) for part in parts]
+    found = [(part, [row for row in result.rows if row.part == part]) for part in result.parts]
     return found if len(found) == 1 else [*found, ("all parts", list(result.pooled))]
 
 
