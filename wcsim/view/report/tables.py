@@ -89,7 +89,7 @@ def weights_table(result: TestResult) -> Exhibit:
 
 
 def _figure(row: ResultRow, column: Column) -> Figure:
-    value = getattr(row, column.key)
+    value = column.value(row)
     if value is None:
         return Figure("–", None)
     if column.key == "mcnemar_p" and value == 0:
