@@ -16,6 +16,7 @@ from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing import films
 from tests.support.worlds import dqn_config
 from tests.view.report.results import write_result
+from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
@@ -97,9 +98,10 @@ def test_the_report_of_a_hostile_training_shows_its_names(context: Any, tmp_path
 
 
 def test_the_page_of_a_hostile_demo_shows_its_names(context: Any, tmp_path: Path) -> None:
+    hostile_result(tmp_path)
     what = DemoShown(
         learned=NAMES[0],
-        results=(),
+        result=read_result(tmp_path),
         film="film.mp4",
         film_says=NAMES[1],
         still_png=b"",

@@ -7,11 +7,11 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from wcsim.config import Finite, Model, NotNegative, Text
+from wcsim.config.run_file import Sha256
 
 MOST_SEATS = 12
 MOST_NAME, MOST_SET = 64, 32  # characters of a list's name, and of that of its set
 Part = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ,.-]{0,127}$")]  # free, crossing, hazard, tight, or drawn
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Steps = Annotated[int, Field(ge=1, le=1_000_000)]
 
 

@@ -68,9 +68,13 @@ def running_own(what: str, cure: str, error: type[WcsimError] = PolicyError) -> 
     except WcsimError:
         raise
     except Exception as fault:  # the user's own code may raise anything
-        line = traceback.extract_tb(fault.__traceback__)[-1]
-        told = f"{type(fault).__name__}: {str(fault).strip()[:_MOST_TOLD]}"
-        raise error(f"{what}: {told} ({line.filename}, line {line.lineno}); {cure}") from fault
+        raise error(f"{what}: {described(fault)}; {cure}") from fault
+
+
+def described(fault: Exception) -> str:
+    """What somebody's code raised, and where."""
+    line = traceback.extract_tb(fault.__traceback__)[-1]
+    return f"{type(fault).__name__}: {str(fault).strip()[:_MOST_TOLD]} ({line.filename}, line {line.lineno})"
 
 
 def sources_of(name: str, what: str) -> dict[str, Path]:

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from wcsim.errors import ConfigError
-from wcsim.types import F32, F64
+from wcsim.types import F32, F64, I64
 
 STEP = 0.25
 _HALF_CELLS = 4  # the lattice runs from -4 to 4 steps on both axes
 _DISC_LIMIT = 20  # i * i + j * j <= 20: the cells that the unit disc (16) reaches into
 MAX_DISTANCE = 2.0  # the largest distance within a round gate; a corner of the square counts as this far
 NAMES = ("square81", "disc69")
-
-I64 = np.typing.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

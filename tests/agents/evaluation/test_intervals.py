@@ -3,7 +3,6 @@
 import pytest
 
 from wcsim.agents.evaluation.intervals import FEWEST, at_most, bootstrapped, garwood, mcnemar, wilson
-from wcsim.errors import ConfigError
 
 
 @pytest.mark.parametrize(
@@ -20,19 +19,9 @@ def test_many_events_give_an_interval_that_shrinks_towards_them():
     assert high == pytest.approx(10_000 + 1.96 * 100, rel=1e-3)
 
 
-def test_a_higher_confidence_is_a_wider_interval():
-    assert garwood(7, 0.99)[0] < garwood(7, 0.9)[0] < 7 < garwood(7, 0.9)[1] < garwood(7, 0.99)[1]
-
-
 def test_probabilities_of_all_numbers_add_up():
     assert at_most(200, 50.0) == pytest.approx(1.0)
     assert at_most(0, 0.0) == 1.0
-
-
-@pytest.mark.parametrize(("events", "confidence"), [(-1, 0.95), (3, 1.0), (3, 0.0)])
-def test_what_is_no_count_is_refused(events, confidence):
-    with pytest.raises(ConfigError, match="expected 0 or more"):
-        garwood(events, confidence)
 
 
 @pytest.mark.parametrize(
@@ -43,11 +32,8 @@ def test_shares_have_the_bounds_of_tables_and_a_width_at_their_ends(count, of, l
     assert wilson(count, of) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_a_share_of_nothing_is_none_and_one_of_too_few_is_refused():
+def test_a_share_of_nothing_is_none():
     assert wilson(0, 0) is None
-    for count in (-1, 4):
-        with pytest.raises(ConfigError, match=f"{count} of 3"):
-            wilson(count, 3)
 
 
 def test_pairs_that_differ_decide_by_their_number_however_many_there_are():

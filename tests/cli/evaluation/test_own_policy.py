@@ -100,7 +100,8 @@ def test_in_a_suite_a_class_that_cannot_be_built_is_refused_before_anything_is_d
 def test_in_a_suite_a_class_that_always_fails_is_told_with_its_reason(wcsim, folder, listed, own, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     told = wcsim("test", "--suite", listed, f"{own}:Boom", "--only", "--out", "out")
-    assert told.code == 1 and "own_controller:Boom: failed in 2 of 2 episodes: KeyError: 'lidar'" in told.out
+    assert told.code == 1 and "own_controller:Boom: failed in 2 of 2 episodes: KeyError: 'lidar' (" in told.out
+    assert f"{own}.py, line " in told.out, "as other commands say where"
     rows = {row["policy"]: row for row in json.loads((folder / "out" / "result.json").read_text())["pooled"]}
     assert [rows[name]["status"]["policy_failed"] for name in ("follow", f"{own}:Boom")] == [0, 2]
 

@@ -30,18 +30,24 @@ from wcsim.types import F64, Truth, Verdict
 WARNS_AHEAD_S = 1.0  # `stop`, of what it would stop for so much later
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Follow:
-    """The action nearest to the user's joystick."""
+class _Memoryless:
+    """What a policy does at a start of which it remembers nothing."""
 
-    actions: ActionSet
-    name: str = "follow"
+    __slots__ = ()
 
     def begin(self) -> None:
         """Nothing is remembered."""
 
     def reset(self) -> None:
         """Nothing is remembered."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Follow(_Memoryless):
+    """The action nearest to the user's joystick."""
+
+    actions: ActionSet
+    name: str = "follow"
 
     def act(self, observation: Observation) -> int:
         """The user's wish."""
@@ -49,17 +55,11 @@ class Follow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Zero:
+class _Zero(_Memoryless):
     """The stick at rest: the longest life and the worst obedience."""
 
     actions: ActionSet
     name: str = "zero"
-
-    def begin(self) -> None:
-        """Nothing is remembered."""
-
-    def reset(self) -> None:
-        """Nothing is remembered."""
 
     def act(self, observation: Observation) -> int:
         """Always the middle."""
@@ -68,8 +68,8 @@ class _Zero:
 
 
 @dataclass(slots=True, kw_only=True)
-class Random:
-    """Any action, drawn from a generator of its own."""
+class Random(_Memoryless):
+    """Any action, drawn from a generator of its own, which goes on from episode to episode."""
 
     actions: ActionSet
     seed: int
@@ -83,9 +83,6 @@ class Random:
         """The same draws in every test."""
         self.rng = seeding.generator(self.seed, "agent", "random")
 
-    def reset(self) -> None:
-        """The generator goes on from episode to episode."""
-
     def act(self, observation: Observation) -> int:
         """A uniformly drawn action."""
         del observation
@@ -93,7 +90,7 @@ class Random:
 
 
 @dataclass(slots=True, kw_only=True)
-class _StopBeforeObstacles:
+class _StopBeforeObstacles(_Memoryless):
     """Follows, but gives no throttle while the depth image shows something in the way within the stopping distance.
 
     It may still turn on the spot, so a user who steers past the obstacle gets going again. The camera looks forward:
@@ -110,9 +107,6 @@ class _StopBeforeObstacles:
         """Whether it would soon stop."""
         return self._alarm.on
 
-    def begin(self) -> None:
-        """Nothing is remembered."""
-
     def reset(self) -> None:
         """No warning outlasts an episode."""
         self._alarm = Alarm()
@@ -128,7 +122,7 @@ class _StopBeforeObstacles:
 
 
 @dataclass(slots=True, kw_only=True)
-class _OracleDriver:
+class _OracleDriver(_Memoryless):
     """The safe action nearest to the user's joystick, by the true geometry; the one that fails latest when none is.
 
     With the name `oracle-visible` it knows only those of the others whom the chair's cameras have shown lately.
@@ -137,12 +131,6 @@ class _OracleDriver:
     actions: ActionSet
     name: str = UPPER_BOUND
     _first_s: F64 | None = field(init=False, default=None)
-
-    def begin(self) -> None:
-        """Nothing is remembered."""
-
-    def reset(self) -> None:
-        """Nothing is remembered."""
 
     def see(self, truth: Truth | None) -> None:
         """Take the truth of the moment to act in. Raises PolicyError without one."""

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
 from pathlib import Path
-from threading import Event, Thread
+from threading import Thread
 from typing import Any, Final
 
 import numpy as np
@@ -130,30 +131,25 @@ def _bounded(work: Callable[[], Any], stop: Callable[[], None], late: str) -> An
 
     The runtime hears no signal, so it works in another thread. Ctrl-C, too, ends it by `stop`.
     """
-    found: list[Any] = []
-    faults: list[Exception] = []
-    ended = Event()
+    found = Future[Any]()
 
     def run() -> None:
         try:
-            found.append(work())
+            found.set_result(work())
         except Exception as error:  # raised again in the thread that waits
-            faults.append(error)
-        ended.set()
+            found.set_exception(error)
 
     Thread(target=run, daemon=True).start()
     in_time = False
     try:
-        in_time = ended.wait(ANSWER_S)
+        in_time = bool(wait((found,), ANSWER_S).done)
     finally:
         if not in_time:
             stop()
-            ended.wait(_STOP_S)  # a process that ends before the runtime has stopped would abort
+            wait((found,), _STOP_S)  # a process that ends before the runtime has stopped would abort
     if not in_time:
         raise PolicyError(late)
-    if faults:
-        raise faults[0]
-    return found[0]
+    return found.result()
 
 
 def _fed(key: str, shape: Sequence[Any], observation: Observation) -> Any:

@@ -34,6 +34,9 @@ blocked: free steps that give less than half of a push ahead
 frozen: stood 3 s or more against the stick; on road: stood on a carriageway
 needed: else the user crashes within 5 s; missed: own crash, no intervention
 warned in time: share of dangers with a warning at least 1 s ahead
+arrivals: in the parts free and crossing; - where no goal ends an episode
+score: 0 after an own crash or at red, else route x pace x close; without a
+route, as of drawn episodes and the part tight, close alone
 help: times that the user asked for it"""
 _BOUNDS = {
     "oracle": "oracle knows the true state: an upper bound",
@@ -77,8 +80,7 @@ def show_result(console: Console, result: TestResult, undriven: Sequence[str] = 
 
 def _parts(result: TestResult) -> list[tuple[str, list[ResultRow]]]:
     """Each part's rows, and those of all where there are several parts."""
-    parts = dict.fromkeys(row.part for row in result.rows)
-    found = [(part, [row for row in result.rows if row.part == part]) for part in parts]
+    found = [(part, [row for row in result.rows if row.part == part]) for part in result.parts]
     return found if len(found) == 1 else [*found, ("all parts", list(result.pooled))]
 
 
@@ -124,7 +126,7 @@ def _headings(columns: Sequence[Column]) -> list[str]:
 def _cells(row: ResultRow, columns: Sequence[Column]) -> list[str]:
     found = []
     for column in columns:
-        value = getattr(row, column.key)
+        value = column.value(row)
         found.append("-" if value is None else column.form.format(value))
         if column.key in _SPREAD:
             bounds = getattr(row, column.interval)

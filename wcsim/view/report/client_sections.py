@@ -15,7 +15,7 @@ from wcsim.agents.runs.run_folder import read_json
 from wcsim.core.reading import is_file
 from wcsim.errors import PolicyError
 from wcsim.view.report.learning_curve import Training
-from wcsim.view.report.markup import Cell, Exhibit, Section, csv_of, shown, table
+from wcsim.view.report.pages import Cell, Exhibit, Section
 
 _SHOWN: Final = (
     *(("score", "score"), ("score_ci", "95 %"), ("crashes_own", "own crashes"), ("crashes_per_km", "per km")),
@@ -32,7 +32,7 @@ HEADINGS = (
 )
 
 
-def client_sections(training: Training) -> list[tuple[Section, Exhibit]]:
+def client_sections(training: Training) -> list[Section]:
     """Sections for runs that compared their clients (`learn.select_by`), then for runs whose clients shared a world.
 
     Raises:
@@ -46,9 +46,9 @@ def client_sections(training: Training) -> list[tuple[Section, Exhibit]]:
     ]
 
 
-def _selection(run: Path, number: int) -> tuple[Section, Exhibit]:
+def _selection(run: Path, number: int) -> Section:
     exhibit = _tested(run, number) if is_file(run / SELECTION / RESULT) else _compared(run, number)
-    return Section(name=exhibit.name, title="Which client learns the second phase", body=shown(exhibit)), exhibit
+    return Section(name=exhibit.name, title="Which client learns the second phase", exhibits=(exhibit,))
 
 
 def _compared(run: Path, number: int) -> Exhibit:
@@ -98,8 +98,8 @@ def _exhibit(
         name="selection" if number == 0 else f"selection-{number + 1}",
         title=f"{run.resolve().name}: {by}",
         says=says,
-        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
-        csv=csv_of(headings, rows),
+        columns=headings,
+        rows=rows,
     )
 
 
@@ -122,7 +122,7 @@ def _waiting_rows(times: PaidTimes) -> tuple[tuple[str, ...], list[list[Cell]]]:
     return (*HEADINGS, *(f"for {name} s" for name in names)), rows
 
 
-def _waiting(run: Path, number: int, times: PaidTimes) -> tuple[Section, Exhibit]:
+def _waiting(run: Path, number: int, times: PaidTimes) -> Section:
     headings, rows = _waiting_rows(times)
     exhibit = Exhibit(
         name="waiting" if number == 0 else f"waiting-{number + 1}",
@@ -131,7 +131,7 @@ def _waiting(run: Path, number: int, times: PaidTimes) -> tuple[Section, Exhibit
         "and messages. It may learn meanwhile; the rest is idle time. Learning costs nothing while another client is "
         "waited for. The last columns: how long a client that had acted waited for each of the others; time for which "
         "several were late is divided among them. These columns leave out the world's work and messages.",
-        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
-        csv=csv_of(headings, rows),
+        columns=headings,
+        rows=rows,
     )
-    return Section(name=exhibit.name, title="Who waits for whom", body=shown(exhibit)), exhibit
+    return Section(name=exhibit.name, title="Who waits for whom", exhibits=(exhibit,))

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:  # loads much, which --help must not
+    from wcsim.agents.evaluation.suite.rows import ResultRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,6 +19,10 @@ class Column:
     form: str = "{:d}"
     interval: str = ""  # key of the interval that stands beside the figure
     short: str = ""  # the heading on a console, whose tables have 80 characters; "" where it is on pages alone
+
+    def value(self, row: ResultRow) -> Any:
+        """The figure of a row; None where nothing was measured, or no episode counts as an attempt to arrive."""
+        return None if self.key == "arrivals" and not row.attempts else getattr(row, self.key)
 
 
 SAFETY: Final = (
@@ -124,14 +131,15 @@ SERVICE: Final = (
         heading="score",
         key="score",
         interval="score_ci",
-        says="0 after an own crash or a red light, else share of the route x pace x obedience; mean over episodes",
+        says="0 after an own crash or a red light, else share of the route x pace x obedience, without a route "
+        "obedience alone; mean over episodes",
         form="{:.3f}",
         short="score",
     ),
     Column(
         heading="arrivals",
         key="arrivals",
-        says="episodes of the parts free and crossing that reached their destination",
+        says="episodes of the parts free and crossing that reached their destination; not counted in other parts",
         short="arrivals",
     ),
     Column(

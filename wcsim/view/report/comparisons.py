@@ -52,7 +52,6 @@ class Paired:
 
 def compared(result: TestResult) -> tuple[Paired, ...]:
     """Every policy with each rival that was driven, by part, all parts first."""
-    parts = ("", *dict.fromkeys(row.part for row in result.rows))
     rivals = [name for name in RIVALS if name in result.episodes]
     pairs = [
         (name, rival)
@@ -60,7 +59,7 @@ def compared(result: TestResult) -> tuple[Paired, ...]:
         for name in result.episodes
         if name not in rivals[: place + 1]
     ]
-    found = (paired(result, name, rival, part) for part in parts for name, rival in pairs)
+    found = (paired(result, name, rival, part) for part in ("", *result.parts) for name, rival in pairs)
     return tuple(item for item in found if item is not None)
 
 
@@ -128,7 +127,7 @@ def _lacking(pair: Paired) -> str:
 class _Weighting:
     """Another way to make one number of an episode."""
 
-    name: str
+    heading: str
     says: str
     of: Callable[[EpisodeRecord], float]
 
@@ -143,29 +142,29 @@ def _lawful(record: EpisodeRecord) -> bool:
 
 
 WEIGHTINGS: Final = (
-    _Weighting(name="the score", says="as in the tables", of=lambda record: record.score),
+    _Weighting(heading="the score", says="as in the tables", of=lambda record: record.score),
     _Weighting(
-        name="safety alone",
+        heading="safety alone",
         says="1 without an own crash or a red light, else 0: standing still is best",
         of=lambda record: float(_lawful(record)),
     ),
     _Weighting(
-        name="geometric mean",
+        heading="geometric mean",
         says="cube root of route x pace x obedience; 0 as in the score",
         of=lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
     ),
     _Weighting(
-        name="obedience counts double",
+        heading="obedience counts double",
         says="route x pace x obedience squared; 0 as in the score",
         of=lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
     ),
     _Weighting(
-        name="red lights forgiven",
+        heading="red lights forgiven",
         says="as the score, but not 0 after a red light",
         of=lambda record: _product(record) if record.driven else 0.0,
     ),
     _Weighting(
-        name="way alone",
+        heading="way alone",
         says="share of the route completed, however the episode ended",
         of=lambda record: record.score_parts[0] if record.steps else 0.0,
     ),

@@ -155,11 +155,6 @@ def where_typed(result: TestResult) -> str:
     return "in which you ran the test" if result.out else "that contains the folder of the test"
 
 
-def worst_of(failures: Sequence[FailedEpisode], policy: str) -> FailedEpisode | None:
-    """A policy's worst moment."""
-    return next((failure for failure in failures if failure.policy == policy), None)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenMoment:
     """What the network saw at a moment before the end."""

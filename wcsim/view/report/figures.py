@@ -37,7 +37,7 @@ from wcsim.view.report.charts import (
     share_chart,
     town_chart,
 )
-from wcsim.view.report.markup import Cell, Exhibit, csv_of, data_uri, el
+from wcsim.view.report.pages import Cell, Exhibit
 
 _MARGIN_M: Final = 25.0
 _MOST_CELLS: Final = 700
@@ -98,12 +98,6 @@ def _strip(grid: Ground, at_x: np.ndarray, at_y: np.ndarray) -> U8:
     return np.asarray(image, np.uint8)
 
 
-def figure(name: str, title: str, says: str, csv: str, svg: bytes) -> Exhibit:
-    """A figure as an exhibit."""
-    body = el("img", src=data_uri("image/svg+xml", svg), alt=f"{title}. {says}", class_="chart")
-    return Exhibit(name=name, title=title, says=says, body=body, csv=csv, svg=svg)
-
-
 def figures_of(result: TestResult, folder: Path) -> list[Exhibit]:
     """All figures of a test, which lies in this folder, in the order of the page."""
     places = {name: place for place, name in enumerate(result.episodes)}
@@ -125,8 +119,7 @@ def _estimate(row: ResultRow, key: str, interval: str) -> Estimate | None:
 def _scores(result: TestResult, places: dict[str, int]) -> Exhibit:
     groups: list[tuple[str, list[tuple[str, Estimate]]]] = []
     plain: list[list[Cell]] = []
-    parts = dict.fromkeys(row.part for row in result.rows)
-    for part in ("", *parts):
+    for part in ("", *result.parts):
         group = []
         for row in result.rows if part else result.pooled:
             score = _estimate(row, "score", "score_ci") if row.part == part else None
@@ -134,12 +127,13 @@ def _scores(result: TestResult, places: dict[str, int]) -> Exhibit:
                 group.append((row.policy, score))
                 plain.append([part or "all", row.policy, score.value, score.low, score.high])
         groups.append((part or "all", group))
-    return figure(
-        "scores",
-        "Scores",
-        "One point per policy, with its 95 % interval.",
-        csv_of(("part", "policy", "score", "low", "high"), plain),
-        score_chart(groups, places),
+    return Exhibit(
+        name="scores",
+        title="Scores",
+        says="One point per policy, with its 95 % interval.",
+        columns=("part", "policy", "score", "low", "high"),
+        rows=plain,
+        svg=score_chart(groups, places),
     )
 
 
@@ -164,12 +158,13 @@ def _obedience_figure(result: TestResult, places: dict[str, int]) -> Exhibit:
         says += f" Not drawn, below 50 %: {', '.join(left_out)}."
     else:
         shown = points
-    return figure(
-        "obedience",
-        "Obedience against crashes",
-        says,
-        csv_of(columns, plain),
-        obedience_chart(shown, _levels_of(shown), places),
+    return Exhibit(
+        name="obedience",
+        title="Obedience against crashes",
+        says=says,
+        columns=columns,
+        rows=plain,
+        svg=obedience_chart(shown, _levels_of(shown), places),
     )
 
 
@@ -220,13 +215,14 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: dict[str
     ground = _ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
     plain = [row for name, e in here for row in _way_rows(name, e)]
     missing = "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."
-    return figure(
-        f"town-{town}",
-        f"Paths in {town}",
-        f"Paths of all episodes in this town, one colour per policy; crosses are own crashes. Scenes of the part tight "
-        f"have their own streets and are not shown.{missing}",
-        csv_of(("policy", "block", "seat", "what", "s", "x_m", "y_m"), plain),
-        town_chart(town, ground, ways, places),
+    return Exhibit(
+        name=f"town-{town}",
+        title=f"Paths in {town}",
+        says="Paths of all episodes in this town, one colour per policy; crosses are own crashes. Scenes of the part "
+        f"tight have their own streets and are not shown.{missing}",
+        columns=("policy", "block", "seat", "what", "s", "x_m", "y_m"),
+        rows=plain,
+        svg=town_chart(town, ground, ways, places),
     )
 
 
@@ -234,7 +230,6 @@ def _comfort(result: TestResult, places: dict[str, int]) -> list[Exhibit]:
     """How a ride feels: accelerations, and how much the stick that was given moves beside the user's."""
     columns = ("accel_rms_mps2", "stick_travel_per_s", "asked_travel_per_s")
     plain: list[list[Cell]] = [[row.policy, *(getattr(row, name) for name in columns)] for row in result.pooled]
-    csv = csv_of(("policy", *columns), plain)
     kinds = (
         ("comfort-acceleration", "Comfort: acceleration", "root mean square of the acceleration, m/s²", columns[0]),
         ("comfort-stick", "Comfort: movement of the stick", "travel of the driven stick per second", columns[1]),
@@ -243,7 +238,8 @@ def _comfort(result: TestResult, places: dict[str, int]) -> list[Exhibit]:
     for name, title, label, key in kinds:
         values = {row.policy: getattr(row, key) or 0.0 for row in result.pooled}
         says = f"{label[0].upper()}{label[1:]}; less is smoother."
-        exhibits.append(figure(name, title, says, csv, bar_chart(name, label, values, places)))
+        svg = bar_chart(name, label, values, places)
+        exhibits.append(Exhibit(name=name, title=title, says=says, columns=("policy", *columns), rows=plain, svg=svg))
     return exhibits
 
 
@@ -254,10 +250,11 @@ def _statuses(result: TestResult) -> Exhibit:
     }
     named = {name: {_ENDINGS[status]: count for status, count in row.items()} for name, row in counts.items()}
     plain: list[list[Cell]] = [[name, *(row[status] for status in STATUSES)] for name, row in counts.items()]
-    return figure(
-        "status",
-        "How episodes ended",
-        "In the parts hazard and tight, time up is good: it means no crash until the end.",
-        csv_of(("policy", *STATUSES), plain),
-        share_chart("status", named),
+    return Exhibit(
+        name="status",
+        title="How episodes ended",
+        says="In the parts hazard and tight, time up is good: it means no crash until the end.",
+        columns=("policy", *STATUSES),
+        rows=plain,
+        svg=share_chart("status", named),
     )

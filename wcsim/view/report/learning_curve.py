@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
-from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
+from wcsim.agents.learning.metrics import COLUMNS, KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
 from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
 from wcsim.core.reading import escaped_value, is_file
@@ -17,6 +17,7 @@ from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE
 
 OVER: Final = 20  # episodes, or rows of 100 steps, that a mean goes over
+_Row = TypeVar("_Row", "TrainedSteps", "TrainedEpisode")
 KPI1_LIMIT: Final = MAX_FOLLOW_DISTANCE  # the line in Fig. 7a of the paper
 
 
@@ -97,8 +98,8 @@ def read_training(folders: Sequence[Path]) -> Training:
             if is_file(home / METRICS) and logs_rounds(home / METRICS):
                 rounds[label] = read_rounds(home / METRICS)
             else:
-                clients[label] = _episodes(home / METRICS)
-                steps[label] = _steps(home / STEPS)
+                clients[label] = _rows(home / METRICS, COLUMNS, _episode)
+                steps[label] = _rows(home / STEPS, STEP_COLUMNS, _steps)
     return Training(manifests=manifests, clients=clients, steps=steps, rounds=rounds)
 
 
@@ -107,48 +108,42 @@ def _homes(folder: Path, manifest: Mapping[str, Any]) -> Iterable[tuple[str, Pat
     return [(folder.resolve().name, folder)] if names is None else [(name, folder / name) for name in names]
 
 
-def _episodes(path: Path) -> tuple[TrainedEpisode, ...]:
-    rows = read_metrics(path) if is_file(path) else []
-    return tuple(_episode(row, path) for row in rows)
-
-
-def _episode(row: Mapping[str, str], path: Path) -> TrainedEpisode:
-    try:
-        episode = TrainedEpisode(
-            step=int(row["step"]),
-            phase=int(row["phase"]),
-            length=int(row["length"]),
-            crashed=bool(int(row["crashed"])),
-            cut=bool(int(row["cut"])),
-            overestimate=_number(row["overestimate"]),
-        )
-    except ValueError:
-        raise PolicyError(f"{path}: is damaged at step {escaped_value(row['step'])}; expected numbers") from None
-    if episode.overestimate is not None and not math.isfinite(episode.overestimate):
-        raise PolicyError(f"{path}: is damaged at step {episode.step}; expected finite numbers")
-    return episode
-
-
-def _steps(path: Path) -> tuple[TrainedSteps, ...]:
+def _rows(path: Path, columns: tuple[str, ...], made: Callable[[Mapping[str, str]], _Row]) -> tuple[_Row, ...]:
+    """The rows of a log; none where there is no such file. Raises PolicyError for one that has no finite numbers."""
     found = []
-    for row in read_metrics(path, STEP_COLUMNS) if is_file(path) else []:
+    for row in read_metrics(path, columns) if is_file(path) else []:
         try:
-            numbers = TrainedSteps(
-                step=int(row["step"]),
-                phase=int(row["phase"]),
-                kpi1=float(row["kpi1_greedy"]),
-                elapsed_s=float(row["elapsed_s_wall"]),
-            )
+            found.append(made(row))
         except ValueError:
-            raise PolicyError(f"{path}: is damaged at step {escaped_value(row['step'])}; expected numbers") from None
-        if not math.isfinite(numbers.kpi1 + numbers.elapsed_s):
-            raise PolicyError(f"{path}: is damaged at step {numbers.step}; expected finite numbers")
-        found.append(numbers)
+            where = f"{path}: is damaged at step {escaped_value(row['step'])}"
+            raise PolicyError(f"{where}; expected finite numbers") from None
     return tuple(found)
 
 
-def _number(text: str) -> float | None:
-    return float(text) if text else None
+def _episode(row: Mapping[str, str]) -> TrainedEpisode:
+    return TrainedEpisode(
+        step=int(row["step"]),
+        phase=int(row["phase"]),
+        length=int(row["length"]),
+        crashed=bool(int(row["crashed"])),
+        cut=bool(int(row["cut"])),
+        overestimate=_finite(row["overestimate"]) if row["overestimate"] else None,
+    )
+
+
+def _steps(row: Mapping[str, str]) -> TrainedSteps:
+    return TrainedSteps(
+        step=int(row["step"]),
+        phase=int(row["phase"]),
+        kpi1=_finite(row["kpi1_greedy"]),
+        elapsed_s=_finite(row["elapsed_s_wall"]),
+    )
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError(text)
+    return value
 
 
 def running_means(values: Sequence[float], over: int = OVER) -> list[float]:
@@ -179,7 +174,7 @@ def kpi1_of(run: Path) -> float:
     Raises:
         PolicyError: None is logged, or the log is damaged.
     """
-    found = [row.kpi1 for row in _steps(run / STEPS) if row.phase == 1]
+    found = [row.kpi1 for row in _rows(run / STEPS, STEP_COLUMNS, _steps) if row.phase == 1]
     if not found:
         raise PolicyError(f"{run / STEPS}: no row of the first phase; expected a run of {ROW_STEPS} steps or more")
     return running_means(found)[-1]

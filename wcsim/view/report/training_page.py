@@ -13,7 +13,6 @@ from wcsim.agents.rounds.round_log import TrainedRound
 from wcsim.core.reading import counted
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart
-from wcsim.view.report.figures import figure
 from wcsim.view.report.learning_curve import (
     KPI1_LIMIT,
     OVER,
@@ -24,20 +23,7 @@ from wcsim.view.report.learning_curve import (
     running_means,
     switch_step,
 )
-from wcsim.view.report.markup import (
-    Cell,
-    Exhibit,
-    Markup,
-    Section,
-    csv_of,
-    el,
-    facts,
-    joined,
-    page,
-    shown,
-    table,
-    write_page,
-)
+from wcsim.view.report.pages import Cell, Exhibit, Section, page, write_page
 
 Runs = Mapping[str, tuple[TrainedRound, ...]]
 _THOUSAND: Final = 1000.0
@@ -65,26 +51,15 @@ _OVER_SAYS: Final = (
     "Above 0 the network overestimates, more so without double Q-learning (learn.double_q). In the first phase the "
     "user's actions were executed"
 )
-_Value = Callable[[TrainedEpisode], float | None]
-_FIGURES: Final[Sequence[tuple[str, str, str, str, _Value]]] = (
-    ("length", "Fig. 7b: ", "KPI 2, steps of an episode", "Steps until a crash, or until the limit of an episode",
-     lambda e: float(e.length)),
-    ("overestimate", "", "value minus return", _OVER_SAYS, lambda e: e.overestimate),
-)  # fmt: skip
-_NAMES: Final = {"kpi1": "fig-7a-kpi1", "length": "fig-7b-length", "overestimate": "overestimate"}
+_LENGTH_SAYS: Final = "Steps until a crash, or until the limit of an episode"
 
 
-def _round_sections(runs: Runs) -> list[tuple[Section, Sequence[Exhibit]]]:
-    """The section of the page with what belongs to it; none where no run has rounds."""
-    if not any(runs.values()):
-        return []
-    drawn = [
+def _rounds(runs: Runs) -> Section:
+    drawn = (
         _round_figure(runs, "round-loss", "loss", _LOSS_SAYS, lambda rounds: [each.loss for each in rounds]),
         _round_figure(runs, "round-crashes", "crashes per 1,000 steps", _CRASH_SAYS, _crash_rates),
-    ]
-    rows = _round_table(runs)
-    body = el("div", el("div", *map(shown, drawn), class_="charts"), shown(rows))
-    return [(Section(name="rounds", title="Rounds of driving and learning", body=body), (*drawn, rows))]
+    )
+    return Section(name="rounds", title="Rounds of driving and learning", exhibits=(*drawn, _round_table(runs)))
 
 
 def _crash_rates(rounds: Sequence[TrainedRound]) -> list[float]:
@@ -113,8 +88,14 @@ def _round_figure(
         values = [value for _, value in known]
         curves.append(Curve(name=run, steps=[each.steps for each, _ in known], values=values, means=values))
         plain += [[run, each.round + 1, each.steps, round(value, 6)] for each, value in known]
-    svg = curve_chart(name, label, curves)
-    return figure(name, label[0].upper() + label[1:], f"{says}.", csv_of(("run", "round", "steps", label), plain), svg)
+    return Exhibit(
+        name=name,
+        title=label[0].upper() + label[1:],
+        says=f"{says}.",
+        columns=("run", "round", "steps", label),
+        rows=plain,
+        svg=curve_chart(name, label, curves),
+    )
 
 
 def _round_table(runs: Runs) -> Exhibit:
@@ -135,8 +116,8 @@ def _round_table(runs: Runs) -> Exhibit:
         title="Rounds",
         says="Steps: all samples so far. New: added in this round. With dangers: share of all steps in which some "
         "stick position ends in a crash. Crashes of this round. Updates so far. Times are wall-clock time.",
-        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows]),
-        csv=csv_of(headings, rows),
+        columns=headings,
+        rows=rows,
     )
 
 
@@ -144,7 +125,7 @@ def _rounded_cell(value: float, digits: int) -> Cell:
     return round(value, digits) if math.isfinite(value) else None
 
 
-def write_training_page(training: Training, folder: Path, more: Sequence[tuple[Section, Exhibit]] = ()) -> Path:
+def write_training_page(training: Training, folder: Path, more: Sequence[Section] = ()) -> Path:
     """Write the page of a training; where it is.
 
     Args:
@@ -157,44 +138,44 @@ def write_training_page(training: Training, folder: Path, more: Sequence[tuple[S
         DiskFullError: It cannot be written.
     """
     episodes = any(training.clients.values()) or any(training.steps.values())
-    rounds = _round_sections(training.rounds)
+    rounds = any(training.rounds.values())
     if not episodes and not rounds:
         raise PolicyError(f"{folder}: no client has logged a step yet; continue the training: wcsim resume {folder}")
-    parts = [*(_curves(training) if episodes else ()), *rounds, *((section, (each,)) for section, each in more)]
-    if episodes:
-        clients = _table(training)
-        parts.append((Section(name="clients", title="Clients", body=shown(clients)), (clients,)))
-    intro = facts([("clients", ", ".join((*training.clients, *training.rounds))), *_runs(training)])
-    intro = joined((intro, _worth(training)))
-    title = f"Training {folder.resolve().name}"
-    exhibits = [exhibit for _, held in parts for exhibit in held]
-    return write_page(folder, page(title, intro, [section for section, _ in parts]), exhibits)
-
-
-def _worth(training: Training) -> Markup:
-    """What the curves do not say, and the command that does."""
+    sections = [
+        *([_curves(training)] if episodes else ()),
+        *([_rounds(training.rounds)] if rounds else ()),
+        *more,
+        *([Section(name="clients", title="Clients", exhibits=(_clients(training),))] if episodes else ()),
+    ]
     runs = [name for name, manifest in training.manifests.items() if "clients" not in manifest]
-    policies = " ".join(map(shlex.quote, runs)) or "RUN/CLIENT"
-    told = "Curves of a training do not say how good a policy is, for it explores while it learns. A test does: "
-    return el("p", told, el("code", f"wcsim test {policies} --suite dev --jobs 2"))
+    text = page(
+        "training.jinja",
+        title=f"Training {folder.resolve().name}",
+        about=[("clients", ", ".join((*training.clients, *training.rounds))), *_runs(training)],
+        policies=" ".join(map(shlex.quote, runs)) or "RUN/CLIENT",
+        sections=sections,
+    )
+    return write_page(folder, text, [exhibit for section in sections for exhibit in section.exhibits])
 
 
-def _curves(training: Training) -> list[tuple[Section, Sequence[Exhibit]]]:
-    figures = [_kpi1_figure(training), *(_figure(training, *each) for each in _FIGURES)]
-    drawn = [found for found in figures if found is not None]
-    body = el("div", *map(shown, drawn), class_="charts")
-    return [(Section(name="curves", title="Curves", body=body), drawn)]
+def _curves(training: Training) -> Section:
+    figures = (
+        _kpi1_figure(training),
+        _figure(training, "length", "fig-7b-length", "Fig. 7b: KPI 2, steps of an episode", _LENGTH_SAYS),
+        _figure(training, "overestimate", "overestimate", "value minus return", _OVER_SAYS, 0.0),
+    )
+    return Section(name="curves", title="Curves", exhibits=[found for found in figures if found is not None])
 
 
-def _runs(training: Training) -> list[tuple[str, object]]:
+def _runs(training: Training) -> list[tuple[str, str]]:
     """Of one run all that is to be said of it, of several a line each."""
-    said: list[tuple[str, object]] = []
+    said = []
     for name, manifest in training.manifests.items():
         by_rounds = {name, Path(name).resolve().name} & set(training.rounds)
         counted = "updates" if by_rounds else "steps"
         state = f"{manifest.get('status', '')}, {manifest.get('steps', 0)} {counted}"
         town = ", ".join((manifest.get("town", ""), *manifest.get("more_towns", {})))
-        seed = manifest.get("seed", "")
+        seed = str(manifest.get("seed", ""))
         if len(training.manifests) == 1:
             return [("town", town), ("seed", seed), ("status", state)]
         said.append(("run", f"{name}: town {town}, seed {seed}, {state}"))
@@ -210,21 +191,24 @@ def _kpi1_figure(training: Training) -> Exhibit | None:
     """Fig. 7a, over steps; None where there is nothing to draw."""
     told = {name: [(row, row.kpi1) for row in rows] for name, rows in training.steps.items()}
     crossed = {name: crossing(rows).step for name, rows in training.steps.items()}
-    return _drawn("kpi1", "Fig. 7a: KPI 1, mean joystick distance", f"{_KPI1_SAYS}.", told, KPI1_LIMIT, crossed)
+    title = "Fig. 7a: KPI 1, mean joystick distance"
+    return _drawn("kpi1", "fig-7a-kpi1", title, f"{_KPI1_SAYS}.", told, KPI1_LIMIT, crossed)
 
 
-def _figure(training: Training, key: str, number: str, label: str, says: str, of: _Value) -> Exhibit | None:
-    """A figure over the episodes of all clients; None where there is nothing to draw."""
+def _figure(
+    training: Training, key: str, name: str, title: str, says: str, limit: float | None = None
+) -> Exhibit | None:
+    """A figure of a value, by its field's name, over the episodes of all clients; None where none has it."""
     told = {
-        name: [(episode, value) for episode in episodes if (value := of(episode)) is not None]
-        for name, episodes in _counted(training).items()
+        client: [(episode, float(value)) for episode in episodes if (value := getattr(episode, key)) is not None]
+        for client, episodes in _counted(training).items()
     }
-    limit = {"overestimate": 0.0}.get(key)
-    return _drawn(key, f"{number}{label}", f"{says}. {_EPISODES_SAY}", told, limit, {})
+    return _drawn(key, name, title, f"{says}. {_EPISODES_SAY}", told, limit, {})
 
 
 def _drawn(
     key: str,
+    name: str,
     title: str,
     says: str,
     told: Mapping[str, Sequence[tuple[LogRow, float]]],
@@ -234,29 +218,35 @@ def _drawn(
     """A curve for each client through its rows and their values."""
     curves: list[Curve] = []
     plain: list[list[Cell]] = []
-    for name, points in told.items():
-        means = running_means([value for _, value in points])
+    for client, points in told.items():
+        rows, values = [row for row, _ in points], [value for _, value in points]
+        means = running_means(values)
         curves.append(
             Curve(
-                name=name,
-                steps=[row.step for row, _ in points],
-                values=[value for _, value in points],
+                name=client,
+                steps=[row.step for row in rows],
+                values=values,
                 means=means,
-                switch=switch_step([row for row, _ in points]),
-                crossing=crossed.get(name),
+                switch=switch_step(rows),
+                crossing=crossed.get(client),
             )
         )
-        for (row, value), mean in zip(points, means, strict=True):
+        for row, value, mean in zip(rows, values, means, strict=True):
             ends: list[Cell] = [int(row.crashed)] if isinstance(row, TrainedEpisode) else []
-            plain.append([name, row.step, row.phase, value, round(mean, 6), *ends])
+            plain.append([client, row.step, row.phase, value, round(mean, 6), *ends])
     if not plain:
         return None
-    columns = ("client", "step", "phase", key, f"mean_of_{OVER}", *(("crashed",) if key != "kpi1" else ()))
-    drawn = curve_chart(_NAMES[key], title.rpartition(": ")[2], curves, limit)
-    return figure(_NAMES[key], title, says, csv_of(columns, plain), drawn)
+    return Exhibit(
+        name=name,
+        title=title,
+        says=says,
+        columns=("client", "step", "phase", key, f"mean_of_{OVER}", *(("crashed",) if key != "kpi1" else ())),
+        rows=plain,
+        svg=curve_chart(name, title.rpartition(": ")[2], curves, limit),
+    )
 
 
-def _table(training: Training) -> Exhibit:
+def _clients(training: Training) -> Exhibit:
     rows: list[list[Cell]] = []
     for name, episodes in _counted(training).items():
         steps = training.steps.get(name, ())
@@ -264,7 +254,7 @@ def _table(training: Training) -> Exhibit:
         rows.append([
             name, max((row.step for row in last), default=0), len(episodes), sum(e.crashed for e in episodes),
             sum(e.cut for e in training.clients[name]), crossed.step, crossed.left, _rounded(crossed.last),
-            *(_last_mean(episodes, of) for *_, of in _FIGURES),
+            *(_last_mean(episodes, key) for key in ("length", "overestimate")),
         ])  # fmt: skip
     headings = (
         *("client", "steps", "episodes", "crashes", "cut", f"KPI 1 below {KPI1_LIMIT} from step"),
@@ -276,13 +266,13 @@ def _table(training: Training) -> Exhibit:
         title="Clients",
         says=f"KPI 1 is of the agent's own best actions; it counts as below its limit where the mean of {KPI1_STEPS} "
         "steps is. KPI 2 is the steps of an episode. Cut: episodes that the end of a world ended; no figure has them.",
-        body=table(headings, [["–" if cell is None else cell for cell in row] for row in rows], "clients-table"),
-        csv=csv_of(headings, rows),
+        columns=headings,
+        rows=rows,
     )
 
 
-def _last_mean(episodes: Sequence[TrainedEpisode], of: _Value) -> float | None:
-    values = [value for episode in episodes if (value := of(episode)) is not None][-OVER:]
+def _last_mean(episodes: Sequence[TrainedEpisode], key: str) -> float | None:
+    values = [value for episode in episodes if (value := getattr(episode, key)) is not None][-OVER:]
     return round(math.fsum(values) / len(values), 4) if values else None
 
 

@@ -30,6 +30,7 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile
 from wcsim.core.constants import RECORDED
+from wcsim.core.plugins import described
 from wcsim.errors import PolicyError, TownError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.kpi import KpiMeter
@@ -158,9 +159,7 @@ class _Seat:
             with _at_most(self._order.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
                 stick = self._driver.choose(now)
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
-            self._end(
-                POLICY_FAILED, f"{type(error).__name__}: {error}" if not isinstance(error, WcsimError) else str(error)
-            )
+            self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else described(error))
             return None
         if driven >= 0:
             self._free = not self._world.in_danger(self.number)

@@ -23,9 +23,9 @@ from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
 from wcsim.core.constants import RECORDED
-from wcsim.core.plugins import find_class, sources_of
+from wcsim.core.plugins import find_class, running_own, sources_of
 from wcsim.core.reading import is_file
-from wcsim.errors import PolicyError, WcsimError
+from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 RULES: Final = ("world", "chair", "reward", "vary")
@@ -99,15 +99,9 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
 
 def _own_policy(name: str, config: RunConfig) -> Policy:
     made = find_class(name, "policy")
-    try:
+    what = f"policy {name!r} could not be created with the configuration as its only argument"
+    with running_own(what, "correct it, or test the others without it"):
         policy: Policy = made(config)
-    except WcsimError:
-        raise
-    except Exception as fault:  # the user's own class may raise anything
-        raise PolicyError(
-            f"policy {name!r} could not be created with the configuration as its only argument: "
-            f"{type(fault).__name__}: {fault}"
-        ) from fault
     missing = [part for part in ("name", "begin", "reset", "act") if not hasattr(policy, part)]
     if missing:
         raise PolicyError(

@@ -39,6 +39,11 @@ class TestResult:
     network: str
     out: str  # the folder as it was typed
 
+    @property
+    def parts(self) -> list[str]:
+        """In the order of their first episodes."""
+        return list(dict.fromkeys(row.part for row in self.rows))
+
     def to_json(self) -> dict[str, Any]:
         """What `result.json` holds: the whole result as plain values; the version is in the suite's name."""
         named = {name: getattr(self, name) for name in ("suite", "set", "list_sha256")}
