@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,7 +72,7 @@ class RunOptions:
 
 def run(options: RunOptions, words: Sequence[str]) -> int:
     """Run, print a summary, and leave the run folder; `words` are the command line, for the manifest."""
-    plain = () if options.chairs else ("world.warmup_s=0", "world.town_warmup=true")  # nobody waits, as in plain sumo
+    plain = () if options.chairs else ("world.warmup_s=0",)  # nobody waits, as in plain sumo
     config = resolve(options.preset, plain, options.set)
     town = find_town(options.town, outside=options.allow_outside)
     out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
@@ -97,8 +97,6 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
     from wcsim.bridge.town_run import RecordOrder, record_town
 
     console = stderr_console()
-    if not options.chairs and town.file.warmup_s is not None:
-        town = replace(town, file=town.file.model_copy(update={"warmup_s": None}))
     manifest = _manifest(options, town, config, command)
     out.mkdir(parents=True, exist_ok=True)
 
