@@ -36,11 +36,10 @@ def run(words: list[str]) -> int:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
         print("clear it: wcsim cache --clear")
-    if options.json is not None:
-        result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
-        result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
-        result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
-        write_json(options.json, result)
+    result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
+    result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
+    result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
+    write_json(options.json, result)
     if options.clear and left.size_bytes:
         raise ConfigError(
             f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"

@@ -68,8 +68,7 @@ def run(words: list[str]) -> int:
     for item in findings:
         table.add_row(item.check, "ok" if item.ok else "FAILS", Text(item.says))
     stdout_console().print(table)
-    if options.json is not None:
-        write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
+    write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
     return 0 if all(item.ok for item in findings) else 2
 
 

@@ -8,9 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, Repeated, check_output, missing_folder, parse, result_file, tell_made
+from wcsim.cli.shared.common import (
+    Bounds,
+    Keys,
+    Repeated,
+    Writes,
+    check_output,
+    missing_folder,
+    parse,
+    result_file,
+    tell_made,
+)
 from wcsim.cli.shared.named_policies import require_driver
-from wcsim.cli.shared.run_config import require_unset, require_user
+from wcsim.cli.shared.run_config import require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -19,7 +29,7 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.view.filming import Shot
 
 MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
-OF_VIDEO = {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
+OF_VIDEO = Keys({"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"})
 _LOOK_PX = 640  # width of the camera's picture
 
 
@@ -35,14 +45,13 @@ class LookOptions:
     """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film. The pictures show its busiest moment in which the chair faces its route."""
-    set: Repeated = ()
+    set: Annotated[Repeated, OF_VIDEO] = ()
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def look(words: list[str]) -> int:
     """One drive: it is filmed, and its busiest moment is the picture."""
     options = parse(LookOptions, words, "look")
-    require_unset(options.set, OF_VIDEO)
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)
@@ -84,21 +93,19 @@ class SnapshotOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(".png")] = Path("snapshot.png")
     """The picture (PNG)."""
     width: int = 640
     """Width of each of the three images, in pixels."""
     seconds: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 20.0
     """Time to drive; the picture shows the moment with most road users in view."""
-    set: Repeated = ()
+    set: Annotated[Repeated, OF_VIDEO] = ()
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def snapshot(words: list[str]) -> int:
     """Take the picture at the moment when most actors are in view."""
     options = parse(SnapshotOptions, words, "snapshot")
-    require_unset(options.set, OF_VIDEO)
-    check_output("--out", options.out, ".png")
     town = find_town(options.town)
 
     # Loads the simulators, which --help must not.
@@ -134,7 +141,7 @@ class VideoOptions:
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(".webm")] = Path("video.webm")
     """The video (WebM)."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film."""
@@ -148,15 +155,13 @@ class VideoOptions:
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user. (default: inattentive with --policy, competent without)"""
-    set: Repeated = ()
+    set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
     """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""
 
 
 def video(words: list[str]) -> int:
     """Film it."""
     options = _with_user(parse(VideoOptions, words, "video"))
-    require_unset(options.set, {"env.profile": "expected --profile NAME"})
-    check_output("--out", options.out, ".webm")
     if options.policy:
         require_driver(options.policy, options.network)
     elif options.network:

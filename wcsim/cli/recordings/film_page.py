@@ -1,14 +1,16 @@
-"""The page that a film is shown on: where it is served, for `wcsim watch`, `wcsim log play` and `wcsim replay`."""
+"""A page in the browser, where it is served: to drive on, and what `wcsim watch`, `log play` and `replay` show."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from wcsim.cli.shared.common import Bounds
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.drive.playing.play_runner import PlayStart
+    from wcsim.drive.runner import DriveOrder
 
 Seat = Annotated[int | None, Bounds(0, 1 << 30)]
 """The number of a chair; None for the first."""
@@ -24,17 +26,14 @@ class PageOptions:
     """Address to serve at; any but the loopback needs the token in the printed address."""
 
 
-def serve_film(start: PlayStart, page: PageOptions) -> int:
+def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
     """Serve the page until Ctrl-C."""
-    from wcsim.drive.serving.server import PLAY, ServeOrder, serve_drive
+    from wcsim.drive.runner import DriveOrder
+    from wcsim.drive.serving.server import DRIVE, PLAY, ServeOrder, serve_drive
 
-    order = ServeOrder(start=start, kind=PLAY, host=page.host, port=page.port, say=_say)
+    kind = DRIVE if isinstance(start, DriveOrder) else PLAY
     try:
-        serve_drive(order)
+        serve_drive(ServeOrder(start=start, kind=kind, host=page.host, port=page.port, say=partial(print, flush=True)))
     except KeyboardInterrupt:
         print("the page is closed")
     return 0
-
-
-def _say(told: str) -> None:
-    print(told, flush=True)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 
 import tyro
 
-from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
+from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import Bounds, OutFile, Parts, check_output, in_bounds, result_file, run_part, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
@@ -121,7 +121,7 @@ def _play(options: PlayOptions) -> int:
         log_of(path)
         worlds_of(header, options.hook)
     source = FilmSource(kind="log", path=path.absolute(), epoch=options.epoch, hook=options.hook, town=options.town)
-    return serve_film(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
+    return serve_page(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
 
 
 def _verify(options: VerifyOptions) -> int:
@@ -146,8 +146,7 @@ def _verify(options: VerifyOptions) -> int:
         told += f", at most {result.farthest_m:.3g} m apart"
         found["farthest_m"] = result.farthest_m
     print(f"{path}: {result.ticks} ticks compared, {told} ({rate:.0f} ticks/s)")
-    if options.json is not None:
-        write_json(options.json, found)
+    write_json(options.json, found)
     return 1 if result.mismatches else 0
 
 
@@ -155,8 +154,7 @@ def _compare(options: CompareOptions) -> int:
     one, other = map(log_in, options.logs)
     told = first_difference(one, other)
     print(told or f"{one} and {other} are equal")
-    if options.json is not None:
-        write_json(options.json, {"equal": not told, "first_difference": told})
+    write_json(options.json, {"equal": not told, "first_difference": told})
     return 1 if told else 0
 
 
@@ -180,8 +178,7 @@ def _convert(options: ConvertOptions) -> int:
             counts = found["messages"] = convert_to_mcap(path, part, options.epoch, options.hook)
             told = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
     print(f"wrote {out}: {told}")
-    if options.json is not None:
-        write_json(options.json, found)
+    write_json(options.json, found)
     return 0
 
 

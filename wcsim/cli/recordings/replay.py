@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 
 from wcsim.agents.runs.policy_name import policy_name
-from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
+from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import Bounds, parse
 from wcsim.cli.shared.named_policies import require_policy
 from wcsim.core.reading import escaped, is_file
@@ -45,7 +45,7 @@ class Options(PageOptions):
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     options = parse(Options, words, "replay")
-    return serve_film(episode_start(options), options)
+    return serve_page(episode_start(options), options)
 
 
 def episode_start(options: Options) -> PlayStart:

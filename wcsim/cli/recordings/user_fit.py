@@ -12,7 +12,7 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, check_output, result_file, write_json
+from wcsim.cli.shared.common import OutFile, Writes, result_file, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
@@ -32,7 +32,7 @@ class UserFitOptions:
 
     drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")]
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml"), Writes(".toml")]
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
     """Profile that supplies parameters which a drive does not show."""
@@ -44,7 +44,6 @@ class UserFitOptions:
 
 def run(options: UserFitOptions) -> int:
     """Fit, print, write."""
-    check_output("--out", options.out, ".toml")
     check_new_file(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
     if not options.drives:

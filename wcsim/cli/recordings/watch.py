@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 import tyro
 
-from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_film
+from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import parse
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError
@@ -40,7 +40,7 @@ def run(words: list[str]) -> int:
 
     source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
     seat = -1 if options.seat is None else options.seat
-    return serve_film(PlayStart(source=source, seat=seat, gives_way=True), options)
+    return serve_page(PlayStart(source=source, seat=seat, gives_way=True), options)
 
 
 def _check(options: Options) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,21 +43,6 @@ def require_head(config: RunConfig, *, in_rounds: bool) -> None:
     expected = "preset quick, laptop or best, or wcsim train-q" if in_rounds else "preset dqn or paper, or wcsim train"
     does = "learns dangers in rounds" if in_rounds else "learns by Q-learning"
     raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
-
-
-def require_unset(settings: Sequence[str], instead: Mapping[str, str]) -> None:
-    """Refuse settings that a command would not hear of, as it is told the same in another way.
-
-    Args:
-        settings: section.key=value that were typed.
-        instead: What to do instead, by key.
-
-    Raises:
-        ConfigError: One of these keys was set.
-    """
-    for key, expected in instead.items():
-        if any(sets_key(text, key) for text in settings):
-            raise ConfigError(f"--set {key}: is not used here; {expected}")
 
 
 def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path | None) -> None:

@@ -59,9 +59,8 @@ def run(options: PaveOptions) -> int:
     report = check_town(town)
     _print(paved)
     code = print_report(report)
-    if options.json is not None:
-        done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
-        write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
+    done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
+    write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
     return code
 
 

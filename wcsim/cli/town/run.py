@@ -88,8 +88,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
         console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
     place = shlex.quote(str(out))
     print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
-    if options.json is not None:
-        write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
+    write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
     return 0
 
 

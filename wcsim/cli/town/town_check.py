@@ -49,8 +49,7 @@ def run(options: CheckOptions) -> int:
     started_s = time.monotonic()
     report = checked(find_town(options.town))
     code = print_report(report)
-    if options.json is not None:
-        write_json(options.json, report_json(report, time.monotonic() - started_s))
+    write_json(options.json, report_json(report, time.monotonic() - started_s))
     return code
 
 

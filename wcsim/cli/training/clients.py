@@ -201,8 +201,7 @@ def _told(
     print_report(stdout_console(), report)
     for kept in folder.truncated_parts():
         print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
-    if json is not None:
-        write_json(json, report.as_json())
+    write_json(json, report.as_json())
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:

@@ -11,8 +11,8 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.shared.common import (
-    MOST_JOBS,
     Bounds,
+    Jobs,
     OutFile,
     OutFolder,
     Repeated,
@@ -49,7 +49,7 @@ class Options:
     """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""
     network: str = ""
     """Your own network as module:Class, if the --policy uses it."""
-    worlds: Annotated[int, Bounds(1, MOST_JOBS)] = 1
+    worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
     cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
     """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""
@@ -99,8 +99,7 @@ def run(words: list[str]) -> int:
         raise InterruptedRunError(f"stopped; {out} holds {held}; the same command continues") from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
-    if options.json is not None:
-        write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
+    write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
     return Exit.DONE
 
 

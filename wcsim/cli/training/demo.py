@@ -7,14 +7,14 @@ import time
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 
 from wcsim.agents.evaluation.suite.named_policy import RULES
 from wcsim.cli.evaluation import test
 from wcsim.cli.evaluation.result_tables import show_result
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
+from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
     QUICK,
@@ -22,7 +22,6 @@ from wcsim.cli.shared.run_config import (
     learning,
     require_drawn_users,
     require_head,
-    require_unset,
     resolve_run,
 )
 from wcsim.cli.shared.stage_bar import StageBar
@@ -52,11 +51,11 @@ class Options:
     """Test town: a town's name, its folder, or a .sumocfg file."""
     out: OutFolder = None
     """Run folder; default runs/demo, runs/demo-2, ..."""
-    set: Repeated = ()
+    set: Annotated[Repeated, Keys({"env.max_steps": "expected --max-steps N"})] = ()
     """Setting as section.key=value; overrides preset quick."""
-    episodes: int = 3
+    episodes: test.Episodes = 3
     """Test episodes per policy."""
-    max_steps: int = 600
+    max_steps: test.MaxSteps = 600
     """Steps after which a test episode is truncated."""
     seed: int = 1
     """Random seed."""
@@ -93,7 +92,6 @@ def run(words: list[str]) -> int:
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
-    require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
     config = resolve(QUICK, options.set)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)

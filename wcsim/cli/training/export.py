@@ -16,7 +16,7 @@ from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, read_danger_file
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_driver, require_without_veto
 from wcsim.config import RunConfig, resolve
@@ -44,7 +44,7 @@ class Options:
     reports how many of the policy's actions match the recorded ones."""
     seat: int = 0
     """Seat of the journal in --ride."""
-    steps: int = 200
+    steps: Annotated[int, Bounds(2, 100_000)] = 200
     """Maximum length of the reference ride."""
     delay_ticks: int | None = None
     """Ticks from a command to the chair's motion; by default as in the recording or in training."""
@@ -61,8 +61,6 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "export")
     if options.onnx is None:
         raise ConfigError("nothing to write to; expected --onnx FOLDER")
-    if not 2 <= options.steps <= 100_000:
-        raise ConfigError(f"--steps {options.steps}; expected 2 to 100000")
     check_folder("--onnx", options.onnx)
     require_export_place("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
@@ -92,8 +90,7 @@ def run(words: list[str]) -> int:
     if facts.same_as_recorded is not None:
         print(_beside_recording(facts.same_as_recorded, ride.by, options.policy))
     print(_costs(facts, bar_ms))
-    if options.json is not None:
-        write_json(options.json, asdict(facts))
+    write_json(options.json, asdict(facts))
     return Exit.DONE
 
 

@@ -110,8 +110,7 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
         offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
         _require_known_plant(offered, options.endpoint)
         parts = {part: getattr(offered, part) for part in WORLD_PARTS}
-        env = config.env.model_copy(update={"actions": offered.env.actions})
-        fit = config.model_copy(update={**parts, "env": env})
+        fit = resolve(config, {**parts, "env": {"actions": offered.env.actions}})
         street = SeatedEnv(seat, fit, world.town, terms)
         info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
         beats = count(1)

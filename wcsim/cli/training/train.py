@@ -103,8 +103,7 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
         print_crossings(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
     print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, trained_in)}")
-    if options.json is not None:
-        write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
+    write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
     return Exit.DONE
 
 
