@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFolder, Repeated, check_folder, in_bounds, parse, some_words
+from wcsim.cli.shared.common import Bounds, OutFolder, SettingsOptions, check_folder, in_bounds, parse, some_words
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
@@ -39,8 +39,8 @@ _TOLD_NAMES = 4
 _EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(SettingsOptions):
     """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""
 
     town: str = "helsinki"
@@ -49,12 +49,6 @@ class Options:
     """Number of wheelchairs, one for each client."""
     expected: int = 1
     """Number of clients that the first tick waits for."""
-    preset: str = "quick"
-    """Preset to start from: quick, laptop, best, dqn or paper."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     listen: Annotated[str, tyro.conf.arg(metavar="tcp://HOST:PORT")] = ""

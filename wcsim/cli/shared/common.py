@@ -91,6 +91,19 @@ OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes()]
 Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
 """Processes that work at once."""
 
+
+@dataclass(kw_only=True)
+class SettingsOptions:
+    """Settings over a preset."""
+
+    preset: str = "quick"
+    """Preset to start from: quick, laptop, best, dqn or paper."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file with settings that override the preset."""
+    set: Repeated = ()
+    """Setting as section.key=value; overrides preset and file."""
+
+
 Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
 """Worker processes; None for what `worlds_of` says."""
 

@@ -75,7 +75,7 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
     plain = () if options.chairs else ("world.warmup_s=0",)  # nobody waits, as in plain sumo
     config = resolve(options.preset, plain, options.set)
     town = find_town(options.town, outside=options.allow_outside)
-    out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
+    out = options.out or Path("runs") / f"{town.name}-run-{options.seed}"
     check_folder("--out", out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"--out {out} is not empty; choose another folder, or remove it")

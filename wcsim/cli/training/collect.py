@@ -15,7 +15,7 @@ from wcsim.cli.shared.common import (
     Jobs,
     OutFile,
     OutFolder,
-    Repeated,
+    SettingsOptions,
     check_folder,
     machines_of,
     parse,
@@ -24,25 +24,21 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_policy, require_without_veto
-from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
+from wcsim.cli.shared.run_config import require_known, require_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(SettingsOptions):
     """Record driving as training data; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
     """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg file."""
     preset: str = "laptop"
     """Preset to start from. Its section [collect] sets drivers and segments."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
     segments: Annotated[int, Bounds(1)] = 10
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
@@ -70,11 +66,10 @@ def run(words: list[str]) -> int:
         require_without_veto(options.policy, "collecting")
         require_policy(options.policy, config.learn.network)
     require_known(options.network)
-    require_trained_users(config)
-    require_drawn_users(config, options.set, options.config)
+    require_users(config, (options.set, options.config))
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
-    out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"
+    out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
     from wcsim.agents.collecting.data_folder import SEGMENTS
     from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here

@@ -20,8 +20,8 @@ from wcsim.cli.shared.run_config import (
     QUICK,
     how_it_learns,
     learning,
-    require_drawn_users,
     require_head,
+    require_users,
     resolve_run,
 )
 from wcsim.cli.shared.stage_bar import StageBar
@@ -88,14 +88,14 @@ def run(words: list[str]) -> int:
         set=tuple(text for text in options.set if text.partition(".")[0] in RULES),
     )
     school, tested = _towns(options.train_town, trial)
-    out = options.out if options.out is not None else _free_folder(Path("runs"), "demo")
+    out = options.out or _free_folder(Path("runs"), "demo")
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
     config = resolve(QUICK, options.set)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
-    require_drawn_users(config, options.set, None)
+    require_users(config, (options.set, None))
     demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)
