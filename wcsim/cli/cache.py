@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-import tyro
-
-from wcsim.cli.shared.common import OutFile, parse, write_json
+from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.cache.folder import cache_facts, clear_cache
@@ -17,7 +14,7 @@ from wcsim.towns.cache.folder import cache_facts, clear_cache
 class Options:
     """Show the cache of streets, checked nets, machine code and generated places."""
 
-    clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    clear: Flag = False
     """Delete everything in it; what is needed is built again. Running worlds continue."""
     json: OutFile = None
     """Write the result to this file."""

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from wcsim.cli.shared.common import OutFile, parse, write_json
 from wcsim.cli.shared.consoles import stdout_console
+from wcsim.core.files import can_be_written
 from wcsim.errors import WcsimError
 
 PACKAGES = (
@@ -123,12 +124,9 @@ def _cache() -> Finding:
     from wcsim.towns.cache.folder import cache_facts, shown_cache
 
     facts = cache_facts()
-    place = facts.folder
-    while not place.exists() and place != place.parent:
-        place = place.parent
     size_mb = facts.size_bytes / 1e6
     says = f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; wcsim cache --clear empties it"
-    if not os.access(place, os.W_OK | os.X_OK):
+    if not can_be_written(facts.folder):
         says += "; it is read-only, so each world builds its street again"
     return Finding("cache", True, says)
 

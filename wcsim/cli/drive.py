@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
-from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, parse, says
+from wcsim.cli.shared.common import Bounds, OutFolder, parse, says
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
 from wcsim.core.files import check_new_file
@@ -20,7 +21,7 @@ _LOADING = "loading the simulator and the page ..."
 
 
 @dataclass(kw_only=True)
-class DriveOptions(PageOptions):
+class AssistedOptions(PageOptions):
     """Who assists, and what is kept of it."""
 
     policy: str = "dwa"
@@ -29,12 +30,12 @@ class DriveOptions(PageOptions):
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user, who drives when you select it on the page; by default that of the episode."""
-    record: OutFile = None
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
 
 
 @dataclass(kw_only=True)
-class Options(DriveOptions):
+class Options(AssistedOptions):
     """Drive a wheelchair yourself: a page in your browser, with keys, pointer, gamepad or switches.
 
     A policy assists you; on the page you can switch it off, change its level and overrule it. docs/drive.md
@@ -52,7 +53,7 @@ class Options(DriveOptions):
 
 
 @dataclass(kw_only=True)
-class EpisodeOptions(DriveOptions):
+class EpisodeOptions(AssistedOptions):
     """Drive an episode of a suite yourself."""
 
     suite: str
@@ -88,7 +89,7 @@ def run(words: list[str]) -> int:
         )
     if says(words, "--study"):
         return _study(parse(StudyOptions, words, "drive"))
-    options: DriveOptions = parse(EpisodeOptions if says(words, "--suite") else Options, words, "drive")
+    options: AssistedOptions = parse(EpisodeOptions if says(words, "--suite") else Options, words, "drive")
     if options.record is not None:
         check_new_file(options.record, "--record")
     require_driver(options.policy, options.network)

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import (
     Bounds,
+    Flag,
     Jobs,
     Keys,
     OutFile,
@@ -31,7 +31,7 @@ from wcsim.cli.shared.common import (
     says,
     write_json,
 )
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.core.reading import counted
@@ -80,7 +80,7 @@ class DriveOptions:
 class JudgeOptions(DriveOptions):
     """Who is judged on a list, and how."""
 
-    only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    only: Flag = False
     """Drive only these policies and the user alone, no other baselines."""
     forks: Annotated[int | None, Bounds(0, 1_000_000)] = None
     """Episodes whose interventions are judged: the user drives on alone in a copy.
@@ -115,14 +115,14 @@ class SuiteOptions(OfSuite, JudgeOptions):
 class SensitivityOptions(OfSuite):
     """Drive a list with these policies and the user alone without disturbances, and with each alone."""
 
-    sensitivity: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    sensitivity: Flag = False
     """Which disturbance changes the score?"""
     json: OutFile = None
     """Also write the rows to this file."""
 
 
 @dataclass
-class PlayOptions(OfSuite):
+class PlayedEpisodeOptions(OfSuite):
     """Drive an episode of one policy again, film its last 10 s into --out, and print what happened."""
 
     play: Annotated[str, tyro.conf.arg(metavar="BLOCK.SEAT")] = ""
@@ -134,7 +134,7 @@ class PlayOptions(OfSuite):
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
     if says(words, "--play"):
-        play = parse(PlayOptions, words, "test")
+        play = parse(PlayedEpisodeOptions, words, "test")
         return play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
     if says(words, "--sensitivity"):
         return _disturb(parse(SensitivityOptions, words, "test"))
@@ -225,12 +225,12 @@ def _disturb(options: SensitivityOptions) -> int:
     """Drive the list with each disturbance alone; how the command ends."""
     from wcsim.agents.evaluation.suite.sensitivity import sensitivity
 
-    order, told = _suite_order(options), stderr_console()
+    order = _suite_order(options)
     file = order.suite.file
     require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
     with _stopped(order, options):
-        moved = sensitivity(order, policies, lambda text: told.print(text, style="dim", markup=False))
+        moved = sensitivity(order, policies, say)
     rows = [each.to_json() for each in moved]
     write_json(order.out / "sensitivity.json", rows)
     show_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
@@ -245,7 +245,7 @@ def _exit_of(rows: Iterable[ResultRow]) -> Exit:
     return Exit.FAILED if any(undone(row) == row.episodes > 0 for row in rows) else Exit.DONE
 
 
-def _look(options: DriveOptions, told: Console) -> Callable[[tuple[WorkerNow, ...]], object]:
+def _look(options: DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
     """Says now and then who drives what, where that is another machine."""
     said_s = time.monotonic()
 
@@ -253,7 +253,7 @@ def _look(options: DriveOptions, told: Console) -> Callable[[tuple[WorkerNow, ..
         nonlocal said_s
         if options.cluster and time.monotonic() - said_s > _TOLD_EVERY_S:
             said_s = time.monotonic()
-            told.print(said_of(workers), markup=False, style="dim")
+            say(said_of(workers))
 
     return look
 
@@ -262,14 +262,13 @@ def order_of(options: DriveOptions, suite: Suite, out: Path, forks: int | None =
     """How these options drive a list into a folder."""
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
-    told = stderr_console()
     machines = machines_of(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
         suite=suite,
         out=out,
         jobs=options.jobs,
-        machines=replace(machines, say=lambda text: told.print(text, markup=False, style="dim")),
-        look=_look(options, told),
+        machines=replace(machines, say=say),
+        look=_look(options),
         preset=options.preset,
         settings=options.set,
         network=options.network,

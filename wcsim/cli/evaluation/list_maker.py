@@ -11,8 +11,8 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, Jobs, Note, Writes, parse
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.common import Bounds, Jobs, OptionNote, Writes, parse
+from wcsim.cli.shared.consoles import say, stdout_console
 from wcsim.cli.shared.stage_bar import told_left
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.reading import escaped
@@ -20,13 +20,13 @@ from wcsim.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Named(Note):
+class Named(OptionNote):
     """A name that a list can have, of so many characters at most."""
 
     most: int
 
     def check(self, option: str, value: str) -> None:
-        """See `Note`."""
+        """See `OptionNote`."""
         if re.fullmatch(name_pattern(self.most), value):
             return
         proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
@@ -77,7 +77,6 @@ def make_list(words: list[str]) -> int:
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
 
-    told = stderr_console()
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
             suite=options.name,
@@ -93,7 +92,7 @@ def make_list(words: list[str]) -> int:
             work=Path(work),
         )
         towns = asked_towns(options.make_suite, order.work / TOWNS)
-        file = make_suite(order, towns, PartTimes(lambda line: told.print(line, style="dim", markup=False)).say)
+        file = make_suite(order, towns, PartTimes(say).say)
     write_list(file, options.suite_file)
     suite, many = suite_of(file), len(file.blocks)
     counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"

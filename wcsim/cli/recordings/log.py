@@ -21,41 +21,39 @@ from wcsim.log.reader import read_header
 _SHOW_EVERY: Final = 1000  # ticks
 _FCD, _MCAP = ".xml", ".mcap"
 
-Log = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-"""A run folder, a trace, a journal or a recorded drive."""
 Epoch = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(0)]
 
 
 @dataclass(kw_only=True)
-class PlayOptions(PageOptions):
-    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
+class LogOptions:
+    """A recording, and what it was made with."""
 
-    log: Log
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """A run folder, a journal, a trace or a recorded drive."""
     epoch: Epoch = None
     """Number of the world in the run; default all."""
-    seat: Seat = None
-    """Chair to follow."""
     hook: str = ""
     """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
+
+
+@dataclass(kw_only=True)
+class PlayOptions(LogOptions, PageOptions):
+    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
+
+    seat: Seat = None
+    """Chair to follow."""
     town: str = ""
     """Where a trace was recorded, if not found: a town's name, its folder, or a .sumocfg file."""
 
 
 @dataclass(kw_only=True)
-class VerifyOptions:
+class VerifyOptions(LogOptions):
     """Simulate a journal or a drive again, and compare it tick by tick."""
 
-    log: Log
-    """A run folder of a server, a journal or a recorded drive."""
-    epoch: Epoch = None
-    """Number of the world in the run; default all."""
     first: Annotated[int, tyro.conf.arg(name="from", metavar="TICK")] = 0
     """First tick of each world to compare."""
     last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
     """Last tick of each world to compare."""
-    hook: str = ""
-    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -71,18 +69,14 @@ class CompareOptions:
 
 
 @dataclass(kw_only=True)
-class ConvertOptions:
+class ConvertOptions(LogOptions):
     """Write a recording as SUMO floating car data (FCD) or as ROS 2 messages (MCAP)."""
 
-    log: Log
-    """A run folder, a trace, a journal or a recorded drive."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """FILE.xml for traffic and wheelchairs as FCD, FILE.mcap for motion, commands and sensor data of the wheelchairs.
     MCAP needs the extra wcsim[bag]."""
-    epoch: Annotated[int, tyro.conf.arg(metavar="N"), Bounds(0)] = 0
+    epoch: Epoch = 0
     """Number of the world in the run."""
-    hook: str = ""
-    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -172,10 +166,10 @@ def _convert(options: ConvertOptions) -> int:
         check_installed("a .mcap file needs rosbags", "bag", "rosbags")
     with result_file(out) as part:
         if kind == _FCD:
-            found["steps"] = convert_to_fcd(path, part, options.epoch, options.hook)
+            found["steps"] = convert_to_fcd(path, part, options.epoch or 0, options.hook)
             told = f"{found['steps']} time steps"
         else:
-            counts = found["messages"] = convert_to_mcap(path, part, options.epoch, options.hook)
+            counts = found["messages"] = convert_to_mcap(path, part, options.epoch or 0, options.hook)
             told = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
     print(f"wrote {out}: {told}")
     write_json(options.json, found)

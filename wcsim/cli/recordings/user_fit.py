@@ -12,7 +12,7 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, Writes, result_file, write_json
+from wcsim.cli.shared.common import Flag, OutFile, Writes, result_file, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
     from wcsim.users.fitting.fit_user import UserFit
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import inspect
 import json
 import math
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
@@ -17,7 +16,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 import tyro
 
 from wcsim.config.load import sets_key
-from wcsim.core.files import whole_file
+from wcsim.core.files import can_be_written, standing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 from wcsim.server.workers.crew import WorkerNow
@@ -34,7 +33,7 @@ MAX_SEED = (1 << 31) - 1
 MOST_JOBS = 256  # processes that a command may start
 
 
-class Note:
+class OptionNote:
     """What an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
 
     def check(self, option: str, value: Any) -> None:
@@ -42,7 +41,7 @@ class Note:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds(Note):
+class Bounds(OptionNote):
     """The least and the most of a number, and what it is a multiple of."""
 
     low: float
@@ -50,21 +49,21 @@ class Bounds(Note):
     step: int = 1
 
     def check(self, option: str, value: Any) -> None:
-        """See `Note`."""
+        """See `OptionNote`."""
         in_bounds(option, value, self.low, self.high)
         if self.step > 1 and value % self.step:
             raise ConfigError(f"{option} {value}: expected a multiple of {self.step}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Keys(Note):
+class Keys(OptionNote):
     """Keys of `--set`: those of some sections alone, or of all, and what to do instead of setting a key."""
 
     instead: Mapping[str, str]
     sections: tuple[str, ...] = ()
 
     def check(self, option: str, value: Any) -> None:
-        """See `Note`."""
+        """See `OptionNote`."""
         for text in value:
             key = next((key for key in self.instead if sets_key(text, key)), None)
             if key is not None:
@@ -75,18 +74,21 @@ class Keys(Note):
 
 
 @dataclass(frozen=True, slots=True)
-class Writes(Note):
+class Writes(OptionNote):
     """A file that can be written, with its ending."""
 
     suffix: str = ""
 
     def check(self, option: str, value: Any) -> None:
-        """See `Note`."""
+        """See `OptionNote`."""
         check_output(option, value, self.suffix)
 
 
 OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes()]
 """A file that is written only when it is named."""
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+"""A switch that is off unless it is named."""
 
 Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
 """Processes that work at once."""
@@ -129,7 +131,7 @@ def parse(options: type[T], words: list[str], command: str, program: str = "wcsi
     for name, notes in _notes(options).items():
         value = getattr(parsed, name.replace("-", "_"))
         for note in (Bounds(0, MAX_SEED), *notes) if name == "seed" else notes:
-            if value is not None and isinstance(note, Note):
+            if value is not None and isinstance(note, OptionNote):
                 note.check(f"--{name}", value)
     return parsed
 
@@ -299,12 +301,10 @@ def check_output(option: str, path: Path, suffix: str = "") -> None:
 
 def check_folder(option: str, folder: Path) -> None:
     """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
-    place = folder.absolute()
-    while not os.path.lexists(place) and place != place.parent:
-        place = place.parent
-    if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
+    if not can_be_written(folder):
         raise ConfigError(
-            f"{option}: {escaped(place)} is not a folder that can be written to; choose another with {option}"
+            f"{option}: {escaped(standing(folder))} is not a folder that can be written to; choose another with "
+            f"{option}"
         )
 
 
@@ -341,6 +341,19 @@ def result_file(path: Path) -> Iterator[Path]:
     with whole_file(path) as part:
         yield part
     tell_made(missing)
+
+
+@contextmanager
+def fresh_folders(folder: Path) -> Iterator[None]:
+    """Leave no empty folders behind when the block fails."""
+    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        yield
+    except BaseException:
+        for place in fresh:
+            with suppress(OSError):  # somebody else has put something there
+                place.rmdir()
+        raise
 
 
 def missing_folder(path: Path) -> Path | None:

@@ -7,17 +7,17 @@ import shlex
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, check_folder, words_of
+from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, check_folder, fresh_folders, words_of
+from wcsim.cli.shared.consoles import say
 from wcsim.cli.town.stage_costs import StageClock
-from wcsim.cli.town.town_check import checked, say, told_report
+from wcsim.cli.town.town_check import checked, told_report
 from wcsim.errors import ConfigError
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.osm.area import Box
@@ -30,7 +30,6 @@ if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.importing.importer import ImportOrder
 
 _LAND, _SIDE = tyro.conf.create_mutex_group(required=False), tyro.conf.create_mutex_group(required=False)
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Stage = Callable[[str], None]  # what begins now, in words
 
 
@@ -106,7 +105,7 @@ def run(options: AdoptOptions | ImportOptions) -> int:
     check_folder("--out", out)
     result = options.json and options.json.resolve()  # this folder itself may be built anew
     clock = StageClock(say)
-    with _fresh_folders(out.parent):
+    with fresh_folders(out.parent):
         if isinstance(options, AdoptOptions):
             report, more = _adopt(options, out, clock.begin), dict[str, Any]()
         else:
@@ -206,16 +205,3 @@ def _bbox(text: str) -> Box:
     if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
         raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
     return west, south, east, north
-
-
-@contextmanager
-def _fresh_folders(folder: Path) -> Iterator[None]:
-    """Leave no empty folders behind when the block fails."""
-    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
-    try:
-        yield
-    except BaseException:
-        for place in fresh:
-            if place.is_dir() and not any(place.iterdir()):
-                place.rmdir()
-        raise

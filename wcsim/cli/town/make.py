@@ -10,9 +10,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, OutFolder, check_folder
+from wcsim.cli.shared.common import Flag, OutFile, OutFolder, check_folder
+from wcsim.cli.shared.consoles import say
 from wcsim.cli.town.stage_costs import StageClock
-from wcsim.cli.town.town_check import checked, say, told_report
+from wcsim.cli.town.town_check import checked, told_report
 from wcsim.towns.importing.folder_texts import check_words
 from wcsim.towns.making.asked_town import Wishes, check_wishes
 
@@ -39,7 +40,7 @@ class TownMakeOptions:
     """Share of the parking spaces with a parked car."""
     hill: float | None = None
     """Height of its hills in metres, 0 for a level town; default: chosen by the seed."""
-    replace: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    replace: Flag = False
     """Also replace an imported or edited town; it is lost."""
     json: OutFile = None
     """Write the result of the check to this file."""

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFile, check_folder
-from wcsim.cli.town.town_check import say, told_report, try_town
+from wcsim.cli.shared.common import Bounds, Flag, OutFile, check_folder
+from wcsim.cli.shared.consoles import say
+from wcsim.cli.town.town_check import told_report, try_town
 from wcsim.core.reading import counted
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.scenario.town import Town, find_town, open_town
@@ -33,7 +34,7 @@ class PaveOptions:
     """New folder for the copy."""
     max_speed: Annotated[float, Bounds(1.0, 100.0)] = FASTEST_MPS
     """Streets faster than this, in m/s, get no pavement."""
-    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    allow_outside: Flag = False
     """Also copy files that a .sumocfg names outside of its folder."""
     json: OutFile = None
     """Write the result to this file."""

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from wcsim.cli.shared.common import (
     Bounds,
+    Flag,
     OutFile,
     OutFolder,
     Repeated,
@@ -22,7 +23,7 @@ from wcsim.cli.shared.common import (
     words_of,
     write_json,
 )
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, stdout_console
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
@@ -56,7 +57,7 @@ class RunOptions:
     """Number of wheelchairs, each obeying its user; with 0 the traffic is that of plain sumo."""
     outputs: str = ""
     """Additional SUMO outputs, separated by commas: fcd, tripinfo, summary, ..."""
-    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    allow_outside: Flag = False
     """Permit a .sumocfg to name files outside of its folder."""
     hook: str = ""
     """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around each step."""
@@ -95,7 +96,6 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
 def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]) -> TrafficFacts:
     from wcsim.bridge.town_run import RecordOrder, record_town
 
-    console = stderr_console()
     manifest = _manifest(options, town, config, command)
     out.mkdir(parents=True, exist_ok=True)
 
@@ -113,10 +113,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
 
     def show(done: int, all_ticks: int) -> None:
         if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
-            console.print(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s", style="dim")
-
-    def stage(told: str) -> None:
-        console.print(told, style="dim", markup=False, soft_wrap=True)
+            say(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s")
 
     order = RecordOrder(
         seconds=options.seconds,
@@ -127,7 +124,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
         hook=options.hook,
     )
     try:
-        facts = record_town(town, config, order, opened, show, stage)
+        facts = record_town(town, config, order, opened, show, say)
     except BaseException:
         if (out / MANIFEST).is_file():
             write_json(out / MANIFEST, {**manifest, "status": "interrupted"})

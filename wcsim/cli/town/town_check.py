@@ -14,7 +14,7 @@ import tyro
 from rich.table import Table
 
 from wcsim.cli.shared.common import OutFile, write_json
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.config import resolve
 from wcsim.core.reading import counted
@@ -135,8 +135,3 @@ def told_report(
         more["cpu"] = costs_json(costs)
     write_json(json, {**asdict(report), "seconds": round(time.monotonic() - began_s, 3), **more})
     return 1 if report.faults else 0
-
-
-def say(told: str) -> None:
-    """What goes on meanwhile."""
-    stderr_console().print(told, style="dim", markup=False, soft_wrap=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wcsim.agents.collecting.data_folder import DATA, SEGMENTS
+from wcsim.cli.shared.common import fresh_folders
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.core.reading import counted
 from wcsim.errors import DiskFullError, WorkersError
@@ -24,21 +25,18 @@ def gone_if_nothing_came_of_it(run: Path) -> Iterator[None]:
     It stays after a full disk, and when a cluster is lost: wcsim resume goes on.
     """
     fresh = not run.exists()
-    made = [folder for folder in run.parents if not folder.exists()]
-    try:
-        yield
-    except (DiskFullError, OSError, WorkersError):
-        raise
-    except BaseException:
-        metrics = run / "metrics.csv"
-        episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
-        saved = any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
-        if fresh and episodes < 1 and not saved:
-            shutil.rmtree(run, ignore_errors=True)
-            for folder in made:
-                with suppress(OSError):  # somebody else has put something there
-                    folder.rmdir()
-        raise
+    with fresh_folders(run.parent):
+        try:
+            yield
+        except (DiskFullError, OSError, WorkersError):
+            raise
+        except BaseException:
+            metrics = run / "metrics.csv"
+            episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
+            saved = any(any(run.glob(f"{kept}/*")) for kept in ("checkpoints", "policies", f"{DATA}/{SEGMENTS}"))
+            if fresh and episodes < 1 and not saved:
+                shutil.rmtree(run, ignore_errors=True)
+            raise
 
 
 def steps_shown(bar: StageBar) -> Callable[[TrainProgress], None]:

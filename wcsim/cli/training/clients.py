@@ -190,8 +190,8 @@ def _told(
         NothingKept: ... before anything was done.
         ConfigError: A client or the world could not use what was asked for.
     """
-    if folder.fruitless() and not run.resume:
-        _nothing_came(outcome)
+    if outcome.stopped and folder.fruitless() and not run.resume:
+        raise NothingKept("stopped before anything was learned; nothing is saved")
     told = {client.name: client.status.step for client in outcome.clients if client.status is not None}
     steps = sum(max(told.get(name, 0), folder.steps(name)) for name in folder.clients)  # not all were launched
     folder = _with_status(run, folder, steps)
@@ -239,11 +239,3 @@ def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFol
     except DiskFullError as error:  # the work is there all the same
         print(f"wcsim: {error}", file=sys.stderr)
         return folder
-
-
-def _nothing_came(outcome: LaunchOutcome) -> None:
-    """Raise what a run is told of that ended before anything was learned; go on when it failed otherwise."""
-    if outcome.stopped:
-        raise NothingKept("stopped before anything was learned; nothing is saved")
-    if outcome.code == Exit.REFUSED:
-        raise ConfigError(outcome.message)

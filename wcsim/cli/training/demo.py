@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import time
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,6 +26,7 @@ from wcsim.cli.shared.run_config import (
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, resolve
+from wcsim.core.files import numbered_names
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -88,7 +88,7 @@ def run(words: list[str]) -> int:
         set=tuple(text for text in options.set if text.partition(".")[0] in RULES),
     )
     school, tested = _towns(options.train_town, trial)
-    out = options.out or _free_folder(Path("runs"), "demo")
+    out = options.out or next(numbered_names(Path("runs") / "demo"))
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
@@ -196,8 +196,3 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
     if same:
         raise TownError(f"{same[0]} is the training town {school.name} itself; expected another --test-town")
     return school, tested
-
-
-def _free_folder(parent: Path, name: str) -> Path:
-    """The first of name, name-2, name-3, ... that does not exist yet."""
-    return next(path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists())
