@@ -78,9 +78,7 @@ def run(words: list[str]) -> int:
     _check_doors(options)
     config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
-        check_folder("--run", options.run)
-        _require_ours(options.run)
-        _mend(options.run / JOURNAL)
+        _prepare(options.run)
     require_files(options.seats)
     town = find_town(options.town)
     validate_net(town.net)
@@ -155,16 +153,19 @@ def _check_doors(options: Options) -> None:
         )
 
 
-def _require_ours(folder: Path) -> None:
-    """Refuse a folder with other things in it."""
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not part_files(folder / JOURNAL))):
+def _prepare(folder: Path) -> None:
+    """Cut off what was torn in a world's journal when a process died, and say so.
+
+    Raises:
+        ConfigError: The folder cannot be used, or has other things in it.
+        JournalError: The journal is damaged elsewhere.
+    """
+    check_folder("--run", folder)
+    journal = folder / JOURNAL
+    if any(folder.glob("*")) and not part_files(journal):
         raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or one with a world")
     if folder.exists():
         require_no_links(folder, ConfigError)
-
-
-def _mend(journal: Path) -> None:
-    """Cut off what was torn when a process died, and say so. Raises JournalError when it is damaged elsewhere."""
     if journal.is_file():
         with LogWriter.append_to(journal) as writer:
             if writer.cut_bytes:

@@ -6,7 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -201,7 +201,7 @@ def _told(
     print_report(stdout_console(), report)
     for kept in folder.truncated_parts():
         print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
-    write_json(json, report.as_json())
+    write_json(json, asdict(report))
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
