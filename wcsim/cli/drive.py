@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
-from wcsim.cli.shared.common import Bounds, OutFolder, parse, says
+from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, parse, says
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
 from wcsim.core.files import check_new_file
@@ -44,7 +44,7 @@ class Options(AssistedOptions):
     (`wcsim drive --suite dev -h`, `wcsim drive --study assistance -h`).
     """
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     profile: str = "competent"
     """The simulated user, who drives when you select it on the page."""

@@ -12,6 +12,7 @@ from wcsim.cli.shared.common import (
     Bounds,
     Keys,
     Repeated,
+    SomeTown,
     Writes,
     check_output,
     missing_folder,
@@ -37,7 +38,7 @@ _LOOK_PX = 640  # width of the camera's picture
 class LookOptions:
     """Take pictures of a chair and from its camera, and film it; its user drives alone."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 4
     """Seed of the traffic and of the chair's start."""
@@ -89,7 +90,7 @@ def look(words: list[str]) -> int:
 class SnapshotOptions:
     """Take a picture from a chair's camera in a town: colours, classes and depth."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
@@ -137,7 +138,7 @@ class VideoOptions:
     With --policy the picture shows the user's stick, the driven one, and warnings.
     """
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""

@@ -16,6 +16,7 @@ from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import (
     Bounds,
+    Cluster,
     Flag,
     Jobs,
     Keys,
@@ -62,7 +63,7 @@ class DriveOptions:
     """Runs (RUN, RUN:phase1), policy folders, module:Class, or baselines. All baselines are added unless --only."""
     jobs: Jobs = 1
     """Parallel processes; the result is the same for any number."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster whose nodes drive, or `local`; the result is the same (docs/cluster.md)."""
     out: OutFolder = None
     """Folder for the result and for finished blocks. (default: runs/suite-SET; none with --town)"""

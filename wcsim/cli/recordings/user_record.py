@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, Keys, OutFile, Repeated, write_json
+from wcsim.cli.shared.common import Bounds, Keys, OutFile, Repeated, TownWord, write_json
 from wcsim.cli.shared.run_config import require_user
 from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
@@ -27,7 +27,7 @@ _TELL_EVERY_S = 60.0
 class UserRecordOptions:
     """Let a simulated user drive through a town and record the drive."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """New file for the recording."""

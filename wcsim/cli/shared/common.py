@@ -29,6 +29,15 @@ Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 """A folder that is made, with a default of its own."""
 
+TownWord = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+"""A town, as the first word without a name."""
+
+SomeTown = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")]
+"""The same, where it may be left out."""
+
+Cluster = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
+"""A Ray cluster."""
+
 MAX_SEED = (1 << 31) - 1
 MOST_JOBS = 256  # processes that a command may start
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, Flag, OutFile, check_folder
+from wcsim.cli.shared.common import Bounds, Flag, OutFile, TownWord, check_folder
 from wcsim.cli.shared.consoles import say
 from wcsim.cli.town.town_check import told_report, try_town
 from wcsim.core.reading import counted
@@ -28,7 +28,7 @@ TOLD = 5
 class PaveOptions:
     """Copy a scenario into a folder and add pavements and crossings."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file; it is not changed."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """New folder for the copy."""

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
 from rich.table import Table
 
 from wcsim.cli.shared.common import (
@@ -18,6 +17,7 @@ from wcsim.cli.shared.common import (
     OutFile,
     OutFolder,
     Repeated,
+    TownWord,
     check_folder,
     first_few,
     words_of,
@@ -45,7 +45,7 @@ MAX_CHAIRS = 64
 class RunOptions:
     """Run a town's traffic, with or without wheelchairs, and record it."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
     seconds: Annotated[float, Bounds(0.1, 1e7)] = 600.0
     """Simulated time."""

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, write_json
+from wcsim.cli.shared.common import OutFile, TownWord, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.config import resolve
@@ -39,7 +38,7 @@ _TOLD = 3
 class CheckOptions:
     """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
     json: OutFile = None
     """Write the result to this file."""

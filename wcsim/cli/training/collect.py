@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from wcsim.cli.shared.common import (
     Bounds,
+    Cluster,
     Jobs,
     OutFile,
     OutFolder,
@@ -47,7 +46,7 @@ class Options(SettingsOptions):
     """Your own network as module:Class, if the --policy uses it."""
     worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""
     seed: int = 0
     """Random seed: equal seeds give equal data."""

@@ -15,7 +15,7 @@ import tyro
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, extend, open_run, read_json
-from wcsim.cli.shared.common import Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
+from wcsim.cli.shared.common import Cluster, Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
 from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
 from wcsim.cli.training.train import ToldOptions, told, train_in
 from wcsim.config import RunConfig, resolve
@@ -36,7 +36,7 @@ class Options(ToldOptions):
     """Total steps of a longer training by Q-learning."""
     worlds: Worlds = None
     """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`."""
     town: str = ""
     """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""

@@ -6,12 +6,10 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import (
+    Cluster,
     OutFile,
     OutFolder,
     Repeated,
@@ -81,7 +79,7 @@ class Options(TrainingOptions):
     """Data folder of `wcsim collect` that the network also learns from, as collect.data."""
     worlds: Worlds = None
     """Worker processes that drive data. Results do not depend on their number. None: one per core, at most 4."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives data, or `local`. Data and weights stay the same (docs/cluster.md)."""
 
 
