@@ -21,7 +21,7 @@ _LOADING = "loading the simulator and the page ..."
 
 
 @dataclass(kw_only=True)
-class AssistedOptions(PageOptions):
+class _AssistedOptions(PageOptions):
     """Who assists, and what is kept of it."""
 
     policy: str = "dwa"
@@ -35,7 +35,7 @@ class AssistedOptions(PageOptions):
 
 
 @dataclass(kw_only=True)
-class Options(AssistedOptions):
+class Options(_AssistedOptions):
     """Drive a wheelchair yourself: a page in your browser, with keys, pointer, gamepad or switches.
 
     A policy assists you; on the page you can switch it off, change its level and overrule it. docs/drive.md
@@ -53,7 +53,7 @@ class Options(AssistedOptions):
 
 
 @dataclass(kw_only=True)
-class EpisodeOptions(AssistedOptions):
+class _EpisodeOptions(_AssistedOptions):
     """Drive an episode of a suite yourself."""
 
     suite: str
@@ -65,7 +65,7 @@ class EpisodeOptions(AssistedOptions):
 
 
 @dataclass(kw_only=True)
-class StudyOptions(PageOptions):
+class _StudyOptions(PageOptions):
     """Run a study with a participant."""
 
     study: Annotated[str, tyro.conf.arg(metavar="FILE.toml")]
@@ -88,8 +88,8 @@ def run(words: list[str]) -> int:
             "trained with your settings: wcsim train --set ... --out RUN"
         )
     if says(words, "--study"):
-        return _study(parse(StudyOptions, words, "drive"))
-    options: AssistedOptions = parse(EpisodeOptions if says(words, "--suite") else Options, words, "drive")
+        return _study(parse(_StudyOptions, words, "drive"))
+    options: _AssistedOptions = parse(_EpisodeOptions if says(words, "--suite") else Options, words, "drive")
     if options.record is not None:
         check_new_file(options.record, "--record")
     require_driver(options.policy, options.network)
@@ -108,7 +108,7 @@ def run(words: list[str]) -> int:
     return serve_page(DriveOrder(start=checked(start), keep=options.record), options)
 
 
-def _study(options: StudyOptions) -> int:
+def _study(options: _StudyOptions) -> int:
     print(_LOADING, flush=True)
     from wcsim.drive.recording.open_study import open_study, study_start
     from wcsim.drive.runner import DriveOrder

@@ -35,7 +35,7 @@ _LOOK_PX = 640  # width of the camera's picture
 
 
 @dataclass
-class LookOptions:
+class _LookOptions:
     """Take pictures of a chair and from its camera, and film it; its user drives alone."""
 
     town: SomeTown = "helsinki"
@@ -52,7 +52,7 @@ class LookOptions:
 
 def look(words: list[str]) -> int:
     """One drive: it is filmed, and its busiest moment is the picture."""
-    options = parse(LookOptions, words, "look")
+    options = parse(_LookOptions, words, "look")
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)
@@ -81,13 +81,13 @@ def look(words: list[str]) -> int:
     with result_file(street) as part:
         write_png(part, seen)
     print(f"{street}: {place}, the chair from behind")
-    keep_shot(picture, busiest.shot, place)
+    _keep_shot(picture, busiest.shot, place)
     print(f"{video}: the chair's camera and a map, {options.seconds:g} s; a browser plays it")
     return 0
 
 
 @dataclass
-class SnapshotOptions:
+class _SnapshotOptions:
     """Take a picture from a chair's camera in a town: colours, classes and depth."""
 
     town: SomeTown = "helsinki"
@@ -106,7 +106,7 @@ class SnapshotOptions:
 
 def snapshot(words: list[str]) -> int:
     """Take the picture at the moment when most actors are in view."""
-    options = parse(SnapshotOptions, words, "snapshot")
+    options = parse(_SnapshotOptions, words, "snapshot")
     town = find_town(options.town)
 
     # Loads the simulators, which --help must not.
@@ -117,11 +117,11 @@ def snapshot(words: list[str]) -> int:
         for done in range(1, max(1, round(options.seconds / film.tick_s)) + 1):
             film.drive()
             busiest.look(done * film.tick_s)
-    keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
+    _keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
     return 0
 
 
-def keep_shot(out: Path, shot: Shot, place: str) -> None:
+def _keep_shot(out: Path, shot: Shot, place: str) -> None:
     """Write a moment as a picture, and say what it shows."""
     from wcsim.view.pictures import triptych, write_png
 
@@ -132,7 +132,7 @@ def keep_shot(out: Path, shot: Shot, place: str) -> None:
 
 
 @dataclass
-class VideoOptions:
+class _VideoOptions:
     """Film a chair, driven by its user alone or by a policy: its camera next to a map.
 
     With --policy the picture shows the user's stick, the driven one, and warnings.
@@ -162,7 +162,7 @@ class VideoOptions:
 
 def video(words: list[str]) -> int:
     """Film it."""
-    options = _with_user(parse(VideoOptions, words, "video"))
+    options = _with_user(parse(_VideoOptions, words, "video"))
     if options.policy:
         require_driver(options.policy, options.network)
     elif options.network:
@@ -193,6 +193,6 @@ def video(words: list[str]) -> int:
     return 0
 
 
-def _with_user(options: VideoOptions) -> VideoOptions:
+def _with_user(options: _VideoOptions) -> _VideoOptions:
     """The options with who drives where nobody is named."""
     return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))

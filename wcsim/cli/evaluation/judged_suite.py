@@ -56,7 +56,7 @@ _LISTED = {
 
 
 @dataclass
-class DriveOptions:
+class _DriveOptions:
     """What drives a list, whether it comes with wcsim, lies in a file or is drawn for a town."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
@@ -78,7 +78,7 @@ class DriveOptions:
 
 
 @dataclass
-class JudgeOptions(DriveOptions):
+class JudgeOptions(_DriveOptions):
     """Who is judged on a list, and how."""
 
     only: Flag = False
@@ -91,7 +91,7 @@ class JudgeOptions(DriveOptions):
 
 
 @dataclass
-class OfSuite(DriveOptions):
+class _OfSuite(_DriveOptions):
     """A fixed list."""
 
     set: Annotated[Repeated, Keys(_LISTED)] = ()
@@ -101,7 +101,7 @@ class OfSuite(DriveOptions):
 
 
 @dataclass
-class SuiteOptions(OfSuite, JudgeOptions):
+class _SuiteOptions(_OfSuite, JudgeOptions):
     """Test policies on a fixed list of routes, crossings, hazards and tight places.
 
     With `--sensitivity` they drive it without disturbances, and with each alone: which changes the score?
@@ -113,7 +113,7 @@ class SuiteOptions(OfSuite, JudgeOptions):
 
 
 @dataclass
-class SensitivityOptions(OfSuite):
+class _SensitivityOptions(_OfSuite):
     """Drive a list with these policies and the user alone without disturbances, and with each alone."""
 
     sensitivity: Flag = False
@@ -123,7 +123,7 @@ class SensitivityOptions(OfSuite):
 
 
 @dataclass
-class PlayedEpisodeOptions(OfSuite):
+class _PlayedEpisodeOptions(_OfSuite):
     """Drive an episode of one policy again, film its last 10 s into --out, and print what happened."""
 
     play: Annotated[str, tyro.conf.arg(metavar="BLOCK.SEAT")] = ""
@@ -135,15 +135,15 @@ class PlayedEpisodeOptions(OfSuite):
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
     if says(words, "--play"):
-        play = parse(PlayedEpisodeOptions, words, "test")
+        play = parse(_PlayedEpisodeOptions, words, "test")
         return play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
     if says(words, "--sensitivity"):
-        return _disturb(parse(SensitivityOptions, words, "test"))
-    options = parse(SuiteOptions, words, "test")
+        return _disturb(parse(_SensitivityOptions, words, "test"))
+    options = parse(_SuiteOptions, words, "test")
     return judge(_suite_order(options, options.forks, clean=options.clean), options, options.suite)
 
 
-def _suite_order(options: OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
+def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
     from wcsim.agents.evaluation.suite.list_file import open_suite
     from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 
@@ -154,7 +154,7 @@ def _suite_order(options: OfSuite, forks: int | None = None, *, clean: bool = Fa
     return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
 
 
-def require_usable(order: SuiteOrder, options: DriveOptions) -> None:
+def require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
     """Say what is to be driven; what can be used in no episode is refused before any. Raises WcsimError."""
     if (order.out / "kept").exists() and not options.resume:
         raise ConfigError(
@@ -173,13 +173,13 @@ def require_usable(order: SuiteOrder, options: DriveOptions) -> None:
 
 
 @contextmanager
-def _stopped(order: SuiteOrder, options: DriveOptions) -> Iterator[None]:
+def _stopped(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
     """Say of a test that Ctrl-C ends how it goes on, where something of it is kept."""
     before = set() if options.resume else set(order.out.rglob(_KEPT))  # of another test in the same folder
     try:
         yield
     except KeyboardInterrupt:
-        if not set(order.out.rglob(_KEPT)) - before or (options.out is None and not isinstance(options, OfSuite)):
+        if not set(order.out.rglob(_KEPT)) - before or (options.out is None and not isinstance(options, _OfSuite)):
             raise
         told = f"stopped; finished blocks are saved in {order.out}; continue with --resume"
         raise InterruptedRunError(told) from None
@@ -222,7 +222,7 @@ def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResul
         return keep_result(order, name, run_suite(order, policies, tell))
 
 
-def _disturb(options: SensitivityOptions) -> int:
+def _disturb(options: _SensitivityOptions) -> int:
     """Drive the list with each disturbance alone; how the command ends."""
     from wcsim.agents.evaluation.suite.sensitivity import sensitivity
 
@@ -246,7 +246,7 @@ def _exit_of(rows: Iterable[ResultRow]) -> Exit:
     return Exit.FAILED if any(undone(row) == row.episodes > 0 for row in rows) else Exit.DONE
 
 
-def _look(options: DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
+def _look(options: _DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
     """Says now and then who drives what, where that is another machine."""
     said_s = time.monotonic()
 
@@ -259,7 +259,7 @@ def _look(options: DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
     return look
 
 
-def order_of(options: DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
+def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
     """How these options drive a list into a folder."""
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 

@@ -20,7 +20,7 @@ from wcsim.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
-class Named(OptionNote):
+class _Named(OptionNote):
     """A name that a list can have, of so many characters at most."""
 
     most: int
@@ -37,7 +37,7 @@ class Named(OptionNote):
 
 
 @dataclass
-class SuiteMakeOptions:
+class _SuiteMakeOptions:
     """Make a list of test episodes for your own towns."""
 
     make_suite: str
@@ -45,7 +45,7 @@ class SuiteMakeOptions:
     made:SEED is a generated town (`wcsim town make`)."""
     suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
-    name: Annotated[str, Named(MOST_NAME)] = "own-suite-v1"
+    name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
     """Name of the list, with its version."""
     free: Annotated[int, Bounds(1, 10_000)] = 8
     """Blocks of free routes for each town, six routes each."""
@@ -69,8 +69,8 @@ class SuiteMakeOptions:
 
 def make_list(words: list[str]) -> int:
     """Make a list and write it."""
-    options = parse(SuiteMakeOptions, words, "test")
-    Named(MOST_SET).check("--suite-file", options.suite_file.stem)
+    options = parse(_SuiteMakeOptions, words, "test")
+    _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
     import tempfile
 
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list

@@ -25,7 +25,7 @@ Epoch = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(0)]
 
 
 @dataclass(kw_only=True)
-class LogOptions:
+class _LogOptions:
     """A recording, and what it was made with."""
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
@@ -37,7 +37,7 @@ class LogOptions:
 
 
 @dataclass(kw_only=True)
-class PlayOptions(LogOptions, PageOptions):
+class _PlayOptions(_LogOptions, PageOptions):
     """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
 
     seat: Seat = None
@@ -47,7 +47,7 @@ class PlayOptions(LogOptions, PageOptions):
 
 
 @dataclass(kw_only=True)
-class VerifyOptions(LogOptions):
+class _VerifyOptions(_LogOptions):
     """Simulate a journal or a drive again, and compare it tick by tick."""
 
     first: Annotated[int, tyro.conf.arg(name="from", metavar="TICK")] = 0
@@ -59,7 +59,7 @@ class VerifyOptions(LogOptions):
 
 
 @dataclass(kw_only=True)
-class CompareOptions:
+class _CompareOptions:
     """Print where two recordings of a kind first differ."""
 
     logs: Annotated[tuple[Path, Path], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG")]
@@ -69,7 +69,7 @@ class CompareOptions:
 
 
 @dataclass(kw_only=True)
-class ConvertOptions(LogOptions):
+class _ConvertOptions(_LogOptions):
     """Write a recording as SUMO floating car data (FCD) or as ROS 2 messages (MCAP)."""
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
@@ -86,7 +86,7 @@ def run(words: list[str]) -> int:
     return run_part(words, "log", _COMMANDS)
 
 
-def log_in(run: Path, first: str = "journal") -> Path:
+def _log_in(run: Path, first: str = "journal") -> Path:
     """A log as it is named, or that of a run folder, which may have two. Raises ConfigError where there is none."""
     if is_folder(run):
         found = [run / name for name in sorted(("journal", "trace"), key=lambda name: name != first)]
@@ -103,8 +103,8 @@ def log_in(run: Path, first: str = "journal") -> Path:
     return run
 
 
-def _play(options: PlayOptions) -> int:
-    path = log_in(options.log)
+def _play(options: _PlayOptions) -> int:
+    path = _log_in(options.log)
     header = read_header(path)  # what cannot be played is refused before a page is served for it
     from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of  # the simulators: not for a refusal
     from wcsim.drive.playing.play_runner import PlayStart
@@ -118,11 +118,11 @@ def _play(options: PlayOptions) -> int:
     return serve_page(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
 
 
-def _verify(options: VerifyOptions) -> int:
+def _verify(options: _VerifyOptions) -> int:
     last = math.inf if options.last is None else options.last
     in_bounds("--to", last, 0, math.inf)
     in_bounds("--from", options.first, 0, last)
-    path = log_in(options.log)
+    path = _log_in(options.log)
     header = read_header(path)
     from wcsim.bridge.replay.replayed import log_of
     from wcsim.bridge.replay.verify import verify
@@ -144,20 +144,20 @@ def _verify(options: VerifyOptions) -> int:
     return 1 if result.mismatches else 0
 
 
-def _compare(options: CompareOptions) -> int:
-    one, other = map(log_in, options.logs)
+def _compare(options: _CompareOptions) -> int:
+    one, other = map(_log_in, options.logs)
     told = first_difference(one, other)
     print(told or f"{one} and {other} are equal")
     write_json(options.json, {"equal": not told, "first_difference": told})
     return 1 if told else 0
 
 
-def _convert(options: ConvertOptions) -> int:
+def _convert(options: _ConvertOptions) -> int:
     out, kind = options.out, options.out.suffix.lower()
     if kind not in (_FCD, _MCAP):
         raise ConfigError(f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)")
     check_output("FILE", out)
-    path = log_in(options.log, "trace" if kind == _FCD else "journal")
+    path = _log_in(options.log, "trace" if kind == _FCD else "journal")
     read_header(path)
     from wcsim.bridge.replay.convert import convert_to_fcd, convert_to_mcap
 
@@ -192,8 +192,8 @@ def _note_versions(what: str, made_by: str) -> None:
 
 
 _COMMANDS: Final[Parts] = {
-    "play": (PlayOptions, _play),
-    "verify": (VerifyOptions, _verify),
-    "compare": (CompareOptions, _compare),
-    "convert": (ConvertOptions, _convert),
+    "play": (_PlayOptions, _play),
+    "verify": (_VerifyOptions, _verify),
+    "compare": (_CompareOptions, _compare),
+    "convert": (_ConvertOptions, _convert),
 }

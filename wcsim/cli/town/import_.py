@@ -34,7 +34,7 @@ Stage = Callable[[str], None]  # what begins now, in words
 
 
 @dataclass(kw_only=True)
-class TownOptions:
+class _TownOptions:
     """What every new town has."""
 
     name: str
@@ -52,7 +52,7 @@ class TownOptions:
 
 
 @dataclass(kw_only=True)
-class AdoptOptions(TownOptions):
+class AdoptOptions(_TownOptions):
     """Import a town from a SUMO scenario, whose files are copied unchanged."""
 
     sumocfg: Annotated[Path, tyro.conf.arg(metavar="FILE")]
@@ -62,7 +62,7 @@ class AdoptOptions(TownOptions):
 
 
 @dataclass(kw_only=True)
-class ImportOptions(TownOptions):
+class ImportOptions(_TownOptions):
     """Import a town from OpenStreetMap; with `--sumocfg FILE` from a SUMO scenario.
 
     `wcsim town import --sumocfg FILE -h` has the options for a scenario.

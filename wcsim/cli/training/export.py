@@ -153,7 +153,7 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceRide:
+class _ReferenceRide:
     """The reference ride."""
 
     config: RunConfig
@@ -162,7 +162,7 @@ class ReferenceRide:
     by: str = ""  # who chose them, where the recording says it
 
 
-def _ride(options: Options) -> ReferenceRide:
+def _ride(options: Options) -> _ReferenceRide:
     from wcsim.agents.export.export_folder import require_shown
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride
     from wcsim.agents.rounds.reference_ride import reference_ride
@@ -174,13 +174,13 @@ def _ride(options: Options) -> ReferenceRide:
     own = resolve(own, sensing(own, policy))
     if options.ride is None:
         config = resolve(own, delay)
-        return ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
+        return _ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
     header = header_of(options.ride)
     require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)
     config = resolve(own, delay or _delay(held.delay_ticks))
     by = "" if header.drive is None else header.drive.policy
-    return ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
+    return _ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
 
 
 def _delay(ticks: int | None) -> tuple[str, ...]:
