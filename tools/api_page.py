@@ -40,8 +40,16 @@ def page() -> str:
     parts = (
         ("`wcsim`: the environments", "See `docs/faces.md`.", _door(wcsim, wcsim.__all__)),
         ("Options of an environment", "The town, and the fields of `EnvOptions`.", _options()),
-        ("`wcsim.types`: observations, events and commands", "", _door(wcsim.types, _shown(wcsim.types))),
-        ("`wcsim.config`: settings", "See `docs/settings.md`.", _door(wcsim.config, _shown(wcsim.config))),
+        (
+            "`wcsim.types`: observations, events and commands",
+            "",
+            _door(wcsim.types, sorted(wcsim.types.__all__, key=str.lower)),
+        ),
+        (
+            "`wcsim.config`: settings",
+            "See `docs/settings.md`.",
+            _door(wcsim.config, sorted(wcsim.config.__all__, key=str.lower)),
+        ),
         ("`wcsim.agents.policy_api`: policies", "See `examples/own_policy.py`, `docs/suites.md`.", _policies()),
         ("A network", "See `examples/own_network.py` and the module's docstring.", _named(registry.register)),
         ("A reward term", "See `examples/own_reward.py`.", _with_methods(RewardTerm)),
@@ -63,12 +71,6 @@ def _door(module: ModuleType, names: Iterable[str]) -> Iterator[tuple[str, str]]
         what = "the version of wcsim" if name == "__version__" else _first_line(getattr(module, name))
         if what:
             yield name, what
-
-
-def _shown(module: ModuleType) -> list[str]:
-    """What a package hands out: what it imports under its own name."""
-    handed_out = re.findall(r"^from \S+ import (\w+) as \1$", inspect.getsource(module), re.MULTILINE)
-    return sorted(handed_out, key=str.lower)
 
 
 def _own(module: ModuleType) -> Iterator[tuple[str, str]]:

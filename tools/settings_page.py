@@ -77,6 +77,8 @@ def meanings(model: type[BaseModel]) -> dict[str, str]:
         for token in tokenize.generate_tokens(io.StringIO(source).readline)
         if token.type == tokenize.COMMENT and not token.string.startswith("# fmt")
     }
+    for base in model.__bases__:
+        found |= meanings(base) if issubclass(base, BaseModel) and base.model_fields else {}
     (told,) = ast.parse(source).body
     for node in getattr(told, "body", []):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):

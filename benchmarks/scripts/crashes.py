@@ -15,6 +15,7 @@ from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.cli.shared.common import (
     MAX_SEED,
+    Keys,
     OutFile,
     OutFolder,
     Repeated,
@@ -24,7 +25,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.shared.run_config import require_unset, require_user
+from wcsim.cli.shared.run_config import require_user
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import by_name, find_town
@@ -74,7 +75,7 @@ def run(options: CrashesOptions) -> int:
     in_bounds("--chairs", options.chairs, 1, MAX_CHAIRS)
     in_bounds("--steps", options.steps, options.chairs, MAX_STEPS)
     in_bounds("--seed", options.seed, 0, MAX_SEED)
-    require_unset(options.set, {"env.profile": "expected --profile NAME"})
+    Keys({"env.profile": "expected --profile NAME"}).check("--set", options.set)
     if options.out is not None:
         check_folder("--out", options.out / "x")
     names, config = _policies(options.policy), _config(options)

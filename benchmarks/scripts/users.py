@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
+from wcsim.cli.shared.common import Keys, OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.shared.run_config import require_unset
 from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.users.profiles import profile, profile_names
@@ -58,7 +57,7 @@ def run(options: UsersOptions) -> int:
     in_bounds("--routes", options.routes, 1, 1000)
     in_bounds("--crossings", options.crossings, 0, 1000)
     in_bounds("--seconds", options.seconds, 20.0, LONGEST_S)
-    require_unset(options.set, {"env.profile": "expected --profiles NAME,..."})
+    Keys({"env.profile": "expected --profiles NAME,..."}).check("--set", options.set)
     if options.pictures is not None:
         check_folder("--pictures", options.pictures)
     names = tuple(profile(name).name for name in some_words("--profiles", options.profiles))

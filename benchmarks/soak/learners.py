@@ -174,9 +174,9 @@ def _step(client: ClientState) -> int:
 
 
 def slowed(client: Client, times: int) -> Client:
-    """The same client with so many times the updates in a step."""
+    """The same client with batches so many times as large."""
     learn = client.config.learn
-    learn = learn.model_copy(update={"gradient_steps": times * learn.gradient_steps})
+    learn = learn.model_copy(update={"batch_size": times * learn.batch_size})
     return replace(client, config=client.config.model_copy(update={"learn": learn}))
 
 

@@ -52,4 +52,4 @@ def test_only_what_is_needed_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert [path.relative_to(tmp_path / "wcsim").as_posix() for path in found] == [
         "a.py", "b.py", "deep/late.py", "seeds.py", "t.py",
     ]  # fmt: skip
-    assert sources._libraries_of(found) == {"typing", "numpy"}
+    assert {name for path in found for name in sources._parsed(path)[1]} == {"typing", "numpy"}

@@ -64,9 +64,8 @@ def test_what_is_recorded_is_read(tmp_path):
     assert is_log(path)
 
 
-@pytest.mark.parametrize("substeps", ["contact_substeps", "substeps"])
-def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path, substeps):
-    steps = resolve("quick", ("world.tick_s=1.0", f"world.{substeps}=480")).world.finest_substeps
+def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path):
+    steps = resolve("quick", ("world.tick_s=1.0", "world.substeps=480")).world.finest_substeps
     sticks = np.linspace(-0.5, 0.5, 2 * steps).reshape(steps, 2)
     (kept,) = read_drive(write_drive(tmp_path / "a.drive", [tick(1, sticks=sticks)], tick_s=1.0)).ticks
     assert np.allclose(kept.sticks, sticks, atol=1e-7) and kept.sticks.shape == (480, 2)

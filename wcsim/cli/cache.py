@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-import tyro
-
-from wcsim.cli.shared.common import OutFile, parse, write_json
+from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.cache.folder import cache_facts, clear_cache
@@ -17,7 +14,7 @@ from wcsim.towns.cache.folder import cache_facts, clear_cache
 class Options:
     """Show the cache of streets, checked nets, machine code and generated places."""
 
-    clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    clear: Flag = False
     """Delete everything in it; what is needed is built again. Running worlds continue."""
     json: OutFile = None
     """Write the result to this file."""
@@ -36,11 +33,10 @@ def run(words: list[str]) -> int:
         print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
     else:
         print("clear it: wcsim cache --clear")
-    if options.json is not None:
-        result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
-        result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
-        result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
-        write_json(options.json, result)
+    result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
+    result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
+    result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
+    write_json(options.json, result)
     if options.clear and left.size_bytes:
         raise ConfigError(
             f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"

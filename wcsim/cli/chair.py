@@ -14,11 +14,11 @@ from rich.table import Column, Table
 from wcsim.chair_check.row import FASTEST_HZ, SLOWEST_HZ, Change, Row, Setup, changes
 from wcsim.cli.shared.common import (
     Bounds,
+    Keys,
     OutFile,
     OutFolder,
     Repeated,
     check_folder,
-    in_bounds,
     run_part,
     some_words,
     words_of,
@@ -26,11 +26,11 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
-from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 
 _WORKERS = 2
-_SECTIONS = ("chair.", "imu.")
+_HZ = Bounds(SLOWEST_HZ, FASTEST_HZ, 10)
+_SET = Keys({"chair.plant": "--plants names the plants"}, ("chair", "imu"))
 _MEANS = {
     "norm": "the chair does not meet a standard (EN 12184)",
     "file": "the file contradicts itself, or the simulation does not match it",
@@ -48,7 +48,7 @@ class ChairCheckOptions:
 
     plants: str = "rwd,mwd"
     """Chairs (plants) to test: names or paths of .toml files, separated by commas."""
-    hz: int = 120
+    hz: Annotated[int, _HZ] = 120
     """Rate of the physics, a multiple of 10."""
     rows: str = ""
     """Only rows whose names start with one of these words, separated by commas."""
@@ -58,7 +58,7 @@ class ChairCheckOptions:
     """Processes that share the work."""
     pictures: OutFolder = None
     """Draw each chair into this folder instead."""
-    set: Repeated = ()
+    set: Annotated[Repeated, _SET] = ()
     """A setting of [chair] or [imu], such as chair.v_max_mps=1.2."""
     json: OutFile = None
     """Write the result to this file."""
@@ -73,16 +73,9 @@ def _check(options: ChairCheckOptions) -> int:
     plants = some_words("--plants", options.plants)
     if options.pictures is not None:
         return _draw(plants, options.pictures)
-    _require_chairs(options.set)
     config = resolve(RunConfig(), options.set)
     setups = {plant: _setup(config, plant, options) for plant in plants}
     return _compare(setups, options) if options.compare_hz else _judge(setups, options)
-
-
-def _require_chairs(overrides: tuple[str, ...]) -> None:
-    for text in overrides:
-        if not text.strip().startswith(_SECTIONS) or text.partition("=")[0].strip() == "chair.plant":
-            raise ConfigError(f"--set {escaped(text)}: expected a key of [chair] or [imu]; --plants names the plants")
 
 
 def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:
@@ -90,7 +83,6 @@ def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:
     from wcsim.chair_check.table import too_fast  # loads the engine, which --help must not
 
     hz = _rates(options.compare_hz)[0] if options.compare_hz else options.hz
-    _check_hz("--hz", hz)
     setup = Setup(chair=config.chair.model_copy(update={"plant": plant}), imu=config.imu, hz=hz)
     fast = too_fast(setup, words_of(options.rows))
     if fast:
@@ -104,8 +96,7 @@ def _judge(setups: Mapping[str, Setup], options: ChairCheckOptions) -> int:
         stdout_console().print(_shown(plant, rows))
         for line in _remarks(rows):
             print(line)
-    if options.json is not None:
-        write_json(options.json, {"plants": {plant: {"rows": _plain(rows)} for plant, rows in found.items()}})
+    write_json(options.json, {"plants": {plant: {"rows": _plain(rows)} for plant, rows in found.items()}})
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
@@ -117,9 +108,8 @@ def _compare(setups: Mapping[str, Setup], options: ChairCheckOptions) -> int:
     }
     for plant, rows in found.items():
         stdout_console().print(_compared(plant, rates, rows))
-    if options.json is not None:
-        plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
-        write_json(options.json, {"hz": rates, "plants": plain})
+    plain = {plant: {"rows": [asdict(row) for row in rows]} for plant, rows in found.items()}
+    write_json(options.json, {"hz": rates, "plants": plain})
     return 0 if all(row.ok for rows in found.values() for row in rows) else 1
 
 
@@ -150,14 +140,8 @@ def _rates(text: str) -> list[int]:
     if len(set(rates)) < 2:
         raise ConfigError(f"--compare-hz {text!r}: expected at least two different rates")
     for rate in rates:
-        _check_hz("--compare-hz", rate)
+        _HZ.check("--compare-hz", rate)
     return rates
-
-
-def _check_hz(option: str, hz: int) -> None:
-    in_bounds(option, hz, SLOWEST_HZ, FASTEST_HZ)
-    if hz % 10:
-        raise ConfigError(f"{option} {hz}: expected a multiple of 10")
 
 
 def _plain(rows: Sequence[Row]) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from rich.text import Text
 
 from wcsim.cli.shared.common import OutFile, parse, write_json
 from wcsim.cli.shared.consoles import stdout_console
+from wcsim.core.files import can_be_written
 from wcsim.errors import WcsimError
 
 PACKAGES = (
@@ -43,7 +44,7 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class _Finding:
     """One line of the report."""
 
     check: str
@@ -54,7 +55,7 @@ class Finding:
 def run(words: list[str]) -> int:
     """Run the checks; exit code 2 when one fails."""
     options = parse(Options, words, "doctor")
-    checks: tuple[Callable[[], Finding], ...] = (
+    checks: tuple[Callable[[], _Finding], ...] = (
         _python,
         _versions,
         _sumo,
@@ -68,17 +69,16 @@ def run(words: list[str]) -> int:
     for item in findings:
         table.add_row(item.check, "ok" if item.ok else "FAILS", Text(item.says))
     stdout_console().print(table)
-    if options.json is not None:
-        write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
+    write_json(options.json, {item.check: {"ok": item.ok, "says": item.says} for item in findings})
     return 0 if all(item.ok for item in findings) else 2
 
 
-def _python() -> Finding:
+def _python() -> _Finding:
     right = sys.version_info[:2] == (3, 11) and sys.platform == "linux"
-    return Finding("python", right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11 on linux")
+    return _Finding("python", right, f"{sys.version.split()[0]} on {sys.platform}; needs 3.11 on linux")
 
 
-def _versions() -> Finding:
+def _versions() -> _Finding:
     found, missing = [], []
     for name in PACKAGES:
         try:
@@ -86,55 +86,52 @@ def _versions() -> Finding:
         except PackageNotFoundError:
             missing.append(name)
     says = ", ".join(found) + (f"; MISSING: {', '.join(missing)} (pip install)" if missing else "")
-    return Finding("packages", not missing, says)
+    return _Finding("packages", not missing, says)
 
 
-def _sumo() -> Finding:
+def _sumo() -> _Finding:
     from wcsim.towns.sumo.tools import run_tool
 
     try:
         done = run_tool("sumo", ["--version"], Path(tempfile.gettempdir()))
     except WcsimError as error:
-        return Finding("sumo", False, str(error))
-    return Finding("sumo", done.returncode == 0, done.output.strip().splitlines()[0])
+        return _Finding("sumo", False, str(error))
+    return _Finding("sumo", done.returncode == 0, done.output.strip().splitlines()[0])
 
 
-def _threads() -> Finding:
+def _threads() -> _Finding:
     cores = len(os.sched_getaffinity(0))
-    return Finding("threads", cores >= 2, f"{cores} cores usable; needs 2")
+    return _Finding("threads", cores >= 2, f"{cores} cores usable; needs 2")
 
 
-def _shared_memory() -> Finding:
+def _shared_memory() -> _Finding:
     folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else Path(tempfile.gettempdir())  # noqa: S108
     free = shutil.disk_usage(folder).free
     says = f"{free >> 20} MiB free in {folder}; needs 32 MiB"
     if free < _MIN_SHM_BYTES:
-        return Finding("shared memory", False, says)
+        return _Finding("shared memory", False, says)
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.truncate(_MIN_SHM_BYTES)
             with mmap.mmap(file.fileno(), _MIN_SHM_BYTES) as block:
                 block[-1] = 1
     except (OSError, ValueError) as error:
-        return Finding("shared memory", False, f"{says}; it cannot be used: {error}")
-    return Finding("shared memory", True, says)
+        return _Finding("shared memory", False, f"{says}; it cannot be used: {error}")
+    return _Finding("shared memory", True, says)
 
 
-def _cache() -> Finding:
+def _cache() -> _Finding:
     from wcsim.towns.cache.folder import cache_facts, shown_cache
 
     facts = cache_facts()
-    place = facts.folder
-    while not place.exists() and place != place.parent:
-        place = place.parent
     size_mb = facts.size_bytes / 1e6
     says = f"{facts.streets} streets, {size_mb:.0f} MB in {shown_cache()}; wcsim cache --clear empties it"
-    if not os.access(place, os.W_OK | os.X_OK):
+    if not can_be_written(facts.folder):
         says += "; it is read-only, so each world builds its street again"
-    return Finding("cache", True, says)
+    return _Finding("cache", True, says)
 
 
-def _ticks(town: str, seed: int) -> Finding:
+def _ticks(town: str, seed: int) -> _Finding:
     from wcsim.config import resolve
     from wcsim.towns.scenario.town import find_town
     from wcsim.types import SeatSpec
@@ -155,6 +152,6 @@ def _ticks(town: str, seed: int) -> Finding:
                 ticks += 1
             rate = ticks / (time.perf_counter() - ready)
             says = f"{rate:.0f} ticks/s in {town}, ready after {ready - started:.1f} s; real time is 10"
-            return Finding("tick rate", rate >= _REAL_TIME_TICKS_PER_S, says)
+            return _Finding("tick rate", rate >= _REAL_TIME_TICKS_PER_S, says)
     except WcsimError as error:
-        return Finding("tick rate", False, str(error))
+        return _Finding("tick rate", False, str(error))

@@ -16,7 +16,7 @@ from types import FrameType
 from wcsim.cli.shared.exit_codes import Exit, exit_of
 from wcsim.cli.shared.told_cause import require_letters, require_streams, told_cause
 from wcsim.core.reading import escaped
-from wcsim.errors import WcsimError, meant
+from wcsim.errors import ConfigError, WcsimError, meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,19 @@ SUBCOMMANDS = (
     Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),
     Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
+
+
+FORMER = {  # command and option of version 0.1, and what to type instead
+    "train --network": "wcsim train-q --network NAME",
+    "train --reward": "wcsim train-q --reward module:Class",
+    "train --resume": "wcsim resume RUN",
+    "replay --verify": "wcsim log verify LOG",
+    "replay --first-difference": "wcsim log compare LOG LOG",
+    "replay --mcap": "wcsim log convert LOG FILE.mcap",
+    "replay --fcd": "wcsim log convert LOG FILE.xml",
+    "bench chair": "wcsim chair check",
+    "bench ": "python -m benchmarks NAME, in a checkout",
+}
 
 
 class Terminated(KeyboardInterrupt):
@@ -107,6 +120,9 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
 
 
 def _run_command(words: list[str]) -> int:
+    for said in (f"{' '.join(words[:1])} {word.partition('=')[0]}" for word in (*words[1:], "")):
+        if said in FORMER:
+            raise ConfigError(f"wcsim {said.strip()} is of version 0.1; type instead: {FORMER[said]}")
     chosen = next((item for item in SUBCOMMANDS if words and item.name == words[0]), None)
     if chosen is None:
         return _no_subcommand(words)

@@ -50,6 +50,5 @@ def run(words: list[str]) -> int:
         f"{options.width}x{options.height} pixels, one core; fits: a decision takes at most {LIMIT_MS:g} ms less "
         f"{RESERVE_MS:g} ms, which a real chair needs to segment its pictures"
     )
-    if options.json is not None:
-        write_json(options.json, [{**asdict(cost), "within_100_ms": cost.within_100_ms} for cost in costs])
+    write_json(options.json, [{**asdict(cost), "within_100_ms": cost.within_100_ms} for cost in costs])
     return Exit.DONE

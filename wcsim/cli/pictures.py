@@ -8,9 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, Repeated, check_output, missing_folder, parse, result_file, tell_made
+from wcsim.cli.shared.common import (
+    Bounds,
+    Keys,
+    Repeated,
+    SomeTown,
+    Writes,
+    check_output,
+    missing_folder,
+    parse,
+    result_file,
+    tell_made,
+)
 from wcsim.cli.shared.named_policies import require_driver
-from wcsim.cli.shared.run_config import require_unset, require_user
+from wcsim.cli.shared.run_config import require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -19,15 +30,15 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.view.filming import Shot
 
 MIN_SECONDS, MAX_SECONDS = 0.1, 3600.0
-OF_VIDEO = {"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"}
+OF_VIDEO = Keys({"env.profile": "its user is competent; for another, use `wcsim video --profile NAME`"})
 _LOOK_PX = 640  # width of the camera's picture
 
 
 @dataclass
-class LookOptions:
+class _LookOptions:
     """Take pictures of a chair and from its camera, and film it; its user drives alone."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 4
     """Seed of the traffic and of the chair's start."""
@@ -35,14 +46,13 @@ class LookOptions:
     """Folder for TOWN-street.png, TOWN.png and TOWN.webm."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film. The pictures show its busiest moment in which the chair faces its route."""
-    set: Repeated = ()
+    set: Annotated[Repeated, OF_VIDEO] = ()
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def look(words: list[str]) -> int:
     """One drive: it is filmed, and its busiest moment is the picture."""
-    options = parse(LookOptions, words, "look")
-    require_unset(options.set, OF_VIDEO)
+    options = parse(_LookOptions, words, "look")
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
     check_output("--out", video)
@@ -71,34 +81,32 @@ def look(words: list[str]) -> int:
     with result_file(street) as part:
         write_png(part, seen)
     print(f"{street}: {place}, the chair from behind")
-    keep_shot(picture, busiest.shot, place)
+    _keep_shot(picture, busiest.shot, place)
     print(f"{video}: the chair's camera and a map, {options.seconds:g} s; a browser plays it")
     return 0
 
 
 @dataclass
-class SnapshotOptions:
+class _SnapshotOptions:
     """Take a picture from a chair's camera in a town: colours, classes and depth."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("snapshot.png")
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(".png")] = Path("snapshot.png")
     """The picture (PNG)."""
     width: int = 640
     """Width of each of the three images, in pixels."""
     seconds: Annotated[float, Bounds(0.0, MAX_SECONDS)] = 20.0
     """Time to drive; the picture shows the moment with most road users in view."""
-    set: Repeated = ()
+    set: Annotated[Repeated, OF_VIDEO] = ()
     """section.key=value, over the settings, such as chair.plant=mine.toml; may be given several times."""
 
 
 def snapshot(words: list[str]) -> int:
     """Take the picture at the moment when most actors are in view."""
-    options = parse(SnapshotOptions, words, "snapshot")
-    require_unset(options.set, OF_VIDEO)
-    check_output("--out", options.out, ".png")
+    options = parse(_SnapshotOptions, words, "snapshot")
     town = find_town(options.town)
 
     # Loads the simulators, which --help must not.
@@ -109,11 +117,11 @@ def snapshot(words: list[str]) -> int:
         for done in range(1, max(1, round(options.seconds / film.tick_s)) + 1):
             film.drive()
             busiest.look(done * film.tick_s)
-    keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
+    _keep_shot(options.out, busiest.shot, f"{options.town}, seed {options.seed}")
     return 0
 
 
-def keep_shot(out: Path, shot: Shot, place: str) -> None:
+def _keep_shot(out: Path, shot: Shot, place: str) -> None:
     """Write a moment as a picture, and say what it shows."""
     from wcsim.view.pictures import triptych, write_png
 
@@ -124,17 +132,17 @@ def keep_shot(out: Path, shot: Shot, place: str) -> None:
 
 
 @dataclass
-class VideoOptions:
+class _VideoOptions:
     """Film a chair, driven by its user alone or by a policy: its camera next to a map.
 
     With --policy the picture shows the user's stick, the driven one, and warnings.
     """
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")] = "helsinki"
+    town: SomeTown = "helsinki"
     """A town's name, its folder, or a .sumocfg file."""
     seed: int = 0
     """Seed of the traffic and of the chair's start."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("video.webm")
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(".webm")] = Path("video.webm")
     """The video (WebM)."""
     seconds: Annotated[float, Bounds(MIN_SECONDS, MAX_SECONDS)] = 10.0
     """Length of the film."""
@@ -148,15 +156,13 @@ class VideoOptions:
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user. (default: inattentive with --policy, competent without)"""
-    set: Repeated = ()
+    set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
     """section.key=value, over those of the policy, such as chair.plant=mine.toml; may be given several times."""
 
 
 def video(words: list[str]) -> int:
     """Film it."""
-    options = _with_user(parse(VideoOptions, words, "video"))
-    require_unset(options.set, {"env.profile": "expected --profile NAME"})
-    check_output("--out", options.out, ".webm")
+    options = _with_user(parse(_VideoOptions, words, "video"))
     if options.policy:
         require_driver(options.policy, options.network)
     elif options.network:
@@ -187,6 +193,6 @@ def video(words: list[str]) -> int:
     return 0
 
 
-def _with_user(options: VideoOptions) -> VideoOptions:
+def _with_user(options: _VideoOptions) -> _VideoOptions:
     """The options with who drives where nobody is named."""
     return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))

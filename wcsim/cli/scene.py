@@ -13,7 +13,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from wcsim.cli.shared.common import OutFile, Parts, check_output, run_part, write_json
+from wcsim.cli.shared.common import OutFile, Parts, Writes, run_part, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
@@ -35,7 +35,7 @@ class RunOptions:
     """Names or folders of scenes."""
     json: OutFile = None
     """Write the results to this file."""
-    film: OutFile = None
+    film: Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes(".webm")] = None
     """Write a video (WebM) of the scene to this file; one scene must be named."""
 
 
@@ -117,7 +117,6 @@ def _list(_: ListOptions) -> int:
 
 
 def _run(options: RunOptions) -> int:
-    check_output("--film", options.film, ".webm")
     if options.film is not None and len(options.scenes) != 1:
         raise ConfigError(f"--film takes one scene, got {len(options.scenes)}; name the scene to film")
     folders = _folders(options.scenes)
@@ -127,11 +126,10 @@ def _run(options: RunOptions) -> int:
         told = "; ".join(outcome.faults) or _words(outcome.facts)
         table.add_row(outcome.name, "FAILS" if outcome.faults else "ok", Text(told))
     stdout_console().print(table)
-    if options.json is not None:
-        write_json(
-            options.json,
-            {o.name: {"ok": not o.faults, "faults": list(o.faults), **asdict(o.facts)} for o in outcomes},
-        )
+    write_json(
+        options.json,
+        {o.name: {"ok": not o.faults, "faults": list(o.faults), **asdict(o.facts)} for o in outcomes},
+    )
     if options.film is not None:
         from wcsim.scenes.run import film_scene  # it takes seconds to load, and most runs need no film
 

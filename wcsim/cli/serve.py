@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFolder, Repeated, check_folder, in_bounds, parse, some_words
+from wcsim.cli.shared.common import Bounds, OutFolder, SettingsOptions, check_folder, in_bounds, parse, some_words
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
@@ -39,8 +39,8 @@ _TOLD_NAMES = 4
 _EVERYWHERE = ("0.0.0.0", "[::]", "*")  # noqa: S104 - what is compared with, not listened at
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(SettingsOptions):
     """Run a shared world until Ctrl-C; clients join it with `wcsim join`, on this machine or on others."""
 
     town: str = "helsinki"
@@ -49,12 +49,6 @@ class Options:
     """Number of wheelchairs, one for each client."""
     expected: int = 1
     """Number of clients that the first tick waits for."""
-    preset: str = "quick"
-    """Preset to start from: quick, laptop, best, dqn or paper."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
     hook: str = ""
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     listen: Annotated[str, tyro.conf.arg(metavar="tcp://HOST:PORT")] = ""
@@ -84,9 +78,7 @@ def run(words: list[str]) -> int:
     _check_doors(options)
     config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
-        check_folder("--run", options.run)
-        _require_ours(options.run)
-        _mend(options.run / JOURNAL)
+        _prepare(options.run)
     require_files(options.seats)
     town = find_town(options.town)
     validate_net(town.net)
@@ -161,16 +153,19 @@ def _check_doors(options: Options) -> None:
         )
 
 
-def _require_ours(folder: Path) -> None:
-    """Refuse a folder with other things in it."""
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not part_files(folder / JOURNAL))):
+def _prepare(folder: Path) -> None:
+    """Cut off what was torn in a world's journal when a process died, and say so.
+
+    Raises:
+        ConfigError: The folder cannot be used, or has other things in it.
+        JournalError: The journal is damaged elsewhere.
+    """
+    check_folder("--run", folder)
+    journal = folder / JOURNAL
+    if any(folder.glob("*")) and not part_files(journal):
         raise ConfigError(f"--run {folder} is not empty and has no journal; choose a new folder, or one with a world")
     if folder.exists():
         require_no_links(folder, ConfigError)
-
-
-def _mend(journal: Path) -> None:
-    """Cut off what was torn when a process died, and say so. Raises JournalError when it is damaged elsewhere."""
     if journal.is_file():
         with LogWriter.append_to(journal) as writer:
             if writer.cut_bytes:

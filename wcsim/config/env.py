@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -15,8 +15,8 @@ Form = Literal["compact", "compact_rgb", "table3"]
 LEAST_WINDOW = 1e-6  # from low to high; a share of nothing would be no number
 
 
-class RewardConfig(Model):
-    """Reward and crash limits (Tables 1 and 2 of the paper)."""
+class FollowReward(Model):
+    """The reward for following the user, and the penalty at the end of a window."""
 
     base: Finite = 1.0  # Reward of a step within max_follow_distance.
     max_follow_distance: JoystickDistance = (
@@ -24,6 +24,20 @@ class RewardConfig(Model):
     )
     max_distance: JoystickDistance = 2.0  # Joystick distance with the full penalty.
     penalty: NotNegative = 2.0  # Penalty at the upper end of each window.
+
+    @model_validator(mode="after")
+    def _distances_are_apart(self) -> Self:
+        if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
+            raise ValueError(
+                f"max_distance {self.max_distance} is not above max_follow_distance {self.max_follow_distance} by "
+                f"{LEAST_WINDOW}; expected low < high"
+            )
+        return self
+
+
+class RewardConfig(FollowReward):
+    """Reward and crash limits (Tables 1 and 2 of the paper)."""
+
     accel_window_mps2: tuple[Positive, Positive] = (20.0, 40.0)  # Acceleration per axis, from no penalty to a crash.
     roll_window_deg: tuple[Positive, Positive] = (5.0, 20.0)  # Roll angle, from no penalty to a crash.
     pitch_window_deg: tuple[Positive, Positive] = (20.0, 30.0)  # Pitch angle, from no penalty to a crash.
@@ -34,8 +48,8 @@ class RewardConfig(Model):
     @model_validator(mode="after")
     def _windows_are_open(self) -> RewardConfig:
         windows = (self.accel_window_mps2, self.roll_window_deg, self.pitch_window_deg)
-        if any(high - low < LEAST_WINDOW for low, high in (*windows, (self.max_follow_distance, self.max_distance))):
-            raise ValueError("a window or the pair max_follow_distance, max_distance is empty; expected low < high")
+        if any(high - low < LEAST_WINDOW for low, high in windows):
+            raise ValueError("a window is empty; expected low < high")
         return self
 
 

@@ -73,7 +73,7 @@ def resolve(base: str | RunConfig, *layers: Layer) -> RunConfig:
     own = [table for layer in layers for table in _tables(layer)]
     where, data = _preset(base) if isinstance(base, str) else ("configuration", _laid_under(base, own))
     for _, table in own:
-        data = _merged(data, _asked(table))
+        data = _merged(data, table)
     return parse(RunConfig, data, own[-1][0] if own else where)
 
 
@@ -148,17 +148,6 @@ def texts_of(override: str) -> tuple[str, ...]:
         elif isinstance(value, dict | list):
             waiting.extend(value.values() if isinstance(value, dict) else value)
     return tuple(found)
-
-
-def _asked(own: dict[str, Any]) -> dict[str, Any]:
-    """What a user set; a warm-up among it holds in towns that have one of their own, too.
-
-    A resolved configuration names every key, so that the user meant this one has to be said beside it.
-    """
-    world = own.get("world")
-    if not isinstance(world, dict) or "warmup_s" not in world:
-        return own
-    return {**own, "world": {"town_warmup": False, **world}}
 
 
 def _override(text: str) -> dict[str, Any]:

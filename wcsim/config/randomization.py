@@ -18,43 +18,32 @@ def _ordered(span: tuple[Number, Number]) -> tuple[Number, Number]:
     return span
 
 
+Range = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 Factor = Annotated[float, Field(ge=0.05, le=2.0)]
 Brightness = Annotated[float, Field(ge=0.1, le=4.0)]
 UserMass = Annotated[float, Field(ge=25.0, le=150.0)]
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 Turn = Annotated[float, Field(ge=-45.0, le=45.0)]
 Delay = Annotated[int, Field(ge=0, le=10)]
-Span = Annotated[tuple[Finite, Finite], AfterValidator(_ordered)]
+Span = Range[Finite]
 Reaction = Annotated[float, Field(ge=0.0, le=60.0)]
 Driver = Literal["car", "truck", "bus", "tram", "motorcycle", "bicycle", "scooter", "other"]
 Watcher = Literal[Driver, "pedestrian"]
 EVERYBODY = "all"  # who has no range of its own
-Shares = Annotated[
-    dict[Literal[Watcher, "all"], Annotated[tuple[Share, Share], AfterValidator(_ordered)]], Field(max_length=16)
-]
-Reactions = Annotated[
-    dict[Literal[Driver, "all"], Annotated[tuple[Reaction, Reaction], AfterValidator(_ordered)]], Field(max_length=16)
-]
+Shares = Annotated[dict[Literal[Watcher, "all"], Range[Share]], Field(max_length=16)]
+Reactions = Annotated[dict[Literal[Driver, "all"], Range[Reaction]], Field(max_length=16)]
 Spans = Annotated[dict[Word, Span], Field(max_length=64)]  # by dotted names
 
 
 class VaryConfig(Model):
     """Ranges [low, high] for domain randomisation, drawn for every episode and seat. "none" removes a range."""
 
-    light: Annotated[tuple[Brightness, Brightness], AfterValidator(_ordered)] | None = (
-        None  # Factor on the brightness of colour images.
-    )
-    friction: Annotated[tuple[Factor, Factor], AfterValidator(_ordered)] | None = (
-        None  # Factor on the friction of wheels and casters.
-    )
-    user_mass_kg: Annotated[tuple[UserMass, UserMass], AfterValidator(_ordered)] | None = None  # Mass of the user.
-    camera_shift_m: Annotated[tuple[Shift, Shift], AfterValidator(_ordered)] | None = (
-        None  # Shift of each camera along x, y and z.
-    )
-    camera_turn_deg: Annotated[tuple[Turn, Turn], AfterValidator(_ordered)] | None = (
-        None  # Rotation of each camera in yaw and pitch.
-    )
-    action_delay_ticks: Annotated[tuple[Delay, Delay], AfterValidator(_ordered)] | None = None  # Delay of actions.
+    light: Range[Brightness] | None = None  # Factor on the brightness of colour images.
+    friction: Range[Factor] | None = None  # Factor on the friction of wheels and casters.
+    user_mass_kg: Range[UserMass] | None = None  # Mass of the user.
+    camera_shift_m: Range[Shift] | None = None  # Shift of each camera along x, y and z.
+    camera_turn_deg: Range[Turn] | None = None  # Rotation of each camera in yaw and pitch.
+    action_delay_ticks: Range[Delay] | None = None  # Delay of actions.
     plant: Spans = Field(default_factory=dict)  # Any number of the plant's file, by dotted name.
     sensors: Annotated[Spans, Field(exclude_if=lambda spans: not spans)] = Field(
         default_factory=dict

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
-from wcsim.config import LEAST_WINDOW, MAX_SEEN_PX, CameraConfig, ChairConfig, JoystickDistance, Window
-from wcsim.config.base import Finite, Model, NotNegative, Positive, Share, Text, Word
-from wcsim.config.env import Form
+from wcsim.config import MAX_SEEN_PX, CameraConfig, ChairConfig, Window
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
+from wcsim.config.env import FollowReward, Form
 from wcsim.core.reading import MAX_INTEGER
 from wcsim.types import CLIENT_NAME
 
@@ -31,23 +31,10 @@ def _all_named(model: M) -> M:
     return model
 
 
-class FollowPrior(Model):
+class FollowPrior(FollowReward):
     """The reward for following the user, known for every action without learning (Tables 1 and 2 of the paper)."""
 
-    base: Finite = 1.0
-    max_follow_distance: JoystickDistance = 0.1768
-    max_distance: JoystickDistance = 2.0
-    penalty: NotNegative = 2.0
     reward_scale: Positive = 0.05
-
-    @model_validator(mode="after")
-    def _window_is_open(self) -> FollowPrior:
-        if self.max_distance - self.max_follow_distance < LEAST_WINDOW:
-            raise ValueError(
-                f"max_distance {self.max_distance} is not above max_follow_distance {self.max_follow_distance} by "
-                f"{LEAST_WINDOW}; expected low < high"
-            )
-        return self
 
 
 class NetSpec(Model):

@@ -34,7 +34,7 @@ class TownFile(Model):
         "sidewalk", "crossing", "shared",
     )  # fmt: skip
     warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = (
-        None  # Simulated before world.warmup_s, unless you set that key.
+        None  # Time that SUMO simulates before the first step, unless you set world.warmup_s.
     )
     sumocfg: Text = ""  # Path of the scenario, if it is not the only .sumocfg here.
     source: Text = ""  # Source of the map.

@@ -17,9 +17,6 @@ STREETS: dict[str, tuple[float, float] | None] = {"usual": None, "careless": (0.
 EPOCH_TICKS = 6_000
 """Ticks of an epoch: as many as a world does again from its journal within five minutes (docs/clients.md)."""
 
-EPOCH_GROWTH_MB = 1_000.0
-"""What a world's process may grow by in an epoch."""
-
 SUMO_STEP_S = 0.001
 """What SUMO counts time in; it rounds every other step to it."""
 
@@ -36,14 +33,10 @@ class WorldConfig(Model):
         0.1  # Length of a world step, in whole milliseconds. SUMO and each action take one step.
     )
     substeps: Annotated[int, Field(ge=1, le=480)] | None = (
-        None  # Physics steps per tick. Without a value: 120 per second.
+        None  # Physics steps per tick. Without a value: 120 per second, and 240 with a contact ahead.
     )
-    contact_substeps: Annotated[int, Field(ge=1, le=480)] | None = (
-        None  # Physics steps in a tick with a contact ahead. Without a value: 240 per second.
-    )
-    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 240.0  # Time that SUMO simulates before the first step.
-    town_warmup: Annotated[bool, Field(exclude_if=lambda on: on)] = (
-        True  # Whether the town's own `warmup_s` comes first. False if you set `warmup_s`.
+    warmup_s: Annotated[float, Field(ge=0.0, le=3600.0)] | None = (
+        None  # Time that SUMO simulates before the first step. Without a value: the town's own, or 240.
     )
     demand_scale: Annotated[float, Field(ge=0.0, le=10.0)] = 1.0  # Factor on the town's own traffic.
     mirror_radius_m: Annotated[float, Field(ge=5.0, le=300.0)] = (
@@ -66,19 +59,9 @@ class WorldConfig(Model):
     )  # Reaction time in seconds by class of road user.
     crossing_share: Share = 0.5  # Share of destinations chosen beyond a nearby crossing.
     button: bool = True  # Whether a chair that waits at a red crossing of its route requests green.
-    button_after_s: Annotated[float, Field(ge=0.0, le=600.0)] = 2.0  # Waiting time before it does.
     action_delay_ticks: Annotated[int, Field(ge=0, le=10)] = 0  # Delay from an action to the motion of the chair.
-    visible_px: Annotated[float, Field(ge=1.0, le=76800.0)] = (
-        16.0  # Pixels of 320x240 from which a road user counts as visible.
-    )
-    visible_s: Annotated[float, Field(ge=0.0, le=60.0)] = (
-        1.0  # Time for which a road user stays known after it was visible.
-    )
     epoch_ticks: Annotated[int | None, Field(ge=0, le=10**9, exclude_if=lambda ticks: ticks is None)] = (
         None  # Ticks after which a new world replaces a shared one. None: 10 episodes, at least 6,000. 0: never.
-    )
-    epoch_growth_mb: Annotated[float, Field(ge=10.0, le=10**6, exclude_if=lambda mb: mb == EPOCH_GROWTH_MB)] = (
-        EPOCH_GROWTH_MB  # Memory in MB by which the process of a shared world may grow before it is replaced.
     )
     help_s: Annotated[float, Field(ge=0.0, le=600.0, exclude_if=lambda seconds: seconds == HELP_S)] = (
         HELP_S  # Time for which a request for help raises the assistance. 0: never.
@@ -90,13 +73,12 @@ class WorldConfig(Model):
 
     @model_validator(mode="after")
     def _substep_is_sane(self) -> WorldConfig:
-        for name, substeps in (("substeps", self.usual_substeps), ("contact_substeps", self.finest_substeps)):
-            substep_s = self.tick_s / substeps
-            if not 1 / 1000 <= substep_s <= 1 / 100:
-                raise ValueError(
-                    f"tick_s {self.tick_s} / {name} {substeps} gives a physics step of {substep_s:.5f} s; "
-                    f"expected 0.001 to 0.01 s: change world.{name}"
-                )
+        substep_s = self.tick_s / self.usual_substeps
+        if not 1 / 1000 <= substep_s <= 1 / 100:
+            raise ValueError(
+                f"tick_s {self.tick_s} / substeps {self.usual_substeps} gives a physics step of {substep_s:.5f} s; "
+                "expected 0.001 to 0.01 s: change world.substeps"
+            )
         return self
 
     @model_validator(mode="after")
@@ -137,8 +119,7 @@ class WorldConfig(Model):
     @property
     def finest_substeps(self) -> int:
         """Steps in a tick in which a wheel is about to meet an edge; never fewer than in the others."""
-        fine = _steps(self.tick_s, _CONTACT_HZ) if self.contact_substeps is None else self.contact_substeps
-        return max(self.usual_substeps, fine)
+        return max(self.usual_substeps, _steps(self.tick_s, _CONTACT_HZ))
 
 
 def _is_whole(number: float) -> bool:

@@ -21,7 +21,7 @@ from typing import Any
 
 from filelock import FileLock
 
-from wcsim.core.reading import escaped, require_no_links
+from wcsim.core.reading import escaped, is_folder, require_no_links
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
@@ -250,12 +250,24 @@ def check_new_file(path: Path, option: str) -> Path:
     """The same path. Raises ConfigError when something is there already, or nothing can be written there."""
     if os.path.lexists(path):
         raise ConfigError(f"{option} {escaped(path)} exists; expected the name of a new file")
-    folder = next(each for each in path.absolute().parents if each.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+    folder = standing(path)
+    if not can_be_written(folder):
         raise ConfigError(
             f"{option} {escaped(path)}: {escaped(folder)} cannot be written to; choose another place with {option}"
         )
     return path
+
+
+def standing(path: Path) -> Path:
+    """The place itself, or where it is not there yet, the nearest one above that is."""
+    here = path.absolute()
+    return next(place for place in (here, *here.parents) if os.path.lexists(place))
+
+
+def can_be_written(folder: Path) -> bool:
+    """Whether a folder can be written to, or be made."""
+    place = standing(folder)
+    return is_folder(place) and os.access(place, os.W_OK | os.X_OK)
 
 
 def numbered_names(first: Path) -> Iterator[Path]:
@@ -288,7 +300,7 @@ def user_cache() -> Path:
     So a user without a home, as services and containers have them, builds a street once, and not in each process.
     """
     wanted = _wanted()
-    if wanted is not None and _can_be_written(wanted):
+    if wanted is not None and can_be_written(wanted):
         return wanted
     return _temporary() or wanted or Path(os.devnull) / "wcsim"  # the last two only say that nothing can be kept
 
@@ -306,14 +318,6 @@ def _wanted() -> Path | None:
     if base:
         return Path(base) / "wcsim"
     return None if own is None else own / ".cache" / "wcsim"
-
-
-def _can_be_written(folder: Path) -> bool:
-    """Whether it can, or can be made."""
-    place = folder.absolute()
-    while not os.path.lexists(place) and place != place.parent:
-        place = place.parent
-    return place.is_dir() and os.access(place, os.W_OK | os.X_OK)
 
 
 def _temporary() -> Path | None:

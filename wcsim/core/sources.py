@@ -60,11 +60,6 @@ def code_digest(root: Path = _ROOT / _NAME) -> str:
     return text.hexdigest()
 
 
-def _libraries_of(files: tuple[Path, ...]) -> frozenset[str]:
-    """Top-level names of all that these files import and that is not the package's own; the standard library too."""
-    return frozenset(name for path in files for name in _parsed(path)[1])
-
-
 def _file_of(module: str) -> Path | None:
     if module.partition(".")[0] != _NAME:
         return None

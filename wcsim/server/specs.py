@@ -75,7 +75,7 @@ class WorldSpec:
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
     recovery: Recovery = "new_epoch"
-    epoch_ticks: int = 0  # after which it ends, or by world.epoch_growth_mb; whoever starts it has to start it again
+    epoch_ticks: int = 0  # after which it ends, or by its growth; whoever starts it has to start it again
     begins: bool = False  # no world of this launch has been there yet, and its clients take their time to load
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too

@@ -37,7 +37,6 @@ def asked(moments, **world):
 def test_who_has_stood_at_a_red_light_for_some_time_asks_until_it_is_green():
     moments = [(t, AT_KERB_M, 0.0, RED) for t in (70.0, 71.0, 71.9, 72.0, 79.0)] + [(79.1, AT_KERB_M, 0.0, GREEN)]
     assert asked(moments) == [False, False, False, True, True, False]
-    assert asked(moments, button_after_s=0.0) == [True] * 5 + [False]
     assert asked(moments, button=False) == [False] * 6
 
 

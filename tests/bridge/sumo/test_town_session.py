@@ -29,12 +29,3 @@ def test_a_warm_up_that_somebody_sets_counts_and_else_the_towns(corner: Path, wa
         again = parse_json(RunConfig, config.model_dump_json(), "a run")  # as it goes to other processes
         assert warmup_s(warm, config) == warmup_s(warm, again) == 10.0
         assert warmup_s(warm, resolve(again, ("env.profile=competent",))) == 10.0
-    assert warmup_s(warm, resolve("quick", (ASKED, "world.town_warmup=true"))) == 30.0
-
-
-def test_configurations_of_runs_that_are_there_mean_what_they_meant(warm: Town) -> None:
-    plain, asked = resolve("quick"), resolve("quick", (ASKED,))
-    assert "town_warmup" not in plain.model_dump_json() and "town_warmup" in asked.model_dump_json()
-    told = asked.model_dump_json().replace('"town_warmup":false,', "")  # as it was written before
-    before = parse_json(RunConfig, told, "an old run")
-    assert before.model_dump_json() == told and warmup_s(warm, before) == 30.0

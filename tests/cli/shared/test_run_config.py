@@ -14,13 +14,17 @@ from wcsim.cli.shared.run_config import (
     require_head,
     resolve_run,
 )
-from wcsim.cli.training.train_q import Options, q_config
+from wcsim.cli.training.train_q import Options, q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
 
 INFO = RunInfo(seed=3, command=("wcsim", "train"))
+
+
+def q_config(asked, *more):
+    return resolve(asked.preset, *q_layers(asked, *more))
 
 
 def test_what_is_laid_over_what(tmp_path):
@@ -62,7 +66,7 @@ def test_what_cannot_be_used_is_refused_before_torch_is_loaded(corner, tmp_path)
             resolve_run(config, info, town, out)
     code = (
         "import sys; from wcsim.cli.training.train_q import *\n"
-        "q_config(Options(), 'fig6'); print('torch' in sys.modules)"
+        "q_layers(Options(), 'fig6'); print('torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

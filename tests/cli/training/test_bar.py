@@ -7,7 +7,8 @@ import errno
 import pytest
 
 from wcsim.agents.learning.callbacks import TrainProgress
-from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
+from wcsim.cli.shared.stage_bar import StageBar
+from wcsim.cli.training.bar import gone_if_nothing_came_of_it, steps_shown
 from wcsim.errors import ConfigError, DiskFullError, WorkersError
 
 CURED = [DiskFullError("x: no room"), OSError(errno.ENOSPC, "No space left on device"), WorkersError("head is dead")]
@@ -38,6 +39,6 @@ def test_work_stays_whatever_has_ended_it(tmp_path, kept):
 
 
 def test_no_more_steps_are_told_than_there_are_to_do(capsys):
-    with TrainBar(50) as bar:
-        bar.show(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
+    with StageBar("loading the town") as bar:
+        steps_shown(bar)(TrainProgress(step=52, total_steps=50, phase=2, episodes=1, crashes=0, kpi1=None))
     assert capsys.readouterr().err == "phase 2: 50/50 steps, 1 episode, 0 crashes\n"

@@ -27,7 +27,7 @@ from wcsim.cli.shared.run_config import how_it_learns, learning
 from wcsim.cli.training.clients import ALL_DONE, GroupOptions, _told_stop, train_clients
 from wcsim.cli.training.train_clients import Options, client_names, resolved
 from wcsim.cli.training.train_q import Options as QOptions
-from wcsim.cli.training.train_q import q_config
+from wcsim.cli.training.train_q import q_layers
 from wcsim.config import resolve
 from wcsim.errors import ConfigError, InterruptedRunError, PolicyError
 from wcsim.log.reader import iter_inputs, read_header
@@ -42,6 +42,10 @@ SMALL = (
     *("--set", "world.warmup_s=0", "--set", "cameras.0.width_px=40", "--set", "cameras.0.height_px=36"),
     *("--set", "learn.batch_size=4", "--set", "learn.learning_starts=8", "--set", "learn.episode_steps=15"),
 )
+
+
+def q_config(asked, *more):
+    return resolve(asked.preset, *q_layers(asked, *more))
 
 
 def start(folder, *words, program="wcsim"):

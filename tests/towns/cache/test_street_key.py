@@ -71,7 +71,8 @@ def test_a_file_in_a_folder_below_counts_from_the_import_on(copy: Path, corner_t
 
 
 def test_the_versions_of_all_its_libraries_count(corner_town: Town, monkeypatch: pytest.MonkeyPatch) -> None:
-    used = sources._libraries_of(sources.sources_of(build_street.__name__)) - sys.stdlib_module_names
+    files = sources.sources_of(build_street.__name__)
+    used = {name for path in files for name in sources._parsed(path)[1]} - sys.stdlib_module_names
     assert used == set(street.LIBRARIES)
     key, known = street._street_key(corner_town), {name: version(name) for name in street.LIBRARIES.values()}
     for library in known:

@@ -58,7 +58,7 @@ def test_a_scene_has_settings_of_its_own() -> None:
     base = RunConfig()
     world = scene_config(scene_with(goal_m=(20.0, -3.0)), base).world
     assert (world.attention_share, world.warmup_s) == (0.25, 2.0)
-    assert world.model_copy(update={"attention_share": 0.95, "warmup_s": 240.0}) == base.world
+    assert world.model_copy(update={"attention_share": 0.95, "warmup_s": None}) == base.world
 
 
 def test_who_looks_in_a_scene_is_not_drawn() -> None:

@@ -134,7 +134,6 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         tau=learn.tau,
         gamma=learn.gamma,
         train_freq=learn.train_every,
-        gradient_steps=learn.gradient_steps,
         max_grad_norm=LARGEST_GRADIENT,
         replay_buffer_kwargs={"settings": learn, "seed": seed},
         policy_kwargs={"spec": _net_spec(config)},

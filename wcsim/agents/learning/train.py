@@ -38,6 +38,8 @@ from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
 from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
 
+WEIGHTS_EVERY_S, REPLAY_EVERY_S = 60.0, 900.0  # between checkpoints; those of weights take the newest replay along
+
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 Progress = Callable[[TrainProgress], None]
 PROGRESS_EVERY = 50  # steps
@@ -166,14 +168,14 @@ class _Session:
         self.alarmed = before.q_alarm
         self.unsaved = ""  # why the last checkpoint could not be written
         if before.owes_updates:
-            model.owe_updates(self.learn_config.gradient_steps)
+            model.owe_updates(1)
         self.callbacks: list[BaseCallback] = [
             self.episodes,
             self.switch,
             EventWatch(self.run.event),
             Every(self.learn_config.checkpoint_every, self._checkpoint),
-            EverySeconds(self.learn_config.replay_every_s, self._checkpoint),
-            EverySeconds(self.learn_config.weights_every_s, partial(self._checkpoint, replay=False)),
+            EverySeconds(REPLAY_EVERY_S, self._checkpoint),
+            EverySeconds(WEIGHTS_EVERY_S, partial(self._checkpoint, replay=False)),
             Every(progress_every, self._report),
             StopWhenAsked(request),
         ]

@@ -135,6 +135,7 @@ def _from(share: float, last: bool) -> float:
 
 
 STANDS_MPS = 0.1
+_PRESS_AFTER_S = 2.0  # of standing at red
 _BEFORE_M = 1.0  # of the footplate, before where the way comes near to the road
 _BEYOND_M = 1.9  # and beyond the crossing's beginning: who rolled over the line at red waits there
 
@@ -152,7 +153,7 @@ class CrossingButton:
     """The buttons on one route, and the one that its chair has pressed; needs every tick."""
 
     def __init__(self, route: Route, street: Street, half_length_m: float, world: WorldConfig) -> None:
-        """`half_length_m` is the chair's; `world` says whether it presses, and after how long."""
+        """`half_length_m` is the chair's; `world` says whether it presses."""
         path = Path(route)
         self._items = tuple(
             _Reach(
@@ -163,7 +164,6 @@ class CrossingButton:
             for item in crossings(route, street.walk)
             if world.button and item.tls_id
         )
-        self._after_s = world.button_after_s
         self._at: Crossing | None = None
         self._since_s = 0.0
         self._pressed = False
@@ -187,5 +187,5 @@ class CrossingButton:
         if not self._pressed and abs(speed_mps) > STANDS_MPS:
             self._since_s = time_s
         # Times are sums of ticks: without the hair rounding could put the press off by a tick.
-        self._pressed = self._pressed or time_s - self._since_s >= self._after_s - 1e-6
+        self._pressed = self._pressed or time_s - self._since_s >= _PRESS_AFTER_S - 1e-6
         return GreenRequest(tls_id=here.tls_id, links=here.tls_links) if self._pressed else None

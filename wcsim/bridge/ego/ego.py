@@ -63,9 +63,8 @@ class ShownActors:
     """The actors that the cameras of one seat have shown, each with the tick in which they last did so."""
 
     def __init__(self, world: WorldConfig) -> None:
-        """`world` says how many pixels make an actor visible, and for how long it is remembered."""
-        self._least_px = world.visible_px
-        self._ticks = round(world.visible_s / world.tick_s)
+        """`world` says how long a tick is."""
+        self._ticks = round(_REMEMBERED_S / world.tick_s)
         self._last: dict[str, int] = {}
 
     def forget(self) -> None:
@@ -74,7 +73,7 @@ class ShownActors:
 
     def see(self, tick: int, shown_px: Mapping[str, float]) -> None:
         """Take what the cameras show in this tick: pixels by actor, as in a picture of 320x240."""
-        seen = {name: tick for name, pixels in shown_px.items() if pixels >= self._least_px}
+        seen = {name: tick for name, pixels in shown_px.items() if pixels >= _VISIBLE_PX}
         kept = {name: last for name, last in self._last.items() if tick - last <= self._ticks}
         # What is seen now comes last, as it replaces an older tick.
         self._last = {**kept, **seen}
@@ -88,6 +87,8 @@ GOAL_RANGE_M = (60.0, 400.0)
 SPAWN_TRIES = 400
 CLEAR_SPAWN_M = 2.0  # kept free around a chair when it appears
 _LONGEST_ID = 60
+_VISIBLE_PX = 16.0  # of 320x240, from which an actor counts as shown
+_REMEMBERED_S = 1.0  # since it was shown
 
 XY = tuple[float, float]
 

@@ -43,6 +43,7 @@ except ImportError as error:
     raise SumoError(f"libsumo cannot be loaded: {cure}") from error
 
 log = logging.getLogger("wcsim.bridge.sumo.session")
+_WARMUP_S = 240.0  # where neither the settings nor the town say it
 
 
 def world_in_this_process() -> bool:
@@ -262,8 +263,8 @@ def open_session(
 
 def warmup_s(town: Town, config: RunConfig) -> float:
     """How long the traffic runs before a world begins: as the user set it, as the town says, or as usual."""
-    own_s = town.file.warmup_s if config.world.town_warmup else None
-    return config.world.warmup_s if own_s is None else own_s
+    asked_s, own_s = config.world.warmup_s, town.file.warmup_s
+    return asked_s if asked_s is not None else _WARMUP_S if own_s is None else own_s
 
 
 def warm_up(sumo: SumoSession, for_s: float, tick_s: float) -> None:

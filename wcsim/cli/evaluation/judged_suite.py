@@ -10,27 +10,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from rich.console import Console
 
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.cli.evaluation.play import play_episode
 from wcsim.cli.evaluation.result_tables import show_result, show_sensitivity
 from wcsim.cli.shared.common import (
+    Bounds,
+    Cluster,
+    Flag,
+    Jobs,
+    Keys,
     OutFile,
     OutFolder,
     Repeated,
     check_folder,
-    in_bounds,
     json_text,
     machines_of,
     parse,
     result_file,
     said_of,
+    says,
     write_json,
 )
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_unset
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, InterruptedRunError
@@ -53,100 +56,111 @@ _LISTED = {
 
 
 @dataclass
-class DriveOptions:
+class _DriveOptions:
     """What drives a list, whether it comes with wcsim, lies in a file or is drawn for a town."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[POLICY ...]")] = ()
     """Runs (RUN, RUN:phase1), policy folders, module:Class, or baselines. All baselines are added unless --only."""
-    jobs: int = 1
+    jobs: Jobs = 1
     """Parallel processes; the result is the same for any number."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster whose nodes drive, or `local`; the result is the same (docs/cluster.md)."""
     out: OutFolder = None
     """Folder for the result and for finished blocks. (default: runs/suite-SET; none with --town)"""
     resume: bool = False
     """Continue in a folder that holds finished blocks of this test."""
-    only: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Drive only these policies and the user alone, no other baselines."""
-    forks: int | None = None
-    """Episodes whose interventions are judged: the user drives on alone in a copy.
-    (default: as in the list; 0 with --town)"""
     preset: str = "quick"
     """Settings of policies that have none. Its rules for street, chair and crashes apply to all policies."""
     set: Repeated = ()
     """section.key=value, over the settings of the list; the result names it."""
     network: str = ""
     """Your own network as module:Class, for runs that were trained with it."""
+
+
+@dataclass
+class JudgeOptions(_DriveOptions):
+    """Who is judged on a list, and how."""
+
+    only: Flag = False
+    """Drive only these policies and the user alone, no other baselines."""
+    forks: Annotated[int | None, Bounds(0, 1_000_000)] = None
+    """Episodes whose interventions are judged: the user drives on alone in a copy.
+    (default: as in the list; 0 with --town)"""
     json: OutFile = None
     """Also write the result to this file."""
 
 
 @dataclass
-class SuiteOptions(DriveOptions):
-    """Test policies on a fixed list of routes, crossings, hazards and tight places."""
+class _OfSuite(_DriveOptions):
+    """A fixed list."""
 
+    set: Annotated[Repeated, Keys(_LISTED)] = ()
+    """section.key=value, over the settings of the list; the result names it."""
     suite: str = ""
     """The list: one that comes with wcsim (dev, validation, v1), or a file of --make-suite."""
+
+
+@dataclass
+class _SuiteOptions(_OfSuite, JudgeOptions):
+    """Test policies on a fixed list of routes, crossings, hazards and tight places.
+
+    With `--sensitivity` they drive it without disturbances, and with each alone: which changes the score?
+    With `--play BLOCK.SEAT` one policy drives that episode again.
+    """
+
     clean: bool = False
     """Turn off camera noise and delay; IMU and odometry keep their errors."""
-    sensitivity: bool = False
-    """Drive these policies and the user alone without disturbances, and with each alone: which changes the score?"""
+
+
+@dataclass
+class _SensitivityOptions(_OfSuite):
+    """Drive a list with these policies and the user alone without disturbances, and with each alone."""
+
+    sensitivity: Flag = False
+    """Which disturbance changes the score?"""
+    json: OutFile = None
+    """Also write the rows to this file."""
+
+
+@dataclass
+class _PlayedEpisodeOptions(_OfSuite):
+    """Drive an episode of one policy again, film its last 10 s into --out, and print what happened."""
+
     play: Annotated[str, tyro.conf.arg(metavar="BLOCK.SEAT")] = ""
-    """Drive this episode of one policy again, film its last 10 s into --out, and print what happened."""
+    """The episode."""
+    clean: bool = False
+    """Turn off camera noise and delay; IMU and odometry keep their errors."""
 
 
 def run_suites(words: list[str]) -> int:
     """Judge policies on a list; tables for each part and for all."""
-    options = parse(SuiteOptions, words, "test")
-    check_options(options)
-    require_unset(options.set, _LISTED)
-    _require_heard(options)
+    if says(words, "--play"):
+        play = parse(_PlayedEpisodeOptions, words, "test")
+        return play_episode(_suite_order(play, clean=play.clean), play.policies, play.play)
+    if says(words, "--sensitivity"):
+        return _disturb(parse(_SensitivityOptions, words, "test"))
+    options = parse(_SuiteOptions, words, "test")
+    return judge(_suite_order(options, options.forks, clean=options.clean), options, options.suite)
+
+
+def _suite_order(options: _OfSuite, forks: int | None = None, *, clean: bool = False) -> SuiteOrder:
     from wcsim.agents.evaluation.suite.list_file import open_suite
     from wcsim.agents.evaluation.suite.sensitivity import CLEAN
 
     suite = open_suite(options.suite)
     out = options.out or Path("runs") / f"suite-{suite.file.set}"
     check_folder("--out", out / "x")
-    order = order_of(options, suite, out)
-    if options.clean and not options.sensitivity:  # that is clean anyway
-        order = replace(order, settings=(*CLEAN, *order.settings))
-    if options.play:
-        return play_episode(order, options.policies, options.play)
-    if not options.sensitivity:
-        return judge(order, options, options.suite)
-    _require_new(order, options)
-    require_usable(order, options)
-    file = order.suite.file
-    with _stopped(order, options):
-        return _disturb(order, options, f"{file.suite} {file.set}")
+    order = order_of(options, suite, out, forks)
+    return replace(order, settings=(*CLEAN, *order.settings)) if clean else order
 
 
-def check_options(options: DriveOptions) -> None:
-    """Raise ConfigError for what cannot be driven, before anything is loaded for it."""
-    machines_of(options.cluster, options.jobs, "--jobs")
-    in_bounds("--forks", 0 if options.forks is None else options.forks, 0, 1_000_000)
-
-
-def _require_heard(options: SuiteOptions) -> None:
-    """Refuse options that would not be heard of beside others. Raises ConfigError."""
-    asked = {"--forks": options.forks is not None, "--sensitivity": options.sensitivity, "--json": bool(options.json)}
-    deaf = (("--play", bool(options.play), tuple(asked)), ("--sensitivity", options.sensitivity, ("--forks",)))
-    for option, is_asked, others in deaf:
-        found = ", ".join(other for other in others if asked[other])
-        if is_asked and found:
-            raise ConfigError(f"{option} ignores {found}; use one without the other")
-
-
-def _require_new(order: SuiteOrder, options: DriveOptions) -> None:
+def require_usable(order: SuiteOrder, options: _DriveOptions) -> None:
+    """Say what is to be driven; what can be used in no episode is refused before any. Raises WcsimError."""
     if (order.out / "kept").exists() and not options.resume:
         raise ConfigError(
             f"--out {order.out}: it holds blocks of an earlier test; continue them with --resume, or choose another "
             "folder"
         )
-
-
-def require_usable(order: SuiteOrder, options: DriveOptions) -> None:
-    """Say what is to be driven; what can be used in no episode is refused before any. Raises WcsimError."""
     from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import require_usable as require_open
 
@@ -159,19 +173,19 @@ def require_usable(order: SuiteOrder, options: DriveOptions) -> None:
 
 
 @contextmanager
-def _stopped(order: SuiteOrder, options: DriveOptions) -> Iterator[None]:
+def _stopped(order: SuiteOrder, options: _DriveOptions) -> Iterator[None]:
     """Say of a test that Ctrl-C ends how it goes on, where something of it is kept."""
     before = set() if options.resume else set(order.out.rglob(_KEPT))  # of another test in the same folder
     try:
         yield
     except KeyboardInterrupt:
-        if not set(order.out.rglob(_KEPT)) - before or (options.out is None and not isinstance(options, SuiteOptions)):
+        if not set(order.out.rglob(_KEPT)) - before or (options.out is None and not isinstance(options, _OfSuite)):
             raise
         told = f"stopped; finished blocks are saved in {order.out}; continue with --resume"
         raise InterruptedRunError(told) from None
 
 
-def judge(order: SuiteOrder, options: DriveOptions, name: str) -> int:
+def judge(order: SuiteOrder, options: JudgeOptions, name: str) -> int:
     """Drive a list with the user alone, the policies and, unless `--only`, all baselines; print what came of it.
 
     Args:
@@ -185,16 +199,14 @@ def judge(order: SuiteOrder, options: DriveOptions, name: str) -> int:
 
     without = [line for policy, found in result.episodes.items() for line in undriven(policy, found)]
     show_result(stdout_console(), result, without, verdict(result))
-    if options.json is not None:
-        write_json(options.json, result.to_json())
+    write_json(options.json, result.to_json())
     return _exit_of(result.pooled)
 
 
-def drive_list(order: SuiteOrder, options: DriveOptions, name: str) -> TestResult:
+def drive_list(order: SuiteOrder, options: JudgeOptions, name: str) -> TestResult:
     """The result of a list that `judge` drives; it is written into its folder."""
     from wcsim.agents.evaluation.suite.run import run_suite
 
-    _require_new(order, options)
     require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies, *(() if options.only else _OTHERS))))
     done = 0
@@ -210,18 +222,20 @@ def drive_list(order: SuiteOrder, options: DriveOptions, name: str) -> TestResul
         return keep_result(order, name, run_suite(order, policies, tell))
 
 
-def _disturb(order: SuiteOrder, options: DriveOptions, title: str) -> int:
+def _disturb(options: _SensitivityOptions) -> int:
     """Drive the list with each disturbance alone; how the command ends."""
     from wcsim.agents.evaluation.suite.sensitivity import sensitivity
 
-    told = stderr_console()
+    order = _suite_order(options)
+    file = order.suite.file
+    require_usable(order, options)
     policies = tuple(dict.fromkeys((UNAIDED, *options.policies)))
-    moved = sensitivity(order, policies, lambda text: told.print(text, style="dim", markup=False))
+    with _stopped(order, options):
+        moved = sensitivity(order, policies, say)
     rows = [each.to_json() for each in moved]
     write_json(order.out / "sensitivity.json", rows)
-    show_sensitivity(stdout_console(), title, moved)
-    if options.json is not None:
-        write_json(options.json, {"suite": order.suite.file.suite, "set": order.suite.file.set, "rows": rows})
+    show_sensitivity(stdout_console(), f"{file.suite} {file.set}", moved)
+    write_json(options.json, {"suite": file.suite, "set": file.set, "rows": rows})
     return _exit_of([each.row for each in moved])
 
 
@@ -232,7 +246,7 @@ def _exit_of(rows: Iterable[ResultRow]) -> Exit:
     return Exit.FAILED if any(undone(row) == row.episodes > 0 for row in rows) else Exit.DONE
 
 
-def _look(options: DriveOptions, told: Console) -> Callable[[tuple[WorkerNow, ...]], object]:
+def _look(options: _DriveOptions) -> Callable[[tuple[WorkerNow, ...]], object]:
     """Says now and then who drives what, where that is another machine."""
     said_s = time.monotonic()
 
@@ -240,27 +254,26 @@ def _look(options: DriveOptions, told: Console) -> Callable[[tuple[WorkerNow, ..
         nonlocal said_s
         if options.cluster and time.monotonic() - said_s > _TOLD_EVERY_S:
             said_s = time.monotonic()
-            told.print(said_of(workers), markup=False, style="dim")
+            say(said_of(workers))
 
     return look
 
 
-def order_of(options: DriveOptions, suite: Suite, out: Path) -> SuiteOrder:
+def order_of(options: _DriveOptions, suite: Suite, out: Path, forks: int | None = None) -> SuiteOrder:
     """How these options drive a list into a folder."""
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
-    told = stderr_console()
     machines = machines_of(options.cluster, options.jobs, "--jobs")
     return SuiteOrder(
         suite=suite,
         out=out,
         jobs=options.jobs,
-        machines=replace(machines, say=lambda text: told.print(text, markup=False, style="dim")),
-        look=_look(options, told),
+        machines=replace(machines, say=say),
+        look=_look(options),
         preset=options.preset,
         settings=options.set,
         network=options.network,
-        forks=suite.file.forks if options.forks is None else options.forks,
+        forks=suite.file.forks if forks is None else forks,
     )
 
 

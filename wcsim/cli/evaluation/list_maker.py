@@ -11,24 +11,41 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import MOST_JOBS, Bounds, check_output, parse
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.common import Bounds, Jobs, OptionNote, Writes, parse
+from wcsim.cli.shared.consoles import say, stdout_console
 from wcsim.cli.shared.stage_bar import told_left
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 
 
+@dataclass(frozen=True, slots=True)
+class _Named(OptionNote):
+    """A name that a list can have, of so many characters at most."""
+
+    most: int
+
+    def check(self, option: str, value: str) -> None:
+        """See `OptionNote`."""
+        if re.fullmatch(name_pattern(self.most), value):
+            return
+        proposed = re.sub(r"[^a-z0-9]+", "-", value.lower()).strip("-")[: self.most]
+        raise ConfigError(
+            f"{option}: got the name {escaped(value, 80)!r}; expected at most {self.most} lower-case letters, digits "
+            "and -" + f", such as {proposed}" * bool(proposed)
+        )
+
+
 @dataclass
-class SuiteMakeOptions:
+class _SuiteMakeOptions:
     """Make a list of test episodes for your own towns."""
 
     make_suite: str
     """A town's name, its folder, or a .sumocfg file; several are separated by commas.
     made:SEED is a generated town (`wcsim town make`)."""
-    suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("suite.json")
+    suite_file: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes()] = Path("suite.json")
     """The list to write. Its set is named after the file: lower-case letters, digits and - only."""
-    name: str = "own-suite-v1"
+    name: Annotated[str, _Named(MOST_NAME)] = "own-suite-v1"
     """Name of the list, with its version."""
     free: Annotated[int, Bounds(1, 10_000)] = 8
     """Blocks of free routes for each town, six routes each."""
@@ -44,7 +61,7 @@ class SuiteMakeOptions:
     """Their first seed."""
     forks: Annotated[int, Bounds(0, 1_000_000)] = 1_000_000
     """Episodes of the list whose interventions are judged, evenly spread."""
-    jobs: Annotated[int, Bounds(1, MOST_JOBS)] = 1
+    jobs: Jobs = 1
     """Parallel processes."""
     seed: int = 0
     """Seed of the list."""
@@ -52,17 +69,14 @@ class SuiteMakeOptions:
 
 def make_list(words: list[str]) -> int:
     """Make a list and write it."""
-    options = parse(SuiteMakeOptions, words, "test")
-    check_output("--suite-file", options.suite_file)
-    _require_name("--name", options.name, MOST_NAME)
-    _require_name("--suite-file", options.suite_file.stem, MOST_SET)
+    options = parse(_SuiteMakeOptions, words, "test")
+    _Named(MOST_SET).check("--suite-file", options.suite_file.stem)
     import tempfile
 
     from wcsim.agents.evaluation.suite.list_file import asked_towns, suite_of, write_list
     from wcsim.agents.evaluation.suite.make import MakeOrder, make_suite
     from wcsim.agents.evaluation.suite.result_files import TOWNS
 
-    told = stderr_console()
     with tempfile.TemporaryDirectory(prefix="wcsim-suite-") as work:
         order = MakeOrder(
             suite=options.name,
@@ -78,23 +92,12 @@ def make_list(words: list[str]) -> int:
             work=Path(work),
         )
         towns = asked_towns(options.make_suite, order.work / TOWNS)
-        file = make_suite(order, towns, PartTimes(lambda line: told.print(line, style="dim", markup=False)).say)
+        file = make_suite(order, towns, PartTimes(say).say)
     write_list(file, options.suite_file)
     suite, many = suite_of(file), len(file.blocks)
     counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
     stdout_console().print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
     return 0
-
-
-def _require_name(option: str, name: str, most: int) -> None:
-    """Refuse a name that no list can have, before anything is drawn. Raises ConfigError."""
-    if re.fullmatch(name_pattern(most), name):
-        return
-    proposed = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:most]
-    raise ConfigError(
-        f"{option}: got the name {escaped(name, 80)!r}; expected at most {most} lower-case letters, digits and -"
-        + f", such as {proposed}" * bool(proposed)
-    )
 
 
 class PartTimes:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import MOST_JOBS, Bounds, OutFolder, Repeated, check_folder, parse
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.common import Bounds, Jobs, OutFolder, Repeated, check_folder, parse
+from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
 from wcsim.core.reading import counted, escaped, is_file, is_folder
 from wcsim.errors import ConfigError, FileError, check_installed
 
@@ -35,7 +35,7 @@ class Options:
     """Failures with pictures, the worst of each policy. Each is driven again, which takes up to a minute."""
     own: Repeated = ()
     """module:Class: a policy or network of your own in this test; its code may run for pictures."""
-    jobs: Annotated[int, Bounds(1, MOST_JOBS)] = 1
+    jobs: Jobs = 1
     """Parallel processes that drive them."""
 
 
@@ -102,11 +102,10 @@ def _pictures(options: Options, result: TestResult, failures: tuple[FailedEpisod
     wanted = chosen(failures, options.pictures)
     if not wanted:
         return {}
-    told = stderr_console()
     return illustrated(
         order_of(result, options.folders[0], options.own),
         wanted,
         options.own,
         options.jobs,
-        lambda done, of: told.print(f"pictures: {done} of {of} blocks", style="dim"),
+        lambda done, of: say(f"pictures: {done} of {of} blocks"),
     )

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import run_of
-from wcsim.cli.evaluation.judged_suite import DriveOptions, check_options, drive_list, judge, order_of, run_suites
+from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, order_of, run_suites
 from wcsim.cli.evaluation.list_maker import make_list
-from wcsim.cli.shared.common import check_folder, in_bounds, parse, says, some_words
+from wcsim.cli.shared.common import Bounds, Keys, Repeated, check_folder, parse, says, some_words
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.cli.shared.run_config import overrides_of, require_known, require_unset, require_user
+from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net
@@ -32,25 +31,30 @@ if TYPE_CHECKING:  # loads torch, which --help must not
     from wcsim.agents.evaluation.suite.run import SuiteOrder
 
 MAX_STEPS = 1_000_000  # as in env.max_steps
-SAID_ELSEWHERE = {"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"}
+Episodes = Annotated[int, Bounds(1)]
+MaxSteps = Annotated[int, Bounds(1, MAX_STEPS)]
 LIST = "list.json"  # in the folder of a test: the episodes that were drawn
 
 
 @dataclass
-class Options(DriveOptions):
+class Options(JudgeOptions):
     """Test policies: runs (RUN, RUN:phase1), shipped, your own module:Class, or baselines.
 
     The episodes are drawn for --town. With --suite LIST they come from a fixed list
     (`wcsim test --suite dev -h`); --make-suite TOWN makes such a list.
     """
 
+    set: Annotated[
+        Repeated, Keys({"env.profile": "expected --profile NAME", "env.max_steps": "expected --max-steps N"})
+    ] = ()
+    """section.key=value, over the settings of the preset."""
     town: str = "monaco"
     """A town's name, its folder, or a .sumocfg file; several are separated by commas."""
     profile: str = "inattentive"
     """User profiles, separated by commas; FILE.toml is your own, recorded:FILE replays a recording."""
-    episodes: int = 5
+    episodes: Episodes = 5
     """Episodes for each policy, town and profile."""
-    max_steps: int = 10_000
+    max_steps: MaxSteps = 10_000
     """Steps after which an episode ends without a crash."""
     seed: int = 0
     """Seed of the episodes, the same for every policy."""
@@ -86,12 +90,13 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     The list is written once all of it is driven. Without `--out` the folder is gone afterwards.
     """
     towns, profiles = check(options)
-    check_options(options)
     if options.out is not None:
         check_folder("--out", options.out / "x")
     elif options.resume:
         raise ConfigError("--resume needs the folder of the test: --out FOLDER")
-    _require_policies(options)
+    require_known(options.network, hook=options.hook)
+    for name in options.policies:  # before torch is loaded for it
+        require_policy(name, options.network)
     config = config_for(UNAIDED, options.preset, options.set, in_list=True)
 
     from wcsim.agents.evaluation.suite.list_file import suite_of, write_list
@@ -104,15 +109,12 @@ def _ordered(options: Options, *, overrides: bool = True) -> Iterator[tuple[Suit
     suite = suite_of(town_list(list(towns.values()), profiles, *many, settings=options.set))
     with contextlib.ExitStack() as held:
         out = options.out or Path(held.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-test-")))
-        yield replace(order_of(options, suite, out), settings=(), hook=options.hook), str(out / LIST)
+        yield replace(order_of(options, suite, out, options.forks), settings=(), hook=options.hook), str(out / LIST)
         write_list(suite.file, out / LIST)
 
 
 def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     """The towns by name and the profiles of a test. Raises ConfigError or TownError for what cannot be tested."""
-    require_unset(options.set, SAID_ELSEWHERE)
-    in_bounds("--episodes", options.episodes, 1, math.inf)
-    in_bounds("--max-steps", options.max_steps, 1, MAX_STEPS)
     profiles = some_words("--profile", options.profile)
     for name in profiles:
         require_user(name)
@@ -144,18 +146,6 @@ def _words_for(name: str, sha256: str) -> str:
             school = " --allow-train-town" if town.declared and town.split == "train" else ""
             return f". Use --town {name}{school}"
     return ""
-
-
-def _require_policies(options: Options) -> None:
-    """Look at what is to be tested before torch is loaded for it.
-
-    Raises:
-        PolicyError: There is no such policy or class, or it has a network of somebody's own that is not named.
-        HookError: The step hook is none.
-    """
-    require_known(options.network, hook=options.hook)
-    for name in options.policies:
-        require_policy(name, options.network)
 
 
 def _towns(options: Options) -> dict[str, Town]:

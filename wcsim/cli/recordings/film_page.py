@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 from wcsim.cli.shared.common import Bounds
@@ -30,7 +31,7 @@ def serve_page(start: DriveOrder | PlayStart, page: PageOptions) -> int:
     from wcsim.drive.serving.server import ServeOrder, serve_drive
 
     try:
-        serve_drive(ServeOrder(start=start, host=page.host, port=page.port, say=lambda told: print(told, flush=True)))
+        serve_drive(ServeOrder(start=start, host=page.host, port=page.port, say=partial(print, flush=True)))
     except KeyboardInterrupt:
         print("the page is closed")
     return 0

@@ -21,47 +21,45 @@ from wcsim.log.reader import read_header
 _SHOW_EVERY: Final = 1000  # ticks
 _FCD, _MCAP = ".xml", ".mcap"
 
-Log = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-"""A run folder, a trace, a journal or a recorded drive."""
 Epoch = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(0)]
 
 
 @dataclass(kw_only=True)
-class PlayOptions(PageOptions):
-    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
+class _LogOptions:
+    """A recording, and what it was made with."""
 
-    log: Log
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """A run folder, a journal, a trace or a recorded drive."""
     epoch: Epoch = None
     """Number of the world in the run; default all."""
-    seat: Seat = None
-    """Chair to follow."""
     hook: str = ""
     """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
+
+
+@dataclass(kw_only=True)
+class _PlayOptions(_LogOptions, PageOptions):
+    """Play a recording in your browser: pause, speed, single steps, jumps to crashes and interventions."""
+
+    seat: Seat = None
+    """Chair to follow."""
     town: str = ""
     """Where a trace was recorded, if not found: a town's name, its folder, or a .sumocfg file."""
 
 
 @dataclass(kw_only=True)
-class VerifyOptions:
+class _VerifyOptions(_LogOptions):
     """Simulate a journal or a drive again, and compare it tick by tick."""
 
-    log: Log
-    """A run folder of a server, a journal or a recorded drive."""
-    epoch: Epoch = None
-    """Number of the world in the run; default all."""
     first: Annotated[int, tyro.conf.arg(name="from", metavar="TICK")] = 0
     """First tick of each world to compare."""
     last: Annotated[int | None, tyro.conf.arg(name="to", metavar="TICK")] = None
     """Last tick of each world to compare."""
-    hook: str = ""
-    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
     json: OutFile = None
     """Write the result to this file."""
 
 
 @dataclass(kw_only=True)
-class CompareOptions:
+class _CompareOptions:
     """Print where two recordings of a kind first differ."""
 
     logs: Annotated[tuple[Path, Path], tyro.conf.Positional, tyro.conf.arg(metavar="LOG LOG")]
@@ -71,18 +69,14 @@ class CompareOptions:
 
 
 @dataclass(kw_only=True)
-class ConvertOptions:
+class _ConvertOptions(_LogOptions):
     """Write a recording as SUMO floating car data (FCD) or as ROS 2 messages (MCAP)."""
 
-    log: Log
-    """A run folder, a trace, a journal or a recorded drive."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """FILE.xml for traffic and wheelchairs as FCD, FILE.mcap for motion, commands and sensor data of the wheelchairs.
     MCAP needs the extra wcsim[bag]."""
-    epoch: Annotated[int, tyro.conf.arg(metavar="N"), Bounds(0)] = 0
+    epoch: Epoch = 0
     """Number of the world in the run."""
-    hook: str = ""
-    """Your own step hook, module:Class, that the run was made with; its code runs only when you name it."""
     json: OutFile = None
     """Write the result to this file."""
 
@@ -92,7 +86,7 @@ def run(words: list[str]) -> int:
     return run_part(words, "log", _COMMANDS)
 
 
-def log_in(run: Path, first: str = "journal") -> Path:
+def _log_in(run: Path, first: str = "journal") -> Path:
     """A log as it is named, or that of a run folder, which may have two. Raises ConfigError where there is none."""
     if is_folder(run):
         found = [run / name for name in sorted(("journal", "trace"), key=lambda name: name != first)]
@@ -109,8 +103,8 @@ def log_in(run: Path, first: str = "journal") -> Path:
     return run
 
 
-def _play(options: PlayOptions) -> int:
-    path = log_in(options.log)
+def _play(options: _PlayOptions) -> int:
+    path = _log_in(options.log)
     header = read_header(path)  # what cannot be played is refused before a page is served for it
     from wcsim.bridge.replay.replayed import log_of, require_hook, worlds_of  # the simulators: not for a refusal
     from wcsim.drive.playing.play_runner import PlayStart
@@ -124,11 +118,11 @@ def _play(options: PlayOptions) -> int:
     return serve_page(PlayStart(source=source, seat=-1 if options.seat is None else options.seat), options)
 
 
-def _verify(options: VerifyOptions) -> int:
+def _verify(options: _VerifyOptions) -> int:
     last = math.inf if options.last is None else options.last
     in_bounds("--to", last, 0, math.inf)
     in_bounds("--from", options.first, 0, last)
-    path = log_in(options.log)
+    path = _log_in(options.log)
     header = read_header(path)
     from wcsim.bridge.replay.replayed import log_of
     from wcsim.bridge.replay.verify import verify
@@ -146,26 +140,24 @@ def _verify(options: VerifyOptions) -> int:
         told += f", at most {result.farthest_m:.3g} m apart"
         found["farthest_m"] = result.farthest_m
     print(f"{path}: {result.ticks} ticks compared, {told} ({rate:.0f} ticks/s)")
-    if options.json is not None:
-        write_json(options.json, found)
+    write_json(options.json, found)
     return 1 if result.mismatches else 0
 
 
-def _compare(options: CompareOptions) -> int:
-    one, other = map(log_in, options.logs)
+def _compare(options: _CompareOptions) -> int:
+    one, other = map(_log_in, options.logs)
     told = first_difference(one, other)
     print(told or f"{one} and {other} are equal")
-    if options.json is not None:
-        write_json(options.json, {"equal": not told, "first_difference": told})
+    write_json(options.json, {"equal": not told, "first_difference": told})
     return 1 if told else 0
 
 
-def _convert(options: ConvertOptions) -> int:
+def _convert(options: _ConvertOptions) -> int:
     out, kind = options.out, options.out.suffix.lower()
     if kind not in (_FCD, _MCAP):
         raise ConfigError(f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)")
     check_output("FILE", out)
-    path = log_in(options.log, "trace" if kind == _FCD else "journal")
+    path = _log_in(options.log, "trace" if kind == _FCD else "journal")
     read_header(path)
     from wcsim.bridge.replay.convert import convert_to_fcd, convert_to_mcap
 
@@ -174,14 +166,13 @@ def _convert(options: ConvertOptions) -> int:
         check_installed("a .mcap file needs rosbags", "bag", "rosbags")
     with result_file(out) as part:
         if kind == _FCD:
-            found["steps"] = convert_to_fcd(path, part, options.epoch, options.hook)
+            found["steps"] = convert_to_fcd(path, part, options.epoch or 0, options.hook)
             told = f"{found['steps']} time steps"
         else:
-            counts = found["messages"] = convert_to_mcap(path, part, options.epoch, options.hook)
+            counts = found["messages"] = convert_to_mcap(path, part, options.epoch or 0, options.hook)
             told = f"{sum(counts.values())} messages on {', '.join(sorted(counts))}"
     print(f"wrote {out}: {told}")
-    if options.json is not None:
-        write_json(options.json, found)
+    write_json(options.json, found)
     return 0
 
 
@@ -201,8 +192,8 @@ def _note_versions(what: str, made_by: str) -> None:
 
 
 _COMMANDS: Final[Parts] = {
-    "play": (PlayOptions, _play),
-    "verify": (VerifyOptions, _verify),
-    "compare": (CompareOptions, _compare),
-    "convert": (ConvertOptions, _convert),
+    "play": (_PlayOptions, _play),
+    "verify": (_VerifyOptions, _verify),
+    "compare": (_CompareOptions, _compare),
+    "convert": (_ConvertOptions, _convert),
 }

@@ -12,7 +12,7 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, check_output, result_file, write_json
+from wcsim.cli.shared.common import Flag, OutFile, Writes, result_file, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
@@ -22,7 +22,6 @@ if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
     from wcsim.users.fitting.fit_user import UserFit
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 
 
@@ -32,7 +31,7 @@ class UserFitOptions:
 
     drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml")]
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml"), Writes(".toml")]
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
     """Profile that supplies parameters which a drive does not show."""
@@ -44,7 +43,6 @@ class UserFitOptions:
 
 def run(options: UserFitOptions) -> int:
     """Fit, print, write."""
-    check_output("--out", options.out, ".toml")
     check_new_file(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
     if not options.drives:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,17 +9,17 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, Repeated, check_output, in_bounds, write_json
-from wcsim.cli.shared.run_config import require_unset, require_user
+from wcsim.cli.shared.common import Bounds, Keys, OutFile, Repeated, TownWord, write_json
+from wcsim.cli.shared.run_config import require_user
 from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
+from wcsim.core.files import check_new_file
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, read_profile
 
 SMALL_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
-_MOST_MINUTES = 600.0
 _TELL_EVERY_S = 60.0
 
 
@@ -28,17 +27,17 @@ _TELL_EVERY_S = 60.0
 class UserRecordOptions:
     """Let a simulated user drive through a town and record the drive."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """New file for the recording."""
     profile: str = "competent"
     """Profile of the simulated user, or FILE.toml. One user is drawn and stays the same after a crash."""
-    minutes: float = 10.0
+    minutes: Annotated[float, Bounds(0.01, 600.0)] = 10.0
     """Length of the drive in minutes."""
     seed: int = 0
     """Seed of the town, the starts and the user."""
-    set: Repeated = ()
+    set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
     """section.key=value, overrides preset quick; may be repeated."""
     json: OutFile = None
     """Write the result to this file."""
@@ -46,11 +45,7 @@ class UserRecordOptions:
 
 def run(options: UserRecordOptions) -> int:
     """Drive and record."""
-    require_unset(options.set, {"env.profile": "expected --profile NAME"})
-    in_bounds("--minutes", options.minutes, 0.01, _MOST_MINUTES)
-    check_output("--out", options.out)
-    if os.path.lexists(options.out):
-        raise ConfigError(f"--out {escaped(options.out)} exists; expected the name of a new file")
+    check_new_file(options.out, "--out")
     base = _profile(options.profile)
     config = resolve("quick", (*SMALL_CAMERA, *options.set))
     town = find_town(options.town)
@@ -66,9 +61,8 @@ def run(options: UserRecordOptions) -> int:
     order = UserDriveOrder(town=town, config=config, user=user, ticks=ticks, seed=options.seed)
     crashes = record_user(order, options.out, show)
     print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {counted(crashes, 'crash')}")
-    if options.json is not None:
-        told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
-        write_json(options.json, told)
+    told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
+    write_json(options.json, told)
     return 0
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import inspect
 import json
 import math
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 
-from wcsim.core.files import whole_file
+from wcsim.config.load import sets_key
+from wcsim.core.files import can_be_written, standing, whole_file
 from wcsim.core.reading import escaped, is_folder
 from wcsim.errors import ConfigError, meant, nearest
 from wcsim.server.workers.crew import WorkerNow
@@ -26,22 +26,93 @@ T = TypeVar("T")
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 """An option that may be given several times, once for each value."""
 
-OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-"""A file that is written only when it is named."""
-
 OutFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 """A folder that is made, with a default of its own."""
+
+TownWord = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+"""A town, as the first word without a name."""
+
+SomeTown = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[TOWN]")]
+"""The same, where it may be left out."""
+
+Cluster = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
+"""A Ray cluster."""
 
 MAX_SEED = (1 << 31) - 1
 MOST_JOBS = 256  # processes that a command may start
 
 
+class OptionNote:
+    """What an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
+
+    def check(self, option: str, value: Any) -> None:
+        """Raise ConfigError for what it does not take."""
+
+
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """The least and the most that an option takes, noted beside its type: `Annotated[int, Bounds(1, 64)]`."""
+class Bounds(OptionNote):
+    """The least and the most of a number, and what it is a multiple of."""
 
     low: float
     high: float = math.inf
+    step: int = 1
+
+    def check(self, option: str, value: Any) -> None:
+        """See `OptionNote`."""
+        in_bounds(option, value, self.low, self.high)
+        if self.step > 1 and value % self.step:
+            raise ConfigError(f"{option} {value}: expected a multiple of {self.step}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keys(OptionNote):
+    """Keys of `--set`: those of some sections alone, or of all, and what to do instead of setting a key."""
+
+    instead: Mapping[str, str]
+    sections: tuple[str, ...] = ()
+
+    def check(self, option: str, value: Any) -> None:
+        """See `OptionNote`."""
+        for text in value:
+            key = next((key for key in self.instead if sets_key(text, key)), None)
+            if key is not None:
+                raise ConfigError(f"{option} {key}: is not used here; {self.instead[key]}")
+            if self.sections and text.strip().partition(".")[0] not in self.sections:
+                expected = " or ".join(f"[{section}]" for section in self.sections)
+                raise ConfigError(f"{option} {escaped(text)}: expected a key of {expected}")
+
+
+@dataclass(frozen=True, slots=True)
+class Writes(OptionNote):
+    """A file that can be written, with its ending."""
+
+    suffix: str = ""
+
+    def check(self, option: str, value: Any) -> None:
+        """See `OptionNote`."""
+        check_output(option, value, self.suffix)
+
+
+OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes()]
+"""A file that is written only when it is named."""
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+"""A switch that is off unless it is named."""
+
+Jobs = Annotated[int, Bounds(1, MOST_JOBS)]
+"""Processes that work at once."""
+
+
+@dataclass(kw_only=True)
+class SettingsOptions:
+    """Settings over a preset."""
+
+    preset: str = "quick"
+    """Preset to start from: quick, laptop, best, dqn or paper."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file with settings that override the preset."""
+    set: Repeated = ()
+    """Setting as section.key=value; overrides preset and file."""
 
 
 Worlds = Annotated[int | None, tyro.conf.arg(metavar="N"), Bounds(1, MOST_JOBS)]
@@ -60,31 +131,29 @@ _MOST_UNASKED = 4  # of them where nobody said how many: each world takes a giga
 def parse(options: type[T], words: list[str], command: str, program: str = "wcsim") -> T:
     """Parse a subcommand's options; a mistake prints what was expected and exits with code 2.
 
-    Raises ConfigError for a number out of its bounds, and for a --json that cannot be written: it is better to
-    hear of it before the work than after it. So it does for an option that is a word without a name, such as TOWN.
+    Raises ConfigError as the notes of the options do: of a file that cannot be written it is better to hear before
+    the work than after it. So it does for an option that is a word without a name, such as TOWN.
     """
     _require_bare(options, words, command)
     prog = f"{program} {command}"
     parsed = tyro.cli(options, args=words, prog=prog, description=inspect.getdoc(options), registry=_numbers())
-    in_bounds("--seed", getattr(parsed, "seed", 0), 0, MAX_SEED)
-    _require_bounds(options, parsed)
-    check_output("--json", getattr(parsed, "json", None))
+    for name, notes in _notes(options).items():
+        value = getattr(parsed, name.replace("-", "_"))
+        for note in (Bounds(0, MAX_SEED), *notes) if name == "seed" else notes:
+            if value is not None and isinstance(note, OptionNote):
+                note.check(f"--{name}", value)
     return parsed
 
 
-def _require_bounds(options: type, parsed: object) -> None:
-    """Refuse a number that is out of the bounds of its type."""
-    for name, hint in get_type_hints(options, include_extras=True).items():
-        value = getattr(parsed, name)
-        for note in getattr(hint, "__metadata__", ()):
-            if isinstance(note, Bounds) and value is not None:
-                in_bounds(f"--{name.replace('_', '-')}", value, note.low, note.high)
+def _notes(options: type) -> dict[str, tuple[Any, ...]]:
+    """What is noted beside the type of each option, by the option's name."""
+    hints = get_type_hints(options, include_extras=True)
+    return {name.replace("_", "-"): getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
 
 
 def _require_bare(options: type, words: Sequence[str], command: str) -> None:
     """Refuse an option that is meant for what stands without a name: the parser knows none that is like it."""
-    hints = get_type_hints(options, include_extras=True)
-    notes = {name.replace("_", "-"): getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    notes = _notes(options)
     for option in (word.partition("=")[0] for word in words if word.startswith("--")):
         found = notes.get(nearest(option[2:], notes), ())
         if tyro.conf.Positional in found:
@@ -108,7 +177,7 @@ def _numbers() -> tyro.constructors.ConstructorRegistry:
         return tyro.constructors.PrimitiveConstructorSpec(
             nargs=1,
             metavar="INT" if whole else "FLOAT",
-            instance_from_str=lambda words: _whole(words[0]) if whole else _number(words[0]),
+            instance_from_str=lambda words: _number(words[0], int if whole else float),
             is_instance=lambda value: value is None or isinstance(value, int if whole else (int, float)),
             str_from_instance=lambda value: [str(value)],
         )
@@ -116,18 +185,12 @@ def _numbers() -> tyro.constructors.ConstructorRegistry:
     return known
 
 
-def _whole(word: str) -> int:
+def _number(word: str, kind: type[int | float]) -> float:
     try:
-        return int(word)
+        return kind(word)
     except ValueError:
-        raise ValueError(f"got {escaped(word, 40)!r}, expected a whole number, such as 1000") from None
-
-
-def _number(word: str) -> float:
-    try:
-        return float(word)
-    except ValueError:
-        raise ValueError(f"got {escaped(word, 40)!r}, expected a number, such as 2.5") from None
+        expected = "a whole number, such as 1000" if kind is int else "a number, such as 2.5"
+        raise ValueError(f"got {escaped(word, 40)!r}, expected {expected}") from None
 
 
 def run_part(words: list[str], command: str, parts: Parts) -> int:
@@ -190,16 +253,12 @@ def in_bounds(option: str, value: float, low: float, high: float) -> None:
 
 
 def worlds_of(asked: int | None) -> int:
-    """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said.
+    """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said."""
+    if asked is not None:
+        return asked
+    from wcsim.physics.sensors.drawing_threads import cores
 
-    Raises ConfigError when it is out of bounds.
-    """
-    if asked is None:
-        from wcsim.physics.sensors.drawing_threads import cores
-
-        return min(cores(), _MOST_UNASKED)
-    in_bounds("--worlds", asked, 1, MOST_JOBS)
-    return asked
+    return min(cores(), _MOST_UNASKED)
 
 
 def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
@@ -213,8 +272,6 @@ def machines_of(cluster: str, asked: int | None, option: str) -> Machines:
     Raises:
         ConfigError: There are none.
     """
-    if asked is not None:
-        in_bounds(option, asked, 1, MOST_JOBS)
     if not cluster:
         return Machines(count=worlds_of(asked))
     from wcsim.server.workers.cluster_link import LOCAL
@@ -239,13 +296,11 @@ def said_of(workers: tuple[WorkerNow, ...]) -> str:
     return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
 
 
-def check_output(option: str, path: Path | None, suffix: str = "") -> None:
+def check_output(option: str, path: Path, suffix: str = "") -> None:
     """Make sure that a result can be written there before the work begins; missing folders are made later.
 
     Raises ConfigError that says what is in the way.
     """
-    if path is None:
-        return
     if suffix and path.suffix.lower() != suffix:
         raise ConfigError(f"{option} {path}: expected a file name that ends in {suffix}")
     if is_folder(path):
@@ -255,17 +310,17 @@ def check_output(option: str, path: Path | None, suffix: str = "") -> None:
 
 def check_folder(option: str, folder: Path) -> None:
     """Make sure that a folder can be made or is there and can be written. Raises ConfigError."""
-    place = folder.absolute()
-    while not os.path.lexists(place) and place != place.parent:
-        place = place.parent
-    if not is_folder(place) or not os.access(place, os.W_OK | os.X_OK):
+    if not can_be_written(folder):
         raise ConfigError(
-            f"{option}: {escaped(place)} is not a folder that can be written to; choose another with {option}"
+            f"{option}: {escaped(standing(folder))} is not a folder that can be written to; choose another with "
+            f"{option}"
         )
 
 
-def write_json(path: Path, data: Any) -> None:
-    """Write a result file at once or not at all; NaN and infinity never appear in it."""
+def write_json(path: Path | None, data: Any) -> None:
+    """Write a result file, where one is asked for, at once or not at all; NaN and infinity never appear in it."""
+    if path is None:
+        return
     text = json_text(path, data)
     with result_file(path) as part:
         part.write_text(text, encoding="utf-8")
@@ -295,6 +350,19 @@ def result_file(path: Path) -> Iterator[Path]:
     with whole_file(path) as part:
         yield part
     tell_made(missing)
+
+
+@contextmanager
+def fresh_folders(folder: Path) -> Iterator[None]:
+    """Leave no empty folders behind when the block fails."""
+    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        yield
+    except BaseException:
+        for place in fresh:
+            with suppress(OSError):  # somebody else has put something there
+                place.rmdir()
+        raise
 
 
 def missing_folder(path: Path) -> Path | None:

@@ -13,3 +13,8 @@ def stdout_console() -> Console:
 def stderr_console() -> Console:
     """The console of notes, bars and errors, so that a pipe receives results alone."""
     return Console(stderr=True, highlight=False, emoji=False)
+
+
+def say(told: str) -> None:
+    """A note on what goes on meanwhile."""
+    stderr_console().print(told, style="dim", markup=False, soft_wrap=True)

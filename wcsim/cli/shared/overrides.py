@@ -53,15 +53,13 @@ def print_overrides(
         names = ", ".join(escaped(row.option, 80) for row in overrides)
         where = "--verbose says why, as does the run's manifest" if kept else "--verbose says why"
         told = [f"{len(overrides)} of SUMO's options are not as in {town}'s scenario ({names}); {where}"]
-        told += [f"{row.option} is {row.wcsim}: {row.why}" for row in overrides if row.author and _matters(row)]
+        told += [
+            f"{row.option} is {row.wcsim}: {row.why}" for row in overrides if row.author and row.option == _CALIBRATED
+        ]
         for line in told:
             console.print(escaped(line, _MOST), markup=False, highlight=False)
     for note in notes:
         console.print(f"note: {note}", markup=False, highlight=False)
-
-
-def _matters(row: Override) -> bool:
-    return row.option == _CALIBRATED
 
 
 def _table(town: str, overrides: Sequence[Override]) -> Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,32 +45,27 @@ def require_head(config: RunConfig, *, in_rounds: bool) -> None:
     raise ConfigError(f"learn.head={config.learn.head}: this command {does}; expected {expected}")
 
 
-def require_unset(settings: Sequence[str], instead: Mapping[str, str]) -> None:
-    """Refuse settings that a command would not hear of, as it is told the same in another way.
-
-    Args:
-        settings: section.key=value that were typed.
-        instead: What to do instead, by key.
-
-    Raises:
-        ConfigError: One of these keys was set.
-    """
-    for key, expected in instead.items():
-        if any(sets_key(text, key) for text in settings):
-            raise ConfigError(f"--set {key}: is not used here; {expected}")
-
-
-def require_drawn_users(config: RunConfig, settings: Sequence[str], file: Path | None) -> None:
-    """Refuse a user who never sits in a chair where they are drawn from `collect.profiles`, and ones that are none.
+def require_users(config: RunConfig, drawn: tuple[Sequence[str], Path | None] | None = None) -> None:
+    """Refuse simulated users that are kept for tests.
 
     Args:
         config: Of whoever drives.
-        settings: section.key=value that made it.
-        file: TOML file that did, too.
+        drawn: Where users are drawn from `collect.profiles`: section.key=value and the TOML file that made `config`.
+            A user who is none is refused then, and one of `env.profile`, who would never sit in a chair.
 
     Raises:
-        ConfigError: `env.profile` was set, or a user is none.
+        ConfigError: A user cannot be used.
     """
+    for key, names in (("env.profile", (config.env.profile,)), ("collect.profiles", config.collect.profiles)):
+        for name in names:
+            if name in HELD_OUT:
+                raise ConfigError(
+                    f"profile {name} is held out of training: tests use it as a user that a network has never met; "
+                    f"expected another {key}"
+                )
+    if drawn is None:
+        return
+    settings, file = drawn
     require_user(config.env.profile)
     own = {} if file is None else reading.read_toml(file, CONFIG_FILE).get("env", {})
     if "profile" in own or any(sets_key(text, "env.profile") for text in settings):
@@ -142,17 +137,6 @@ def learning(config: RunConfig) -> dict[str, Any]:
 def learns_in_rounds(config: RunConfig) -> bool:
     """Whether a danger network learns in rounds, from worlds of its own."""
     return config.learn.head == "danger"
-
-
-def require_trained_users(config: RunConfig) -> None:
-    """Raise ConfigError for simulated users that are kept for tests."""
-    for key, names in (("env.profile", (config.env.profile,)), ("collect.profiles", config.collect.profiles)):
-        for name in names:
-            if name in HELD_OUT:
-                raise ConfigError(
-                    f"profile {name} is held out of training: tests use it as a user that a network has never met; "
-                    f"expected another {key}"
-                )
 
 
 def require_known(network: str, rewards: Sequence[str] = (), hook: str = "") -> None:

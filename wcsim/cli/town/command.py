@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.table import Column, Table
 
-from wcsim.cli.shared.common import Parts, run_part
+from wcsim.cli.shared.common import Parts, run_part, says
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.town import import_, make, pave, town_check
 from wcsim.cli.town import run as traffic
@@ -21,7 +21,7 @@ class ListOptions:
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     parts: Parts = {
-        "import": (import_.ImportOptions, import_.run),
+        "import": (import_.AdoptOptions if says(words, "--sumocfg") else import_.ImportOptions, import_.run),
         "make": (make.TownMakeOptions, make.run),
         "list": (ListOptions, _list),
         "check": (town_check.CheckOptions, town_check.run),

@@ -7,18 +7,17 @@ import shlex
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, check_folder, words_of, write_json
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
-from wcsim.cli.town.town_check import checked, print_report, report_json
+from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, check_folder, fresh_folders, words_of
+from wcsim.cli.shared.consoles import say
+from wcsim.cli.town.stage_costs import StageClock
+from wcsim.cli.town.town_check import checked, told_report
 from wcsim.errors import ConfigError
 from wcsim.towns.importing.adopt import adopt_scenario
 from wcsim.towns.osm.area import Box
@@ -30,35 +29,54 @@ if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
     from wcsim.towns.importing.importer import ImportOrder
 
-# Options that a ready scenario knows.
-_ADOPTED = ("name", "sumocfg", "allow_outside", "cycle_paths", "split", "out", "source", "json")
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+_LAND, _SIDE = tyro.conf.create_mutex_group(required=False), tyro.conf.create_mutex_group(required=False)
 Stage = Callable[[str], None]  # what begins now, in words
 
 
-@dataclass
-class ImportOptions:
-    """Import a town from OpenStreetMap, or from a SUMO scenario."""
+@dataclass(kw_only=True)
+class _TownOptions:
+    """What every new town has."""
 
     name: str
     """The town's name."""
-    osm: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """An OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf."""
-    bbox: str = ""
-    """Area to import, in degrees: west,south,east,north; without --osm it is downloaded."""
-    sumocfg: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """A SUMO scenario instead of a map; its files are copied unchanged."""
-    allow_outside: Flag = False
-    """Also copy files that the scenario names outside of its folder."""
-    url: str = ""
-    """Overpass server to download from; default: the servers that SUMO knows."""
     split: Literal["train", "test"] = "train"
     """Use it for training, or only for tests."""
     out: OutFolder = None
     """Folder to create; default ./scenarios/sumo/NAME."""
-    lefthand: Flag = False
+    cycle_paths: Flag = False
+    """Wheelchairs also drive on cycle paths beside the road, where the law allows it."""
+    source: str = ""
+    """Origin of the extract or scenario, for the licence notice."""
+    json: OutFile = None
+    """Write the result of the check to this file."""
+
+
+@dataclass(kw_only=True)
+class AdoptOptions(_TownOptions):
+    """Import a town from a SUMO scenario, whose files are copied unchanged."""
+
+    sumocfg: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The scenario."""
+    allow_outside: Flag = False
+    """Also copy files that the scenario names outside of its folder."""
+
+
+@dataclass(kw_only=True)
+class ImportOptions(_TownOptions):
+    """Import a town from OpenStreetMap; with `--sumocfg FILE` from a SUMO scenario.
+
+    `wcsim town import --sumocfg FILE -h` has the options for a scenario.
+    """
+
+    osm: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """An OpenStreetMap extract: .osm, .osm.xml, plain, .gz or .bz2, or .osm.pbf."""
+    bbox: str = ""
+    """Area to import, in degrees: west,south,east,north; without --osm it is downloaded."""
+    url: str = ""
+    """Overpass server to download from; default: the servers that SUMO knows."""
+    lefthand: Annotated[Flag, _SIDE] = False
     """Traffic drives on the left; default: that of the country."""
-    righthand: Flag = False
+    righthand: Annotated[Flag, _SIDE] = False
     """Traffic drives on the right."""
     per_hour: str = ""
     """Departures per hour by SUMO vehicle class, e.g. passenger=900,bicycle=300; other classes keep their density."""
@@ -66,57 +84,40 @@ class ImportOptions:
     """Factor for all traffic; 0 for none."""
     parked: Annotated[float, Bounds(0.0, 1.0)] = 0.7
     """Share of the mapped parking spaces with a parked car."""
-    dem: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    dem: Annotated[Path | None, tyro.conf.arg(metavar="FILE"), _LAND] = None
     """GeoTIFF of the land's heights in metres."""
-    hill: Annotated[float, Bounds(0.0, 200.0)] = 0.0
+    hill: Annotated[float, Bounds(0.0, 200.0), _LAND] = 0.0
     """Height in metres of an invented hill, instead of --dem."""
     max_grade: Annotated[float, Bounds(0.01, 0.25)] = 0.12
     """Largest grade of a street (rise over run); steeper land is smoothed and lowered."""
     keep_service: Flag = False
     """Include driveways and yards, each with its own crossing."""
-    cycle_paths: Flag = False
-    """Wheelchairs also drive on cycle paths beside the road, where the law allows it."""
     seed: int = 42
     """Seed of the demand, the parked cars and the hill."""
-    source: str = ""
-    """Origin of the extract or scenario, for the licence notice."""
     replace: Flag = False
     """Replace a town that was edited; all edits are lost."""
-    json: OutFile = None
-    """Write the result of the check to this file."""
 
 
-def run(options: ImportOptions) -> int:
+def run(options: AdoptOptions | ImportOptions) -> int:
     """Import, check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
-    out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
+    out = options.out or Path("scenarios/sumo") / options.name
     check_folder("--out", out)
-    result = options.json.resolve() if options.json is not None else None  # this folder itself may be built anew
-    clock = StageClock(_say)
-    with _fresh_folders(out.parent):
-        if options.sumocfg is None:
-            report, more = _build(options, out, clock.begin)
+    result = options.json and options.json.resolve()  # this folder itself may be built anew
+    clock = StageClock(say)
+    with fresh_folders(out.parent):
+        if isinstance(options, AdoptOptions):
+            report, more = _adopt(options, out, clock.begin), dict[str, Any]()
         else:
-            report, more = _adopt(options, options.sumocfg, out, clock.begin), dict[str, Any]()
-    costs = clock.costs()
-    code = print_report(report)
-    stdout_console().print(costs_table(costs))
-    if result is not None:
-        write_json(result, {**report_json(report, time.monotonic() - started_s), **more, "cpu": costs_json(costs)})
-    return code
+            report, more = _build(options, out, clock.begin)
+    return told_report(report, started_s, result, clock, **more)
 
 
-def _adopt(options: ImportOptions, sumocfg: Path, out: Path, stage: Stage) -> TownReport:
-    given = [f.name for f in fields(options) if getattr(options, f.name) != f.default]
-    idle = [f"--{name.replace('_', '-')}" for name in given if name not in _ADOPTED]
-    if idle:
-        raise ConfigError(
-            f"--sumocfg copies a scenario unchanged, so {', '.join(idle)} cannot be combined with it: leave one out"
-        )
+def _adopt(options: AdoptOptions, out: Path, stage: Stage) -> TownReport:
     if options.allow_outside:
-        print(f"note: files outside of the folder of {sumocfg} are copied too; check {out} before you share it")
+        print(f"note: files outside of the folder of {options.sumocfg} are copied too; check {out} before you share it")
     named = options.name, out, options.split, options.source
-    town = adopt_scenario(sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths)
+    town = adopt_scenario(options.sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths)
     try:
         report = checked(town, told=stage)
     except BaseException:  # what cannot be read is no town
@@ -132,19 +133,16 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
         raise ConfigError(
             "town import needs a source: --osm FILE, --bbox W,S,E,N to download an area, or --sumocfg FILE"
         )
-    if options.allow_outside:
-        raise ConfigError("--allow-outside is for --sumocfg: a map names no files; leave it out")
     box = _bbox(options.bbox) if options.bbox else None
     if options.osm is not None and not options.osm.is_file():
         raise ConfigError(f"--osm {options.osm}: there is no such file; expected an OpenStreetMap extract")
     if options.osm is not None and options.url:
         raise ConfigError("--url is for a download and cannot be combined with --osm; leave one out")
-    _check_numbers(options)
 
     from wcsim.towns.importing.importer import import_town
 
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
-        osm = options.osm if options.osm is not None else download(_needed(box), Path(folder), options.url)
+        osm = options.osm or download(_bbox(options.bbox), Path(folder), options.url)
         made = import_town(_order(options, osm, box, out), _built, stage)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic drives on the {made.side}")
@@ -157,17 +155,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
 def _built(town: Town) -> Street:
     from wcsim.towns.street import load_street
 
-    return load_street(town, _say)
-
-
-def _say(told: str) -> None:
-    stderr_console().print(told, style="dim", markup=False, soft_wrap=True)
-
-
-def _needed(box: Box | None) -> Box:
-    if box is None:
-        raise ConfigError("a download needs --bbox W,S,E,N")
-    return box
+    return load_street(town, say)
 
 
 def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> ImportOrder:
@@ -191,13 +179,6 @@ def _order(options: ImportOptions, osm: Path, box: Box | None, out: Path) -> Imp
         source=options.source,
         overwrite=options.replace,
     )
-
-
-def _check_numbers(options: ImportOptions) -> None:
-    if options.lefthand and options.righthand:
-        raise ConfigError("--lefthand and --righthand exclude each other; leave one out")
-    if options.dem is not None and options.hill:
-        raise ConfigError("--dem and --hill exclude each other; leave one out")
 
 
 def _per_hour(text: str) -> dict[str, float]:
@@ -224,16 +205,3 @@ def _bbox(text: str) -> Box:
     if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
         raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
     return west, south, east, north
-
-
-@contextmanager
-def _fresh_folders(folder: Path) -> Iterator[None]:
-    """Leave no empty folders behind when the block fails."""
-    fresh = [place for place in (folder, *folder.parents) if not place.exists()]
-    try:
-        yield
-    except BaseException:
-        for place in fresh:
-            if place.is_dir() and not any(place.iterdir()):
-                place.rmdir()
-        raise

@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 
 import tyro
 
-from wcsim.cli.shared.common import OutFile, OutFolder, check_folder, write_json
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
-from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
-from wcsim.cli.town.town_check import checked, print_report, report_json
+from wcsim.cli.shared.common import Flag, OutFile, OutFolder, check_folder
+from wcsim.cli.shared.consoles import say
+from wcsim.cli.town.stage_costs import StageClock
+from wcsim.cli.town.town_check import checked, told_report
 from wcsim.towns.importing.folder_texts import check_words
 from wcsim.towns.making.asked_town import Wishes, check_wishes
 
@@ -40,7 +40,7 @@ class TownMakeOptions:
     """Share of the parking spaces with a parked car."""
     hill: float | None = None
     """Height of its hills in metres, 0 for a level town; default: chosen by the seed."""
-    replace: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    replace: Flag = False
     """Also replace an imported or edited town; it is lost."""
     json: OutFile = None
     """Write the result of the check to this file."""
@@ -49,7 +49,7 @@ class TownMakeOptions:
 def run(options: TownMakeOptions) -> int:
     """Generate, check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
-    out = options.out if options.out is not None else Path("scenarios/sumo") / options.name
+    out = options.out or Path("scenarios/sumo") / options.name
     wishes = Wishes(
         size_m=options.size,
         kind="" if options.kind == "any" else options.kind,
@@ -61,18 +61,11 @@ def run(options: TownMakeOptions) -> int:
     check_words(options.name, options.split)
     check_wishes(options.seed, wishes)
     check_folder("--out", out)
-    result = options.json.resolve() if options.json is not None else None  # this folder itself may be made anew
+    result = options.json and options.json.resolve()  # this folder itself may be made anew
 
     from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
 
-    console = stderr_console()
-    clock = StageClock(lambda told: console.print(told, style="dim", markup=False, soft_wrap=True))
+    clock = StageClock(say)
     town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
     print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
-    report = checked(town, told=clock.begin)
-    costs = clock.costs()
-    code = print_report(report)
-    stdout_console().print(costs_table(costs))
-    if result is not None:
-        write_json(result, {**report_json(report, time.monotonic() - started_s), "cpu": costs_json(costs)})
-    return code
+    return told_report(checked(town, told=clock.begin), started_s, result, clock)

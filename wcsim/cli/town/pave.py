@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFile, check_folder, write_json
-from wcsim.cli.shared.consoles import stderr_console
-from wcsim.cli.town.town_check import print_report, report_json, try_town
+from wcsim.cli.shared.common import Bounds, Flag, OutFile, TownWord, check_folder
+from wcsim.cli.shared.consoles import say
+from wcsim.cli.town.town_check import told_report, try_town
 from wcsim.core.reading import counted
 from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.scenario.town import Town, find_town, open_town
@@ -28,13 +28,13 @@ TOLD = 5
 class PaveOptions:
     """Copy a scenario into a folder and add pavements and crossings."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file; it is not changed."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """New folder for the copy."""
     max_speed: Annotated[float, Bounds(1.0, 100.0)] = FASTEST_MPS
     """Streets faster than this, in m/s, get no pavement."""
-    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    allow_outside: Flag = False
     """Also copy files that a .sumocfg names outside of its folder."""
     json: OutFile = None
     """Write the result to this file."""
@@ -49,20 +49,15 @@ def run(options: PaveOptions) -> int:
     from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
     from wcsim.towns.pave.pavements import pave_town
 
-    told = stderr_console()
-    told.print(f"adding pavements in {options.out}", style="dim", markup=False)
+    say(f"adding pavements in {options.out}")
     paved = pave_town(bare, options.out, options.max_speed)
     town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
-    told.print("testing the first steps in SUMO", style="dim")
+    say("testing the first steps in SUMO")
     try_town(town)
-    told.print("checking the copy", style="dim")
+    say("checking the copy")
     report = check_town(town)
     _print(paved)
-    code = print_report(report)
-    if options.json is not None:
-        done = {**asdict(paved), "sumocfg": str(paved.sumocfg)}
-        write_json(options.json, {**report_json(report, time.monotonic() - started_s), "paved": done})
-    return code
+    return told_report(report, started_s, options.json, paved={**asdict(paved), "sumocfg": str(paved.sumocfg)})
 
 
 def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:

@@ -5,24 +5,25 @@ from __future__ import annotations
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
 from rich.table import Table
 
 from wcsim.cli.shared.common import (
     Bounds,
+    Flag,
     OutFile,
     OutFolder,
     Repeated,
+    TownWord,
     check_folder,
     first_few,
     words_of,
     write_json,
 )
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, stdout_console
 from wcsim.cli.shared.overrides import Verbose, print_overrides
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
@@ -44,7 +45,7 @@ MAX_CHAIRS = 64
 class RunOptions:
     """Run a town's traffic, with or without wheelchairs, and record it."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
     seconds: Annotated[float, Bounds(0.1, 1e7)] = 600.0
     """Simulated time."""
@@ -56,7 +57,7 @@ class RunOptions:
     """Number of wheelchairs, each obeying its user; with 0 the traffic is that of plain sumo."""
     outputs: str = ""
     """Additional SUMO outputs, separated by commas: fcd, tripinfo, summary, ..."""
-    allow_outside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    allow_outside: Flag = False
     """Permit a .sumocfg to name files outside of its folder."""
     hook: str = ""
     """Your own step hook as module:Class; it gets the libsumo module, and the wheelchairs around each step."""
@@ -72,10 +73,10 @@ class RunOptions:
 
 def run(options: RunOptions, words: Sequence[str]) -> int:
     """Run, print a summary, and leave the run folder; `words` are the command line, for the manifest."""
-    plain = () if options.chairs else ("world.warmup_s=0", "world.town_warmup=true")  # nobody waits, as in plain sumo
+    plain = () if options.chairs else ("world.warmup_s=0",)  # nobody waits, as in plain sumo
     config = resolve(options.preset, plain, options.set)
     town = find_town(options.town, outside=options.allow_outside)
-    out = options.out if options.out is not None else Path("runs") / f"{town.name}-run-{options.seed}"
+    out = options.out or Path("runs") / f"{town.name}-run-{options.seed}"
     check_folder("--out", out)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ConfigError(f"--out {out} is not empty; choose another folder, or remove it")
@@ -88,17 +89,13 @@ def run(options: RunOptions, words: Sequence[str]) -> int:
         console.print(_no_persons(town), markup=False, highlight=False, soft_wrap=True)
     place = shlex.quote(str(out))
     print(f"run folder: {out}    convert it: wcsim log convert {place} {place}/fcd.xml")
-    if options.json is not None:
-        write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
+    write_json(options.json, {"town": town.name, "seed": options.seed, "run": str(out), **asdict(facts)})
     return 0
 
 
 def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, command: tuple[str, ...]) -> TrafficFacts:
     from wcsim.bridge.town_run import RecordOrder, record_town
 
-    console = stderr_console()
-    if not options.chairs and town.file.warmup_s is not None:
-        town = replace(town, file=town.file.model_copy(update={"warmup_s": None}))
     manifest = _manifest(options, town, config, command)
     out.mkdir(parents=True, exist_ok=True)
 
@@ -116,10 +113,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
 
     def show(done: int, all_ticks: int) -> None:
         if done * 10 // all_ticks > (done - 1) * 10 // all_ticks:
-            console.print(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s", style="dim")
-
-    def stage(told: str) -> None:
-        console.print(told, style="dim", markup=False, soft_wrap=True)
+            say(f"{round(done * config.world.tick_s, 3):g} of {options.seconds:g} s")
 
     order = RecordOrder(
         seconds=options.seconds,
@@ -130,7 +124,7 @@ def _recorded(options: RunOptions, town: Town, config: RunConfig, out: Path, com
         hook=options.hook,
     )
     try:
-        facts = record_town(town, config, order, opened, show, stage)
+        facts = record_town(town, config, order, opened, show, say)
     except BaseException:
         if (out / MANIFEST).is_file():
             write_json(out / MANIFEST, {**manifest, "status": "interrupted"})

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, write_json
+from wcsim.cli.shared.common import OutFile, TownWord, write_json
 from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.town.stage_costs import StageClock, costs_json, costs_table
 from wcsim.config import resolve
 from wcsim.core.reading import counted, listed
 from wcsim.errors import SumoError, TownError
@@ -38,7 +38,7 @@ _TOLD = 3
 class CheckOptions:
     """Check a town: connected pavements, routes, ground, and whether SUMO runs it."""
 
-    town: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TOWN")]
+    town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
     json: OutFile = None
     """Write the result to this file."""
@@ -47,11 +47,7 @@ class CheckOptions:
 def run(options: CheckOptions) -> int:
     """Check, and print the result; 0 when the town has no faults, else 1."""
     started_s = time.monotonic()
-    report = checked(find_town(options.town))
-    code = print_report(report)
-    if options.json is not None:
-        write_json(options.json, report_json(report, time.monotonic() - started_s))
-    return code
+    return told_report(checked(find_town(options.town)), started_s, options.json)
 
 
 def checked(town: Town, share: float | None = None, told: Callable[[str], None] = lambda stage: None) -> TownReport:
@@ -108,8 +104,19 @@ def try_town(town: Town) -> None:
         open_scenario(town, settings_of(resolve("quick"), 1), RunPlace(), held)
 
 
-def print_report(report: TownReport) -> int:
-    """Print a report; returns 1 when the town has faults, else 0."""
+def told_report(
+    report: TownReport, began_s: float, json: Path | None, clock: StageClock | None = None, **more: Any
+) -> int:
+    """Print a report and what its stages cost, and write the result; returns 1 when the town has faults, else 0.
+
+    Args:
+        report: Of a town.
+        began_s: When the command began, of the monotonic clock.
+        json: The result file, None for none.
+        clock: Of the stages, where they are told.
+        more: What else the result file says.
+    """
+    costs = () if clock is None else clock.costs()
     table = Table(f"town {report.town}", "")
     table.add_row("crossings", str(report.crossings))
     table.add_row("walking areas", str(report.walkingareas))
@@ -122,11 +129,10 @@ def print_report(report: TownReport) -> int:
     console.print(table)
     for line in (*(f"note: {note}" for note in report.notes), *(f"fault: {fault}" for fault in report.faults)):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    return 1 if report.faults else 0
-
-
-def report_json(report: TownReport, seconds: float) -> dict[str, Any]:
-    """A report as a result file holds it."""
+    if costs:
+        console.print(costs_table(costs))
+        more["cpu"] = costs_json(costs)
     told = asdict(report)
     del told["overlaps"], told["cut_off"]  # the notes and faults say them
-    return {"seconds": round(seconds, 3), **told}
+    write_json(json, {**told, "seconds": round(time.monotonic() - began_s, 3), **more})
+    return 1 if report.faults else 0

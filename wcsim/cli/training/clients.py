@@ -6,7 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -190,8 +190,8 @@ def _told(
         NothingKept: ... before anything was done.
         ConfigError: A client or the world could not use what was asked for.
     """
-    if folder.fruitless() and not run.resume:
-        _nothing_came(outcome)
+    if outcome.stopped and folder.fruitless() and not run.resume:
+        raise NothingKept("stopped before anything was learned; nothing is saved")
     told = {client.name: client.status.step for client in outcome.clients if client.status is not None}
     steps = sum(max(told.get(name, 0), folder.steps(name)) for name in folder.clients)  # not all were launched
     folder = _with_status(run, folder, steps)
@@ -201,8 +201,7 @@ def _told(
     print_report(stdout_console(), report)
     for kept in folder.truncated_parts():
         print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
-    if json is not None:
-        write_json(json, report.as_json())
+    write_json(json, asdict(report))
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:
@@ -240,11 +239,3 @@ def _with_status(run: GroupRun, folder: ClientsFolder, steps: int) -> ClientsFol
     except DiskFullError as error:  # the work is there all the same
         print(f"wcsim: {error}", file=sys.stderr)
         return folder
-
-
-def _nothing_came(outcome: LaunchOutcome) -> None:
-    """Raise what a run is told of that ended before anything was learned; go on when it failed otherwise."""
-    if outcome.stopped:
-        raise NothingKept("stopped before anything was learned; nothing is saved")
-    if outcome.code == Exit.REFUSED:
-        raise ConfigError(outcome.message)

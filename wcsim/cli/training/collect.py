@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from wcsim.cli.shared.common import (
-    MOST_JOBS,
     Bounds,
+    Cluster,
+    Jobs,
     OutFile,
     OutFolder,
-    Repeated,
+    SettingsOptions,
     check_folder,
     machines_of,
     parse,
@@ -24,34 +23,30 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_policy, require_without_veto
-from wcsim.cli.shared.run_config import require_drawn_users, require_known, require_trained_users
+from wcsim.cli.shared.run_config import require_known, require_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted
 from wcsim.errors import InterruptedRunError
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(SettingsOptions):
     """Record driving as training data; `wcsim train --data FOLDER` reads it."""
 
     town: str = "helsinki"
     """Training towns, used in turn, joined by commas: a town's name, its folder, or a .sumocfg file."""
     preset: str = "laptop"
     """Preset to start from. Its section [collect] sets drivers and segments."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
     segments: Annotated[int, Bounds(1)] = 10
     """Total segments, each a fresh world of collect.ticks ticks. Existing segments are kept."""
     policy: str = ""
     """Trained danger network that drives some of the episodes. By default, users and the oracle drive all."""
     network: str = ""
     """Your own network as module:Class, if the --policy uses it."""
-    worlds: Annotated[int, Bounds(1, MOST_JOBS)] = 1
+    worlds: Jobs = 1
     """Worker processes that drive at once. The data does not depend on their number."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives, or `local`. The data stays the same (docs/cluster.md)."""
     seed: int = 0
     """Random seed: equal seeds give equal data."""
@@ -70,11 +65,10 @@ def run(words: list[str]) -> int:
         require_without_veto(options.policy, "collecting")
         require_policy(options.policy, config.learn.network)
     require_known(options.network)
-    require_trained_users(config)
-    require_drawn_users(config, options.set, options.config)
+    require_users(config, (options.set, options.config))
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)
     towns = [checked_town(name, False) for name in some_words("--town", options.town)]
-    out = options.out if options.out is not None else Path("data") / f"{towns[0].name}-{options.seed}"
+    out = options.out or Path("data") / f"{towns[0].name}-{options.seed}"
     check_folder("--out", out)
     from wcsim.agents.collecting.data_folder import SEGMENTS
     from wcsim.agents.rounds.collect_data import DataOrder, collect_data  # torch is loaded here
@@ -99,8 +93,7 @@ def run(words: list[str]) -> int:
         raise InterruptedRunError(f"stopped; {out} holds {held}; the same command continues") from None
     learn = f"wcsim train --preset laptop --data {shlex.quote(str(out))}"
     print(f"data folder: {out}, SHA-256 {sha256}    train on it: {learn}")
-    if options.json is not None:
-        write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
+    write_json(options.json, {"data": str(out), "sha256": sha256, "segments": options.segments})
     return Exit.DONE
 
 

@@ -5,29 +5,28 @@ from __future__ import annotations
 import shlex
 import time
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 
 from wcsim.agents.evaluation.suite.named_policy import RULES
 from wcsim.cli.evaluation import test
 from wcsim.cli.evaluation.result_tables import show_result
-from wcsim.cli.shared.common import OutFolder, Repeated, check_folder, parse
+from wcsim.cli.shared.common import Keys, OutFolder, Repeated, check_folder, parse
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.shared.run_config import (
     QUICK,
     how_it_learns,
     learning,
-    require_drawn_users,
     require_head,
-    require_unset,
+    require_users,
     resolve_run,
 )
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.train import checked_town, train_in
 from wcsim.config import RunConfig, resolve
+from wcsim.core.files import numbered_names
 from wcsim.errors import InterruptedRunError, TownError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import Town, streets_hash
@@ -52,11 +51,11 @@ class Options:
     """Test town: a town's name, its folder, or a .sumocfg file."""
     out: OutFolder = None
     """Run folder; default runs/demo, runs/demo-2, ..."""
-    set: Repeated = ()
+    set: Annotated[Repeated, Keys({"env.max_steps": "expected --max-steps N"})] = ()
     """Setting as section.key=value; overrides preset quick."""
-    episodes: int = 3
+    episodes: test.Episodes = 3
     """Test episodes per policy."""
-    max_steps: int = 600
+    max_steps: test.MaxSteps = 600
     """Steps after which a test episode is truncated."""
     seed: int = 1
     """Random seed."""
@@ -89,15 +88,14 @@ def run(words: list[str]) -> int:
         set=tuple(text for text in options.set if text.partition(".")[0] in RULES),
     )
     school, tested = _towns(options.train_town, trial)
-    out = options.out if options.out is not None else _free_folder(Path("runs"), "demo")
+    out = options.out or next(numbered_names(Path("runs") / "demo"))
     check_folder("--out", out)
     town = next(iter(tested.values()))
     demo = _Demo(options=options, trial=trial, town=town, out=out, console=stdout_console())
-    require_unset(options.set, {"env.max_steps": "expected --max-steps N"})
     config = resolve(QUICK, options.set)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
-    require_drawn_users(config, options.set, None)
+    require_users(config, (options.set, None))
     demo.say(f"wcsim demo: a network is trained in {school.name} and tested in {', '.join(tested)}.")
     if parse(Options, [], "demo") == replace(options, seed=1, out=None):
         demo.say(_USUAL)
@@ -198,8 +196,3 @@ def _towns(train_town: str, trial: test.Options) -> tuple[Town, dict[str, Town]]
     if same:
         raise TownError(f"{same[0]} is the training town {school.name} itself; expected another --test-town")
     return school, tested
-
-
-def _free_folder(parent: Path, name: str) -> Path:
-    """The first of name, name-2, name-3, ... that does not exist yet."""
-    return next(path for n in count(1) if not (path := parent / (name if n == 1 else f"{name}-{n}")).exists())

@@ -16,7 +16,7 @@ from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, read_danger_file
 from wcsim.agents.runs.policy_name import policy_name
 from wcsim.agents.runs.run_folder import policy_path
-from wcsim.cli.shared.common import OutFile, check_folder, parse, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.named_policies import require_driver, require_without_veto
 from wcsim.config import RunConfig, resolve
@@ -44,7 +44,7 @@ class Options:
     reports how many of the policy's actions match the recorded ones."""
     seat: int = 0
     """Seat of the journal in --ride."""
-    steps: int = 200
+    steps: Annotated[int, Bounds(2, 100_000)] = 200
     """Maximum length of the reference ride."""
     delay_ticks: int | None = None
     """Ticks from a command to the chair's motion; by default as in the recording or in training."""
@@ -61,8 +61,6 @@ def run(words: list[str]) -> int:
     options = parse(Options, words, "export")
     if options.onnx is None:
         raise ConfigError("nothing to write to; expected --onnx FOLDER")
-    if not 2 <= options.steps <= 100_000:
-        raise ConfigError(f"--steps {options.steps}; expected 2 to 100000")
     check_folder("--onnx", options.onnx)
     require_export_place("--onnx", options.onnx)
     if options.ride is not None and not options.ride.exists():
@@ -92,8 +90,7 @@ def run(words: list[str]) -> int:
     if facts.same_as_recorded is not None:
         print(_beside_recording(facts.same_as_recorded, ride.by, options.policy))
     print(_costs(facts, bar_ms))
-    if options.json is not None:
-        write_json(options.json, asdict(facts))
+    write_json(options.json, asdict(facts))
     return Exit.DONE
 
 
@@ -156,7 +153,7 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceRide:
+class _ReferenceRide:
     """The reference ride."""
 
     config: RunConfig
@@ -165,7 +162,7 @@ class ReferenceRide:
     by: str = ""  # who chose them, where the recording says it
 
 
-def _ride(options: Options) -> ReferenceRide:
+def _ride(options: Options) -> _ReferenceRide:
     from wcsim.agents.export.export_folder import require_shown
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride
     from wcsim.agents.rounds.reference_ride import reference_ride
@@ -177,13 +174,13 @@ def _ride(options: Options) -> ReferenceRide:
     own = resolve(own, sensing(own, policy))
     if options.ride is None:
         config = resolve(own, delay)
-        return ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
+        return _ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
     header = header_of(options.ride)
     require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)
     config = resolve(own, delay or _delay(held.delay_ticks))
     by = "" if header.drive is None else header.drive.policy
-    return ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
+    return _ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
 
 
 def _delay(ticks: int | None) -> tuple[str, ...]:

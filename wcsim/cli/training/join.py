@@ -14,10 +14,11 @@ import tyro
 from wcsim.agents.clients.group_run import RECONNECT_S
 from wcsim.agents.networks.names import client_name
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.cli.shared.common import Bounds, OutFolder, Repeated, Steps, check_folder, parse
+from wcsim.cli.shared.common import Bounds, OutFolder, check_folder, parse
 from wcsim.cli.shared.run_config import how_it_learns, how_to_test, require_known, require_user
-from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
-from wcsim.cli.training.train_q import q_config
+from wcsim.cli.shared.stage_bar import StageBar
+from wcsim.cli.training.bar import gone_if_nothing_came_of_it, steps_shown
+from wcsim.cli.training.train_q import LearnerOptions, q_layers
 from wcsim.config import RunConfig, parse_json, resolve
 from wcsim.config.plant import known_plants
 from wcsim.core.reading import escaped
@@ -34,8 +35,8 @@ WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
 """Parts of a configuration that are the world's, not the client's."""
 
 
-@dataclass
-class Options:
+@dataclass(kw_only=True)
+class Options(LearnerOptions):
     """Train one network in a running world of `wcsim serve`.
 
     The server sets world, chair and camera.
@@ -47,22 +48,12 @@ class Options:
     """Run folder; default runs/joined-NETWORK-SEED."""
     network: str = ""
     """Name of a network, or your own as module:Class; same as --set learn.network=..."""
-    steps: Steps = None
-    """Total steps, as --set learn.total_steps=N. A first phase of more than half of them shrinks in proportion."""
     seat: Annotated[int | None, tyro.conf.arg(metavar="K"), Bounds(0, 63)] = None
     """Seat to take; by default the first free one."""
     name: str = ""
     """Name of this client; default the network's."""
     keys: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder with the server's public key and this client's secret key."""
-    preset: str = "dqn"
-    """Preset to start from: dqn or paper."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
-    reward: Repeated = ()
-    """Your own reward term as module:Class, added to the paper's terms."""
     seed: int = 0
     """Random seed of network, exploration and replay. The server sets the world's seed."""
     wait: Annotated[float, tyro.conf.arg(metavar="S"), Bounds(0.1, 3600.0)] = 20.0
@@ -80,11 +71,11 @@ def run(words: list[str]) -> int:
         )
     if options.name and not re.fullmatch(CLIENT_NAME, options.name):
         raise ConfigError(f"--name {options.name!r}: expected 1 to 64 letters, digits, - _ or ., not starting with .")
-    config = q_config(options, options.network)
+    config = resolve(options.preset, *q_layers(options, options.network))
     require_known(config.learn.network, options.reward)
     require_user(config.env.profile)
     network = config.learn.network.rpartition(":")[2]
-    out = options.out if options.out is not None else Path("runs") / f"joined-{network}-{options.seed}"
+    out = options.out or Path("runs") / f"joined-{network}-{options.seed}"
     check_folder("--out", out)
     folder = _joined(options, config, out, ("wcsim", "join", *words))
     if options.steps is not None:
@@ -110,14 +101,13 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
         offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
         _require_known_plant(offered, options.endpoint)
         parts = {part: getattr(offered, part) for part in WORLD_PARTS}
-        env = config.env.model_copy(update={"actions": offered.env.actions})
-        fit = config.model_copy(update={**parts, "env": env})
+        fit = resolve(config, {**parts, "env": {"actions": offered.env.actions}})
         street = SeatedEnv(seat, fit, world.town, terms)
         info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
         beats = count(1)
-        with TrainBar(config.learn.total_steps) as bar:
+        with StageBar("loading the town") as bar:
             run = ResolvedRun(config=fit, out=out, info=info, resume=options.resume)
-            return train(run, lambda: street, bar.show, alive=lambda: street.beat(next(beats)))
+            return train(run, lambda: street, steps_shown(bar), alive=lambda: street.beat(next(beats)))
 
 
 def _require_known_plant(offered: RunConfig, endpoint: str) -> None:

@@ -20,7 +20,7 @@ from wcsim.agents.networks.names import is_own
 from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
-from wcsim.cli.shared.consoles import stderr_console, stdout_console
+from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training.clients import GroupOptions, train_clients
 from wcsim.core.files import locked
@@ -157,9 +157,6 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> li
     by = f"{suite.file.suite} {suite.file.set}"
     told.print(f"first phase done; comparing clients on {by}: {counted(suite.episodes, 'episode')} each", markup=False)
 
-    def say(policy: str, done: int, of: int) -> None:
-        told.print(f"{policy}: {done} of {of} blocks", style="dim", markup=False)
-
     networks = {UNAIDED: ""}  # own code that a policy needs; all that need none share their processes
     for client in run.clients:
         network = client.config.learn.network
@@ -169,9 +166,13 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> li
     found: dict[str, tuple[EpisodeRecord, ...]] = {}
     for network in dict.fromkeys(networks.values()):
         policies = [policy for policy, its in networks.items() if its == network]
-        found |= run_suite(replace(order, network=network), policies, say)
+        found |= run_suite(replace(order, network=network), policies, _say_blocks)
     records = {policy: found[policy] for policy in networks}
     return _judged_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
+
+
+def _say_blocks(policy: str, done: int, of: int) -> None:
+    say(f"{policy}: {done} of {of} blocks")
 
 
 def _policy_of(run: Path, client: str) -> str:

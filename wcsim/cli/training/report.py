@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -78,10 +77,6 @@ class ClientsReport:
     journal_hash: str  # equal for equal runs
     ticks_per_s: float
     waits: PaidTimes  # what sharing the world cost each client
-
-    def as_json(self) -> dict[str, Any]:
-        """As a result file."""
-        return asdict(self)
 
 
 def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> ClientsReport:

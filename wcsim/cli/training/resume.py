@@ -15,7 +15,7 @@ import tyro
 from wcsim.agents.clients.group_run import Client, GroupRun, open_clients_folder
 from wcsim.agents.runs.own_code import own_classes, require_own
 from wcsim.agents.runs.run_folder import CONFIG, MANIFEST, Manifest, ResolvedRun, extend, open_run, read_json
-from wcsim.cli.shared.common import Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
+from wcsim.cli.shared.common import Cluster, Repeated, Steps, Worlds, check_folder, machines_of, parse, some_words
 from wcsim.cli.shared.run_config import in_town, learning, learns_in_rounds, resolve_run
 from wcsim.cli.training.train import ToldOptions, told, train_in
 from wcsim.config import RunConfig, resolve
@@ -36,7 +36,7 @@ class Options(ToldOptions):
     """Total steps of a longer training by Q-learning."""
     worlds: Worlds = None
     """Worker processes, where data is driven or clients are compared. None: one per core, at most 4."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives data for a danger network, or `local`."""
     town: str = ""
     """Where its towns are by now, if they were moved: folders or .sumocfg files, separated by commas."""
@@ -51,7 +51,7 @@ def run(words: list[str]) -> int:
     if "clients" in read_json(options.run, MANIFEST):
         return _resume_group(options)
     was = open_run(options.run)
-    require_used(options, was.config)
+    _require_used(options, was.config)
     machines_of(options.cluster, options.worlds, "--worlds")
     again, town = resumed(options)
     if was.manifest.status == "done" and again.config.learn.total_steps == was.config.learn.total_steps:
@@ -60,7 +60,7 @@ def run(words: list[str]) -> int:
     return told(options, again)
 
 
-def require_used(options: Options, config: RunConfig) -> None:
+def _require_used(options: Options, config: RunConfig) -> None:
     """Refuse more steps of what learns in rounds, and a cluster for what drives for itself. Raises ConfigError."""
     if options.steps is not None and learns_in_rounds(config):
         raise ConfigError(f"--steps: {options.run} learns in {config.collect.rounds} rounds, not steps; leave it out")
@@ -123,7 +123,7 @@ def resumed_group(options: Options) -> tuple[GroupRun, Town]:
     path = options.run
     folder = open_clients_folder(path)
     configs = {name: folder.client_config(name) for name in folder.clients}
-    require_used(options, configs[folder.clients[0]])
+    _require_used(options, configs[folder.clients[0]])
     _require_own_classes(options, folder.manifest, [config.learn.network for config in configs.values()])
     town = _town_of(options, folder.manifest)
     clients = []

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Annotated
-
-import tyro
 
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, Worlds, machines_of, parse, some_words, write_json
+from wcsim.cli.shared.common import (
+    Cluster,
+    OutFile,
+    OutFolder,
+    Repeated,
+    SettingsOptions,
+    Worlds,
+    machines_of,
+    parse,
+    some_words,
+    write_json,
+)
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
 from wcsim.cli.shared.run_config import (
@@ -19,12 +27,12 @@ from wcsim.cli.shared.run_config import (
     how_to_test,
     learning,
     learns_in_rounds,
-    require_drawn_users,
     require_head,
-    require_trained_users,
+    require_users,
     resolve_run,
 )
-from wcsim.cli.training.bar import TrainBar, gone_if_nothing_came_of_it
+from wcsim.cli.shared.stage_bar import StageBar
+from wcsim.cli.training.bar import gone_if_nothing_came_of_it, steps_shown
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
@@ -44,16 +52,12 @@ class ToldOptions:
 
 
 @dataclass(kw_only=True)
-class TrainingOptions(ToldOptions):
+class TrainingOptions(SettingsOptions, ToldOptions):
     """What every new training takes."""
 
     town: str = "helsinki"
     """Training towns, separated by commas: a town's name, its folder, or a .sumocfg file; made:SEED is generated. The
     world changes town after world.epoch_ticks. Test towns need --allow-test-town."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file with settings that override the preset."""
-    set: Repeated = ()
-    """Setting as section.key=value; overrides preset and file."""
     seed: int = 0
     """Random seed: equal seeds give equal weights."""
     out: OutFolder = None
@@ -75,7 +79,7 @@ class Options(TrainingOptions):
     """Data folder of `wcsim collect` that the network also learns from, as collect.data."""
     worlds: Worlds = None
     """Worker processes that drive data. Results do not depend on their number. None: one per core, at most 4."""
-    cluster: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = ""
+    cluster: Cluster = ""
     """HOST:PORT of a Ray cluster that drives data, or `local`. Data and weights stay the same (docs/cluster.md)."""
 
 
@@ -87,8 +91,7 @@ def run(words: list[str]) -> int:
     config = resolve(options.preset, options.config, options.set, data)
     config = resolve(config, learning(config))
     require_head(config, in_rounds=True)
-    require_trained_users(config)
-    require_drawn_users(config, options.set, options.config)
+    require_users(config, (options.set, options.config))
     town, info = placed(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config)
     made = resolve_run(config, info, town, out_of(options, options.preset, town))
     train_in(made, town, note=how_it_learns(config), worlds=options.worlds, cluster=options.cluster)
@@ -103,14 +106,13 @@ def told(options: ToldOptions, run: ResolvedRun) -> int:
         print_crossings(run.out)
     trained_in = (run.info.town, *run.info.more_towns)
     print(f"run folder: {run.out}    test it: {how_to_test(run.out, run.config.learn.network, trained_in)}")
-    if options.json is not None:
-        write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
+    write_json(options.json, {"run": str(run.out), "town": run.info.town, "seed": run.info.seed})
     return Exit.DONE
 
 
 def out_of(options: TrainingOptions, preset: str, town: Town) -> Path:
     """The run folder that is asked for, or the usual one."""
-    return options.out if options.out is not None else Path("runs") / f"{town.name}-{preset}-{options.seed}"
+    return options.out or Path("runs") / f"{town.name}-{preset}-{options.seed}"
 
 
 def placed(options: TrainingOptions, info: RunInfo, config: RunConfig) -> tuple[Town, RunInfo]:
@@ -160,13 +162,14 @@ def train_in(
     config, info = run.config, run.info
     terms = tuple(find_reward_term(name) for name in info.rewards)
     notes = (note,) if note else ()
-    with TrainBar(config.learn.total_steps) as bar, gone_if_nothing_came_of_it(run.out):
+    with StageBar("loading the town") as bar, gone_if_nothing_came_of_it(run.out):
         place = beside(bar.console)
-        announce = _once(lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True))
+        announce = cache(lambda: print_overrides(place, town.name, info.overrides, notes, verbose=verbose, kept=True))
+        shown = steps_shown(bar)
 
         def show(now: TrainProgress) -> None:
             announce()
-            bar.show(now)
+            shown(now)
 
         def make_env() -> WheelchairEnv:
             towns = tuple(info.more_towns)
@@ -180,9 +183,3 @@ def train_in(
             print(f"wcsim: {text}", file=sys.stderr)
 
         return train(run, make_env, show, log=say)
-
-
-def _once(call: Callable[[], None]) -> Callable[[], None]:
-    """The same, but only the first time."""
-    left = [call]
-    return lambda: left.pop()() if left else None

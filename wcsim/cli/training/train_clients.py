@@ -17,7 +17,8 @@ from wcsim.cli.shared.run_config import in_town, require_user
 from wcsim.cli.training.clients import GroupOptions
 from wcsim.cli.training.phases_apart import train_group
 from wcsim.cli.training.train import out_of, placed
-from wcsim.cli.training.train_q import QOptions, q_config
+from wcsim.cli.training.train_q import QOptions, q_layers
+from wcsim.config import resolve
 from wcsim.errors import ConfigError
 
 MOST_CLIENTS = 64
@@ -64,7 +65,7 @@ def resolved(options: Options) -> tuple[Client, ...]:
         learn["select_by"] = options.select_by
     clients: list[Client] = []
     for seat, (name, network) in enumerate(zip(names, networks, strict=True)):
-        config = q_config(options, network, {"learn": learn}, files.get(name))
+        config = resolve(options.preset, *q_layers(options, network, {"learn": learn}, files.get(name)))
         require_user(config.env.profile)
         clients.append(Client(name=name, seat=seat, config=config))
     worlds = {client.config.world_digest(): client.name for client in clients}

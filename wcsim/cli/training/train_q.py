@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import tyro
 
-from wcsim.cli.shared.common import Repeated, Steps, parse
-from wcsim.cli.shared.run_config import how_it_learns, learning, require_head, require_trained_users, resolve_run
+from wcsim.cli.shared.common import Repeated, SettingsOptions, Steps, parse
+from wcsim.cli.shared.run_config import how_it_learns, learning, require_head, require_users, resolve_run
 from wcsim.cli.training.train import TrainingOptions, out_of, placed, told, train_in
-from wcsim.config import CONFIG_FILE, LearnConfig, RunConfig, resolve
-from wcsim.config.load import sets_key
+from wcsim.config import CONFIG_FILE, LearnConfig, resolve
+from wcsim.config.load import Layer, sets_key
 from wcsim.core import reading
 from wcsim.server.specs import RunInfo
 
@@ -21,17 +21,23 @@ _PARTS = ("phase1_steps", "learning_starts")  # of [learn], that shrink with the
 
 
 @dataclass(kw_only=True)
-class QOptions(TrainingOptions):
-    """What every new training by Q-learning takes."""
+class LearnerOptions(SettingsOptions):
+    """What everybody takes who learns by Q-learning."""
 
     preset: str = "dqn"
     """Preset to start from: dqn or paper."""
     reward: Repeated = ()
     """Your own reward term as module:Class, added to the paper's terms."""
-    hook: str = ""
-    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     steps: Steps = None
     """Total steps, as --set learn.total_steps=N. A preset's first phase of more than half of them shrinks."""
+
+
+@dataclass(kw_only=True)
+class QOptions(LearnerOptions, TrainingOptions):
+    """What every new training by Q-learning takes."""
+
+    hook: str = ""
+    """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     tensorboard: bool = False
     """Also log scalars for TensorBoard in the run folder, as --set learn.tensorboard=true."""
 
@@ -48,29 +54,21 @@ class Options(QOptions):
     """Name of a network, or your own as module:Class; same as --set learn.network=..."""
 
 
-class Asked(Protocol):
-    """The options that a configuration for Q-learning is made of."""
-
-    preset: str
-    config: Path | None
-    set: tuple[str, ...]
-    steps: int | None
-
-
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
     options = parse(Options, words, "train-q")
-    config = q_config(options, options.network, {"learn": {"tensorboard": True}} if options.tensorboard else None)
+    board = {"learn": {"tensorboard": True}} if options.tensorboard else None
+    config = resolve(options.preset, *q_layers(options, options.network, board))
     town, info = placed(options, options.info(("wcsim", "train-q", *words)), config)
     made = resolve_run(config, info, town, out_of(options, options.preset, town))
     train_in(made, town, note=how_it_learns(config), verbose=options.verbose)
     return told(options, made)
 
 
-def q_config(
-    asked: Asked, network: str = "", more: Mapping[str, Any] | None = None, file: Path | None = None
-) -> RunConfig:
-    """The configuration that was asked for, as it is learned with; the window is left to `resolve_run`.
+def q_layers(
+    asked: LearnerOptions, network: str = "", more: Mapping[str, Any] | None = None, file: Path | None = None
+) -> tuple[Layer, ...]:
+    """What is laid over the preset to learn as it was asked for; the window is left to `resolve_run`.
 
     Args:
         asked: The options.
@@ -82,16 +80,18 @@ def q_config(
         ConfigError: An option cannot be used, the user is kept for tests, or it is no Q-learning.
     """
     named = {"learn": {"network": network}} if network else None
-    config = resolve(asked.preset, asked.config, asked.set, more, named, file)
+    layers: tuple[Layer, ...] = (asked.config, asked.set, more, named, file)
+    config = resolve(asked.preset, *layers)
     if asked.steps is not None:
         tables = [reading.read_toml(path, CONFIG_FILE).get("learn", {}) for path in (asked.config, file) if path]
         typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
         own = [key for key in _PARTS if key in typed or any(key in table for table in tables)]
         parts = shrunk_parts(config.learn, asked.steps, own)
-        config = resolve(config, {"learn": {"total_steps": asked.steps, **parts}})
+        layers = (*layers, {"learn": {"total_steps": asked.steps, **parts}})
+        config = resolve(asked.preset, *layers)
     require_head(config, in_rounds=False)
-    require_trained_users(config)
-    return resolve(config, learning(config))
+    require_users(config)
+    return (*layers, learning(config))
 
 
 def shrunk_parts(learn: LearnConfig, steps: int, own: list[str]) -> dict[str, int]:

@@ -11,7 +11,6 @@ from wcsim.config.base import Model, NotNegative, Positive, Share, Word
 Steps = Annotated[int, Field(ge=1, le=10**9)]
 
 PROCESS_GROWTH_MB = 400.0
-WEIGHTS_EVERY_S, REPLAY_EVERY_S = 60.0, 900.0
 
 UpdateTime = Literal["before_acting", "while_waiting"]
 
@@ -53,7 +52,6 @@ class LearnConfig(Model):
     )
     learning_starts: StepsOrNone = 500  # Steps before the first update.
     train_every: Annotated[int, Field(ge=1, le=10**4)] = 4  # Steps between updates.
-    gradient_steps: Annotated[int, Field(ge=1, le=10**4)] = 1  # Updates at a time.
     updates: Annotated[UpdateTime, Field(exclude_if=lambda when: when == "before_acting")] = (
         "before_acting"  # When updates run: before an action, or while waiting for the world.
     )
@@ -77,12 +75,6 @@ class LearnConfig(Model):
         False  # Whether to write TensorBoard scalars, if it is installed.
     )
     checkpoint_every: Steps = 5_000  # Steps between checkpoints.
-    weights_every_s: Annotated[Positive, Field(exclude_if=lambda seconds: seconds == WEIGHTS_EVERY_S)] = (
-        WEIGHTS_EVERY_S  # Seconds between checkpoints of the weights, which take the newest saved replay along.
-    )
-    replay_every_s: Annotated[Positive, Field(exclude_if=lambda seconds: seconds == REPLAY_EVERY_S)] = (
-        REPLAY_EVERY_S  # Seconds between checkpoints of weights and replay.
-    )
     threads: Annotated[int, Field(ge=1, le=64)] = 1  # Threads of PyTorch.
     device: Word = "cpu"  # cpu, or cuda.
     episode_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 1_000  # Longest episode in training.

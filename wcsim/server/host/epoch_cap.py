@@ -8,6 +8,7 @@ from wcsim.server.specs import WorldSpec, rss_mb
 
 EPOCH_OVER = "the world generation is over"
 """How the reason begins by which a world's process ends for another one to go on with the next epoch."""
+_GROWTH_MB = 1_000.0  # what a world's process may grow by in an epoch
 SETTLED_TICKS = 100  # after which a world's memory is what it begins an epoch with
 
 
@@ -19,9 +20,7 @@ class EpochCap:
 
     def __init__(self, order: WorldSpec) -> None:
         """As the order says; never, where nobody would go on."""
-        world = order.world.config.world
         self._ticks = order.epoch_ticks
-        self._growth_mb = world.epoch_growth_mb
         self._begun_mb: float | None = None
         self._why = ""
         self.reached = ""  # why it is over, "" as long as it is not
@@ -32,7 +31,7 @@ class EpochCap:
             return
         now_mb = rss_mb()
         self._begun_mb = now_mb if self._begun_mb is None else self._begun_mb
-        if now_mb - self._begun_mb > self._growth_mb:
+        if now_mb - self._begun_mb > _GROWTH_MB:
             self._why = f"{EPOCH_OVER}: its process has grown from {self._begun_mb:.0f} to {now_mb:.0f} MB"
 
     def is_reached(self, cycle: Barrier) -> bool:

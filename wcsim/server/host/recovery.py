@@ -9,7 +9,6 @@ from pathlib import Path
 from wcsim.bridge.recording.fingerprint import fingerprint
 from wcsim.bridge.replay.player import LogPlayer, Seats, W, require_equal
 from wcsim.bridge.replay.seat_world import MakesEpoch, SeatWorld
-from wcsim.config import resolve
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.log.parts import part_files, put_aside
 from wcsim.log.reader import inputs_of_part, read_header
@@ -24,7 +23,7 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldSpec
 from wcsim.towns.making.asked_town import asked_town
-from wcsim.towns.scenario.town import Town, towns_hash
+from wcsim.towns.scenario.town import towns_hash
 
 ALIVE_EVERY = 10  # records between two signs of life while a world is made again
 GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back
@@ -185,7 +184,7 @@ def _header(order: WorldSpec, has_town: bool) -> Header:
         town=order.town,
         more_towns=order.more_towns,
         town_sha256=towns_hash(towns),
-        config=resolve(world.config, _usual_warmup(towns)).model_dump_json(),
+        config=world.config.model_dump_json(),
         seed=order.seed,
         seats=order.rules.capacity,
         tick_s=world.config.world.tick_s,
@@ -193,12 +192,6 @@ def _header(order: WorldSpec, has_town: bool) -> Header:
         hook=order.hook,
         recovery=order.recovery,
     )
-
-
-def _usual_warmup(towns: Sequence[Town]) -> tuple[str, ...]:
-    """Whether the warm-up was asked for says nothing where no town has one of its own: there it is left out."""
-    own = not towns or any(town.file.warmup_s is not None for town in towns)
-    return () if own else ("world.town_warmup=true",)
 
 
 def _require_same(path: Path, new: Header) -> None:

@@ -30,7 +30,7 @@ from wcsim.supervisor.actions import action_set
 
 RULES: Final = ("world", "chair", "reward", "vary")
 """Sections that are the preset's in a list, as with others its policies would not be judged alike."""
-_PACE: Final = ("draw_threads", "epoch_ticks", "epoch_growth_mb")  # of `world`: they change no result
+_PACE: Final = ("draw_threads", "epoch_ticks")  # of `world`: they change no result
 
 
 def identity_of(name: str, preset: str) -> list[Any]:
