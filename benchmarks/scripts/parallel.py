@@ -1,7 +1,7 @@
 """`python -m benchmarks parallel`: several networks learn in one world at once, and the same ones one after the other.
 
 Each run is the command `wcsim train-clients ...` in a process of its own, start-up included. Where the time went is
-what each client wrote into its times.json.
+what the launcher has added up in waits.json.
 """
 
 from __future__ import annotations
@@ -13,20 +13,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from wcsim.agents.clients.paid_times import PaidShares, read_paid_times
 from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.train_clients import client_names
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 
-_SHARES = ("simulation_s", "barrier_s", "inference_s", "learning_s", "overlap_s", "other_s", "elapsed_s")
+_SHARES = ("world_s", "others_s", "acting_s", "learning_s", "overlap_s", "total_s")
 
 
 @dataclass
@@ -117,13 +118,18 @@ def _trained(options: ParallelOptions, networks: Sequence[str], folder: Path, co
     wall_s = time.monotonic() - begun_s
     if done.returncode:
         raise WcsimError(f"wcsim {' '.join(words)} ended with code {done.returncode}: {done.stderr.strip()[-400:]}")
-    waited = {}
-    for name in client_names(networks):
-        times = json.loads((folder / name / "times.json").read_text(encoding="utf-8"))
-        waited[name] = {share: float(times[share]) for share in _SHARES}
+    paid = read_paid_times(folder)
+    if paid is None:
+        raise WcsimError(f"{folder} holds no times of its clients")
+    waited = {name: _told(paid.clients[name]) for name in client_names(networks)}
     rate = float(json.loads(result.read_text(encoding="utf-8"))["ticks_per_s"])
     start_s = wall_s - options.steps / rate if rate > 0.0 else wall_s
     return Trained(wall_s=wall_s, start_s=max(0.0, start_s), ticks_per_s=rate, waited=waited, cores=cores)
+
+
+def _told(shares: PaidShares) -> dict[str, float]:
+    """A client's shares, and their sum."""
+    return {**asdict(shares), "total_s": shares.acting_s + shares.learning_s + shares.waiting_s}
 
 
 def _print_group(
@@ -134,7 +140,7 @@ def _print_group(
     apart: dict[str, dict[str, float]],
 ) -> dict[str, float]:
     """Where the time of clients went together and alone, and what sharing has saved; returns the keys of the result."""
-    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "other", "total", "start")
+    table = Table("client", "run", "world", "barrier", "infer", "learn", "overlap", "total", "start")
     table.box, table.pad_edge, table.padding = box.SIMPLE_HEAD, False, (0, 0)  # no word is cut at 80 columns
     for run_name, waited in (("together", group.waited), ("alone", {name: apart[name] for name in group.waited})):
         for (client, shares), one in zip(waited.items(), alone, strict=False):
@@ -171,5 +177,5 @@ def _print_group(
 
 def _mean_world_s(runs: Sequence[Trained], steps: int) -> float:
     """The world's step in these runs."""
-    every_s = [shares["simulation_s"] for one in runs for shares in one.waited.values()]
+    every_s = [shares["world_s"] for one in runs for shares in one.waited.values()]
     return sum(every_s) / len(every_s) / steps

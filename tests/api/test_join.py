@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.api.streets import TINY, action_at, equal
+from tests.server.local_server import LocalServer
 from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
@@ -17,7 +18,6 @@ from wcsim.config import resolve
 from wcsim.errors import ConfigMismatchError, EvictedError, LinkError, NotMasterError, ProtocolError, ServerGoneError
 from wcsim.server.host.made_world import made_world
 from wcsim.server.links import socket
-from wcsim.server.links.local import LocalServer
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Lost, Rules
 from wcsim.server.specs import SeatRequest, WorldOrder
@@ -173,7 +173,7 @@ def test_a_client_that_was_given_up_hears_of_it_and_may_come_again(hall):
     env = WheelchairEnv(config=CONFIG, join=seat_of())
     env.reset()
     env.step(40)
-    server._hub.feed(Lost(env._link.core.session, "it hung"), time.monotonic())
+    server.hub.feed(Lost(env._link.core.session, "it hung"), time.monotonic())
     with pytest.raises(EvictedError, match="it hung"):
         env.step(40)
     _, info = env.reset(seed=1)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from tests.server.servers import AHEAD, Server
+from tests.server.servers import AHEAD, Server, alone
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import follow, open_world, quick_config
 from wcsim.agents.envs.episode_view import Chair
@@ -18,7 +18,7 @@ from wcsim.bridge.replay.verify import verify
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ConfigMismatchError
 from wcsim.server.links.base import WorldLink
-from wcsim.server.links.local import LocalLink
+from wcsim.server.links.local import LocalGroup
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
@@ -129,7 +129,7 @@ def test_a_range_of_what_is_not_there_or_out_of_bounds_is_refused(corner, overri
 
 def test_a_served_world_says_the_same_to_the_bit(corner, tmp_path):
     config = quick_config(ON)
-    with LocalLink(WorldOrder(town=str(corner), config=config, seat=SPEC, seed=4)) as link:
+    with alone(LocalGroup(WorldOrder(town=str(corner), config=config, seat=SPEC, seed=4))) as link:
         here = ridden(link)
     world = WorldSpec(
         town=str(corner),

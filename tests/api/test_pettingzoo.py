@@ -95,7 +95,7 @@ def test_who_has_ended_leaves_the_street_and_the_others_go_on(made, gone):
     env = made(chairs=3)
     env.reset(seed=2)
     env.step(dict.fromkeys(env.agents, 44))
-    world = env._chairs._group._server.world
+    world = env._chairs._group.home.world
     world.seats[gone].spec = SeatSpec(max_steps=2)
     parts = env.step(dict.fromkeys(env.agents, 44))
     assert all(list(part) == ["chair_0", "chair_1", "chair_2"] for part in parts)

@@ -18,7 +18,7 @@ from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
 from wcsim.server.launch.spawner import ProcessHandle, SubprocessSpawner
 from wcsim.server.launch.supervised import WORLD_ARGV
-from wcsim.server.links.base import WorldLink
+from wcsim.server.links.base import Seat, SeatGroup, WorldLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, WorldStatus, of_line, to_line
@@ -43,6 +43,13 @@ def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
         ring=str(folder / "ring"),
     )
     return replace(order, **changes)
+
+
+@contextmanager
+def alone(group: SeatGroup) -> Iterator[Seat]:
+    """The only seat of a world, which ends with it."""
+    with group:
+        yield group.links[0]
 
 
 class OtherWorlds(SubprocessSpawner):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
-from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, parse, says
+from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, SomeTown, parse, says
 from wcsim.cli.shared.named_policies import require_driver
 from wcsim.cli.shared.run_config import require_user
 from wcsim.core.files import check_new_file
@@ -30,7 +29,7 @@ class _AssistedOptions(PageOptions):
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user, who drives when you select it on the page; by default that of the episode."""
-    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    record: OutFile = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
 
 

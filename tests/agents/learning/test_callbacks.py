@@ -9,7 +9,7 @@ from torch import nn
 
 from tests.agents.chain import LENGTH, Chain
 from tests.agents.toy import logs_in, memory_of
-from wcsim.agents.learning.callbacks import EpisodeMetrics, _report_events, _ValueWatch
+from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, _ValueWatch
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
@@ -24,11 +24,14 @@ CALM = Events(episode=0, step=1, crashed=False, crash_reason="", truncated=False
 
 def test_a_jam_is_reported_once_a_step_and_crashes_each_with_their_words():
     told = []
+    watch = EventWatch(lambda kind, **values: told.append((kind, values)))
     crash = replace(CALM, crashed=True, crash_reason="collision", crash="was hit by car c", jam_teleports=2)
-    _report_events(lambda kind, **values: told.append((kind, values)), 7, (crash, CALM, crash))
+    watch.num_timesteps, watch.locals = 7, {"infos": [{"events": each} for each in (crash, CALM, crash)]}
+    assert watch._on_step()
     fact = ("crash", {"step": 7, "reason": "collision", "told": "was hit by car c"})
     assert told == [("jam", {"step": 7, "teleported": 2}), fact, fact]
-    _report_events(lambda kind, **values: told.append(kind), 8, (CALM,))
+    watch.locals = {"infos": [{"events": CALM}, {}]}
+    assert watch._on_step()
     assert len(told) == 3
 
 

@@ -17,7 +17,7 @@ from tests.agents.toy import ToyStreet, a_run, toy_camera
 from wcsim.agents.learning.train import train
 from wcsim.config import LearnConfig
 from wcsim.errors import InterruptedRunError
-from wcsim.server.links.socket import _Listener
+from wcsim.server.links.socket import SocketSeat
 
 HASTY = {"learning_rate": 0.03, "phase1_steps": 20, "epsilon_start": 0.0}  # an update changes what is chosen
 
@@ -75,32 +75,44 @@ def test_a_danger_network_cannot_wait():
         LearnConfig(head="danger", updates="while_waiting")
 
 
+class Heard(SocketSeat):
+    """A seat that hears by `listen` what it is to hear."""
+
+    def __init__(self, listen):
+        self._listen = listen
+        self._link_s = self._worked_s = 0.0
+
+
 def test_a_listener_hears_while_its_caller_works_and_both_are_waited_for():
     worked = threading.Event()
 
     def listen(recalled):
-        assert worked.wait(10.0) and not recalled()
+        assert worked.wait(10.0) and not recalled.is_set()
+        return time.perf_counter()
 
-    with _Listener(listen) as listener:
-        worked.set()
-    assert listener.ended_s > 0.0
+    seat = Heard(listen)
+    seat.while_waiting(worked.set)
+    assert 0.0 < seat._worked_s <= seat._link_s
 
 
 def test_what_a_listener_raises_is_raised_and_a_failure_of_the_work_recalls_it():
     def fails(recalled):
         raise OSError("the wire")
 
-    with pytest.raises(OSError, match="the wire"), _Listener(fails):
-        pass
+    with pytest.raises(OSError, match="the wire"):
+        Heard(fails).while_waiting(lambda: None)
     heard = []
 
     def listens(recalled):
-        while not recalled():
+        while not recalled.is_set():
             time.sleep(0.001)
         heard.append(True)
 
-    with pytest.raises(ValueError, match="the work"), _Listener(listens):
+    def works():
         raise ValueError("the work")
+
+    with pytest.raises(ValueError, match="the work"):
+        Heard(listens).while_waiting(works)
     assert heard == [True]
 
 

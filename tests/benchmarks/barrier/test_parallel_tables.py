@@ -14,7 +14,7 @@ from benchmarks.__main__ import main
 STEPS = 100
 WORLD_S = {1: 10.0, 2: 12.0}  # by the number of clients
 WALL_S = {1: 60.0, 2: 80.0}
-PARTS = ("world", "barrier", "infer", "learn", "overlap", "other")
+PARTS = ("world", "barrier", "infer", "learn", "overlap")
 
 
 def trained(clock, words, **_):
@@ -22,11 +22,10 @@ def trained(clock, words, **_):
     folder, result = (Path(words[words.index(option) + 1]) for option in ("--out", "--json"))
     networks = words[words.index("train-clients") + 1].split(",")
     count = len(networks)
-    shares = {"simulation_s": WORLD_S[count], "barrier_s": 5.0 * count, "inference_s": 7.0, "learning_s": 20.0}
-    shares |= {"overlap_s": 9.0, "other_s": 3.0, "elapsed_s": WORLD_S[count] + 5.0 * count + 7.0 + 20.0 - 9.0 + 3.0}
-    for name in networks:
-        (folder / name).mkdir(parents=True)
-        (folder / name / "times.json").write_text(json.dumps(shares))
+    shares = {"acting_s": 7.0, "learning_s": 20.0, "overlap_s": 9.0, "world_s": WORLD_S[count], "others_s": 5.0 * count}
+    folder.mkdir(parents=True)
+    waits = {"clients": dict.fromkeys(networks, shares), "waited_s": {}}
+    (folder / "waits.json").write_text(json.dumps(waits))
     result.write_text(json.dumps({"ticks_per_s": STEPS / (WALL_S[count] - 20.0)}))
     clock[0] += WALL_S[count]
     return subprocess.CompletedProcess(words, 0, "", "")

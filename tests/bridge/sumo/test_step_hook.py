@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.bridge.sumo.test_session import options
+from tests.server.servers import alone
 from tests.support.lit_road import CROSSING_LINKS, lit_road
 from tests.support.worlds import follow, quick_config
 from wcsim.bridge.sumo.run_place import RunPlace
@@ -18,7 +19,7 @@ from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.bridge.world import World
 from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import HookError
-from wcsim.server.links.child_world import ProcessLink
+from wcsim.server.links.child_world import ProcessGroup
 from wcsim.server.specs import WorldOrder
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
@@ -146,7 +147,7 @@ def test_a_hook_that_cannot_be_made_is_refused_and_leaves_no_world(corner, signa
 
 def test_a_world_in_another_process_runs_the_hook_too(corner, signals):
     order = WorldOrder(town=str(corner), config=quick_config(), seat=SeatSpec(), seed=1, hook=f"{signals}:Fails")
-    with ProcessLink(order) as link:
+    with alone(ProcessGroup(order)) as link:
         snapshot = link.join()
         with pytest.raises(HookError, match="no more"):
             for _ in range(5):

@@ -31,7 +31,7 @@ def joins(tmp_path, monkeypatch):
 
 def test_it_waits_as_long_as_a_world_may_take_to_come_back(joins):
     waits = []
-    joins(lambda env, alive: waits.append(env._seat.core.patience.reconnect_s))
+    joins(lambda env, alive: waits.append(env._join.core.patience.reconnect_s))
     assert waits == [RECONNECT_S]
 
 
@@ -39,7 +39,7 @@ def test_its_world_hears_of_it_before_its_first_step_and_while_it_saves(joins):
     heard = []
 
     def learn(env, alive):
-        env._seat.beat = heard.append
+        env._join.beat = heard.append
         alive()  # a checkpoint is read
         env.reset()
         alive()  # one is written

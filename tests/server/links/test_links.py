@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.server.servers import AHEAD, QUICK, Server, driven, stand_in_order
+from tests.server.servers import AHEAD, QUICK, Server, alone, driven, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import (
     ConfigMismatchError,
@@ -32,9 +32,9 @@ from wcsim.errors import (
     WorldFullError,
 )
 from wcsim.server.links import base
-from wcsim.server.links.base import WorldLink
-from wcsim.server.links.child_world import ProcessLink
-from wcsim.server.links.local import LocalLink
+from wcsim.server.links.base import Seat, WorldLink
+from wcsim.server.links.child_world import ProcessGroup
+from wcsim.server.links.local import LocalGroup
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
@@ -63,7 +63,7 @@ def ledger(link, ticks=TICKS):
 
 @pytest.fixture(scope="module")
 def reference(corner):
-    with LocalLink(order(corner)) as link:
+    with alone(LocalGroup(order(corner))) as link:
         return ledger(link)
 
 
@@ -71,7 +71,7 @@ def reference(corner):
 class Opened:
     """A link, and every frame it gave from a new world."""
 
-    link: WorldLink
+    link: Seat
     frames: list[bytes]
 
 
@@ -99,9 +99,9 @@ def opened(request, corner, reference, tmp_path_factory):
     del reference  # its world has to be closed before another one is opened
     with ExitStack() as held:
         if request.param == "local":
-            link = held.enter_context(LocalLink(order(corner)))
+            link = held.enter_context(alone(LocalGroup(order(corner))))
         elif request.param == "process":
-            link = held.enter_context(ProcessLink(order(corner)))
+            link = held.enter_context(alone(ProcessGroup(order(corner))))
         else:
             folder, keys = tmp_path_factory.mktemp("far"), ""
             if request.param == "tcp+curve":
@@ -146,13 +146,13 @@ def test_a_link_knows_its_seat_and_where_its_time_went(opened):
     before = opened.link.waits
     opened.link.act(opened.link.join().tick, AHEAD)
     after = opened.link.waits
-    assert (opened.link.seat, opened.link.master) == (0, True)
+    assert opened.link.seat == 0
     assert after.steps == before.steps + 1
     assert after.link_s > before.link_s
     assert after.simulation_s > before.simulation_s
 
 
-@pytest.mark.parametrize("make", [LocalLink, ProcessLink])
+@pytest.mark.parametrize("make", [LocalGroup, ProcessGroup])
 def test_an_unknown_town_is_the_same_error(make, capfd):
     with pytest.raises(TownError, match="atlantis"):
         make(WorldOrder(town="atlantis", config=CONFIG, seat=SPEC, seed=0))
@@ -160,7 +160,7 @@ def test_an_unknown_town_is_the_same_error(make, capfd):
 
 
 def test_a_world_that_dies_is_noticed_and_a_closed_link_says_so(corner):
-    with ProcessLink(order(corner)) as link:
+    with alone(ProcessGroup(order(corner))) as link:
         link.join()
         os.kill(link._child.process.pid, signal.SIGKILL)
         with pytest.raises(LinkClosedError, match="ended"):
@@ -335,7 +335,7 @@ def test_a_world_of_ones_own_leaves_nothing_and_removes_what_the_killed_have_lef
     left = Path(told.strip())
     assert (left / "seat-0").exists()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with ProcessLink(order(corner)) as link:
+    with alone(ProcessGroup(order(corner))) as link:
         link.join()
         assert not left.exists()
         place = Path(link._child.endpoint.removeprefix("ipc://")).parent

@@ -9,7 +9,6 @@ episode was cut there anyway.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 import signal
@@ -28,7 +27,6 @@ from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
 from wcsim.config import LearnConfig, RunConfig, resolve
-from wcsim.core import files
 from wcsim.errors import (
     AccessError,
     ConfigMismatchError,
@@ -47,7 +45,6 @@ from wcsim.server.specs import ClientSpec, ClientStatus, rss_mb, to_line
 from wcsim.supervisor.rewards import find_reward_term
 
 STATUS_EVERY_S = 0.5  # shortest time between two status lines
-TIMES = "times.json"
 _LASTING = (AccessError, ConfigMismatchError, PicturesError, VersionMismatchError)  # it would end so again
 SETTLED_STEPS: Final = 200  # of a life, after which its memory is what it begins with
 _P = ParamSpec("_P")
@@ -152,13 +149,12 @@ class _StatusPipe:
             os.set_blocking(descriptor, False)
         self._env, self._shares = env, shares
         self._written_s = 0.0
-        self.last = ClientStatus(name=name)
 
     def show(self, now: TrainProgress) -> None:
         """Take in the progress, and report it when it is time, or when that is all."""
         self._growth.look(now.step, self._env.epoch)
         waits = self._env.waits
-        self.last = ClientStatus(
+        said = ClientStatus(
             name=self._name,
             **asdict(now),
             simulation_s=waits.simulation_s,
@@ -172,7 +168,7 @@ class _StatusPipe:
         if self._descriptor >= 0 and is_due:
             self._written_s = time.monotonic()
             try:
-                os.write(self._descriptor, to_line(self.last))
+                os.write(self._descriptor, to_line(said))
             except BlockingIOError:  # the reader is stopped
                 pass
             except OSError:  # no reader is left; the kernel asks for the end itself (`parent.die_with_parent`),
@@ -199,7 +195,7 @@ def learn(
     config = resolve(config, network_settings(config))
     find_network(config.learn.network)
     terms = tuple(find_reward_term(name) for name in order.info.rewards)
-    out, begun_s, beats = Path(order.out), time.monotonic(), count(1)
+    out, beats = Path(order.out), count(1)
     goes_on = resume and (out / MANIFEST).is_file()
     if resume and not goes_on and out.is_dir():  # a life that was ended while it made its folder
         if has_work(out):
@@ -223,26 +219,6 @@ def learn(
         raise
     finally:
         env.close()
-        _write_times(out, pipe.last, time.monotonic() - begun_s)
-
-
-def _write_times(out: Path, last: ClientStatus, elapsed_s: float) -> None:
-    """Where the time of this life went."""
-    if not out.is_dir():
-        return
-    known_s = last.simulation_s + last.barrier_s + last.inference_s + last.learning_s - last.overlap_s
-    times = {
-        "step": last.step,
-        "elapsed_s": elapsed_s,
-        "simulation_s": last.simulation_s,
-        "barrier_s": last.barrier_s,
-        "inference_s": last.inference_s,
-        "learning_s": last.learning_s,
-        "overlap_s": last.overlap_s,
-        "other_s": max(0.0, elapsed_s - known_s),
-    }
-    with contextlib.suppress(DiskFullError):  # why this life ends is of more weight
-        files.write_json(out / TIMES, times)
 
 
 def exit_code(error: WcsimError) -> ClientExit:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +39,8 @@ class PaidShares:
 
     def plus(self, now: PaidShares, before: PaidShares) -> PaidShares:
         """This, and what has been added from `before` to `now`, two readings of one life."""
-        return PaidShares(
-            acting_s=self.acting_s + now.acting_s - before.acting_s,
-            learning_s=self.learning_s + now.learning_s - before.learning_s,
-            overlap_s=self.overlap_s + now.overlap_s - before.overlap_s,
-            world_s=self.world_s + now.world_s - before.world_s,
-            others_s=self.others_s + now.others_s - before.others_s,
-        )
+        names = [each.name for each in fields(self)]
+        return PaidShares(**{k: getattr(self, k) + getattr(now, k) - getattr(before, k) for k in names})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,8 +21,8 @@ from wcsim.agents.envs.frame_window import windowed_space
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant
-from wcsim.server.links.base import WorldLink
-from wcsim.server.links.open import SeatGroup, open_group
+from wcsim.server.links.base import Seat, SeatGroup
+from wcsim.server.links.open import open_group
 from wcsim.server.specs import WorldOrder, seat_spec
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.observation import Observation, imu_size, observation_space
@@ -225,7 +225,7 @@ class Chairs:
         """What came of a chair's action. Raises LinkError."""
         return self.all[seat].take(self.link(seat).receive())
 
-    def link(self, seat: int) -> WorldLink:
+    def link(self, seat: int) -> Seat:
         """The link of a seat. Raises ProtocolError when there is no world."""
         if self._group is None:
             raise ProtocolError("step() came before reset(); call reset() first")

@@ -29,14 +29,12 @@ from wcsim.agents.envs.env_spec import (
     make_face,
 )
 from wcsim.agents.envs.episode_view import Chair
-from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import EvictedError, ProtocolError, WorldRestartedError
-from wcsim.server.links.base import Waits, WorldLink
-from wcsim.server.links.open import open_link
+from wcsim.server.links.base import Seat, SeatGroup, Waits
+from wcsim.server.links.open import open_group
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.supervisor.observation import Observation
-from wcsim.supervisor.rewards import RewardTerm
 from wcsim.types import ClientSnapshot
 
 
@@ -50,7 +48,7 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         town: str = "helsinki",
         *,
         towns: Sequence[str] = (),
-        join: SeatRequest | None = None,
+        join: SeatRequest | Seat | None = None,
         **options: Unpack[EnvOptions],
     ) -> None:
         """Describe the environment; the world is made, or joined, by the first reset.
@@ -59,8 +57,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
             town: A town's name or folder.
             towns: Further towns. When an episode ends after `config.epoch_ticks` steps in a town, the next follows.
                 The seed of a reset says which comes first.
-            join: Take this seat in a running world instead. The server sets town, seed, run and hook. Cameras and
-                actions must match the server's. `join.spec` sets user and episode length.
+            join: Take this seat in a running world instead, or go on with one that was taken before. The server sets
+                town, seed, run and hook. Cameras and actions must match the server's. `join.spec` sets user and episode
+                length.
             **options: config, preset, overrides, seed, reward_terms, render_mode, run, hook: see `EnvOptions`.
 
         Raises:
@@ -73,7 +72,8 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         self._towns, self._root_seed, self._turn, self._steps = (town, *towns), 0, 0, 0
         self.on_town: Callable[[str], object] | None = None  # called with each town of several
         self._first_seed = checked_seed(options.get("seed"))
-        self._link: WorldLink | None = None
+        self._own: SeatGroup | None = None  # the world, where no server has it
+        self._link: Seat | None = None
         self._waits_no_more = False
         self.due_work: Callable[[], Callable[[], None] | None] | None = None  # to be done while a step is waited for
         terms = tuple(options.get("reward_terms", ()))
@@ -137,9 +137,10 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
 
     def close(self) -> None:
         """Leave the world; a second call does nothing."""
-        link, self._link, self._chair.now = self._link, None, None
-        if link is not None:
-            link.close()
+        held = self._own or self._link
+        self._own = self._link = self._chair.now = None
+        if held is not None:
+            held.close()
 
     @property
     def epoch(self) -> int:
@@ -153,19 +154,24 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
 
     def beat(self, progress: int) -> None:
         """Show a server that a long computation goes on, by a counter that rises."""
-        if self._link is not None:
-            self._link.beat(progress)
+        if (link := self._held) is not None:
+            link.beat(progress)
 
     def wait_less(self) -> None:
         """From now on a world that is silent for some seconds is gone; may be called by a signal's handler."""
-        if self._link is not None:
-            self._link.wait_less()
+        if (link := self._held) is not None:
+            link.wait_less()
 
     def wait_no_more(self) -> None:
         """From now on waiting for the world is a ServerGoneError; may be called by a signal's handler."""
         self._waits_no_more = True
         if self._link is not None:
             self._link.wait_no_more()
+
+    @property
+    def _held(self) -> Seat | None:
+        """The link; one that was taken before is held before the first reset too."""
+        return self._join if self._link is None and isinstance(self._join, Seat) else self._link
 
     def _first_frame(self, seed: int | None) -> ClientSnapshot:
         """The first frame of the next episode; a world whose step was interrupted is made, or joined, anew."""
@@ -194,7 +200,10 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
     def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
         if self._join is None:
             self._root_seed, self._turn, self._steps = drawn_seed() if seed is None else seed, turn, 0
-            self._link = open_link(self._order())
+            self._own = open_group(self._order())
+            self._link = self._own.links[0]
+        elif isinstance(self._join, Seat):
+            self._link = self._join
         else:
             from wcsim.server.links.socket import open_seat  # ZeroMQ is loaded only for a world of another process
 
@@ -217,28 +226,3 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         if self.on_town is not None:
             self.on_town(self.town)
         return replace(order, town=self.town)
-
-
-class SeatedEnv(WheelchairEnv):
-    """A `WheelchairEnv` in a joined world whose seat was taken before; it closes the link."""
-
-    def __init__(
-        self, link: WorldLink, config: RunConfig, town: str = "", reward_terms: Sequence[RewardTerm] = ()
-    ) -> None:
-        """Use this link; cameras and actions of the configuration are the server's."""
-        super().__init__(town, config=config, reward_terms=reward_terms)
-        self._seat = link
-
-    def beat(self, progress: int) -> None:
-        """Show it from the beginning on: the seat is held before the first reset."""
-        self._seat.beat(progress)
-
-    def wait_less(self) -> None:
-        """From now on, also before the first reset; may be called by a signal's handler."""
-        self._seat.wait_less()
-
-    def _open(self, seed: int | None, turn: int = 0) -> ClientSnapshot:
-        """The frame that the seat has; the world's seed is the server's."""
-        del seed, turn
-        self._link = self._seat
-        return self._seat.join()

@@ -58,14 +58,8 @@ def _is_stateful(config: RunConfig) -> bool:
 
 def _net_spec(config: RunConfig) -> NetSpec:
     """The network that a run's configuration asks for."""
-    reward, learn = config.reward, config.learn
-    prior = FollowPrior(
-        base=reward.base,
-        max_follow_distance=reward.max_follow_distance,
-        max_distance=reward.max_distance,
-        penalty=reward.penalty,
-        reward_scale=learn.reward_scale,
-    )
+    learn, of_reward = config.learn, {"base", "max_follow_distance", "max_distance", "penalty"}
+    prior = FollowPrior(reward_scale=learn.reward_scale, **config.reward.model_dump(include=of_reward))
     if learn.head == "danger":
         raise PolicyError("learn.head='danger' is not a head for Q-learning; expected residual or plain here")
     return NetSpec(

@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import FrameType, TracebackType
 from typing import Any, Final
@@ -130,7 +130,7 @@ class SeqCallback(BaseCallback):
 
 
 class EventWatch(SeqCallback):
-    """Reports every tick in which SUMO took vehicles out of a jam, and every crash."""
+    """Reports every step in which SUMO took vehicles out of a jam, once, and every crash."""
 
     def __init__(self, report: Callable[..., None]) -> None:
         """`report` is `RunFolder.event`."""
@@ -138,21 +138,14 @@ class EventWatch(SeqCallback):
         self.report = report
 
     def _on_step(self) -> bool:
-        _report_events(
-            self.report,
-            self.learner.num_timesteps,
-            [info["events"] for info in self.locals["infos"] if info.get("events") is not None],
-        )
+        step, told = self.num_timesteps, [info.get("events") for info in self.locals["infos"]]
+        events: list[Events] = [each for each in told if each is not None]
+        if jammed := max((each.jam_teleports for each in events), default=0):
+            self.report("jam", step=step, teleported=jammed)
+        for each in events:
+            if each.crashed:
+                self.report("crash", step=step, reason=each.crash_reason, told=each.crash)
         return True
-
-
-def _report_events(report: Callable[..., None], step: int, events: Sequence[Events]) -> None:
-    """Report the events of a step for events.jsonl: of a jam once, of crashes each."""
-    if jammed := max((each.jam_teleports for each in events), default=0):
-        report("jam", step=step, teleported=jammed)
-    for each in events:
-        if each.crashed:
-            report("crash", step=step, reason=each.crash_reason, told=each.crash)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +226,7 @@ class EpisodeMetrics(SeqCallback):
         seen, _ = learner.policy.obs_to_tensor(observation)
         with torch.no_grad():
             values = learner.q_net(seen)
-            taken = values.gather(1, learner.q_net.choice(values, seen)[:, None])[:, 0]
+            taken = values.max(dim=1).values
         for seat in starts:
             value, scale = float(taken[seat]), learner.settings.reward_scale
             self.sums[seat].values = _ValueWatch(gamma=learner.gamma, scale=scale, value=value)
@@ -303,16 +296,15 @@ class EverySeconds(SeqCallback):
             self.next_s = self.now_s() + self.seconds  # counted from its end: a slow disk must not be all that is done
 
 
-class StopWhenAsked(SeqCallback):
-    """Raises KeyboardInterrupt between rollouts once a stop was asked for, so that nothing is half-done."""
+class Between(SeqCallback):
+    """Calls a function between rollouts, where nothing is half-done."""
 
-    def __init__(self, request: StopRequest) -> None:
+    def __init__(self, call: Callable[[], None]) -> None:
         super().__init__()
-        self.request = request
+        self.call = call
 
     def _on_rollout_start(self) -> None:
-        if self.request.asked:
-            raise KeyboardInterrupt
+        self.call()
 
 
 class StopRequest:
@@ -329,6 +321,11 @@ class StopRequest:
         self.asked, self.forced = False, False
         self.ending = False  # the last files are being written: what is asked for again is under way
         self._before: dict[int, Any] = {}
+
+    def look(self) -> None:
+        """Raise KeyboardInterrupt once a stop was asked for."""
+        if self.asked:
+            raise KeyboardInterrupt
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():

@@ -13,20 +13,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import zstandard
 
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import LEVEL
-from wcsim.agents.replay.groups import Groups
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
 from wcsim.config import parse
 from wcsim.config.run_file import SeqFile, SittingFile
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
-from wcsim.types import U8
+from wcsim.types import I64, U8
 
 _MODEL: Final = "model.safetensors"
 _PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
@@ -77,28 +75,18 @@ def restoring(model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Rest
 
 def _generator_state(rng: np.random.Generator) -> dict[str, Any]:
     """State of a Philox generator as plain values."""
-    state = rng.bit_generator.state
-    return {
-        "counter": [int(v) for v in state["state"]["counter"]],
-        "key": [int(v) for v in state["state"]["key"]],
-        "buffer": [int(v) for v in state["buffer"]],
-        "buffer_pos": int(state["buffer_pos"]),
-        "has_uint32": int(state["has_uint32"]),
-        "uinteger": int(state["uinteger"]),
-    }
+    state = dict(rng.bit_generator.state)
+    del state["bit_generator"]
+    flat = {**state.pop("state"), **state}
+    return {key: value.tolist() if isinstance(value, np.ndarray) else int(value) for key, value in flat.items()}
 
 
 def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
     """The generator that `_generator_state` described."""
     bits = np.random.Philox()
-    bits.state = {
-        "bit_generator": "Philox",
-        "state": {"counter": np.array(state["counter"], np.uint64), "key": np.array(state["key"], np.uint64)},
-        "buffer": np.array(state["buffer"], dtype=np.uint64),
-        "buffer_pos": state["buffer_pos"],
-        "has_uint32": state["has_uint32"],
-        "uinteger": state["uinteger"],
-    }
+    counter, key, buffer = (np.array(state[name], np.uint64) for name in ("counter", "key", "buffer"))
+    whole: Any = {**state, "bit_generator": "Philox", "state": {"counter": counter, "key": key}, "buffer": buffer}
+    bits.state = whole
     return np.random.Generator(bits)
 
 
@@ -197,22 +185,26 @@ def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: No
         for k in range(0, size, _SLICE):
             blobs += _pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
             alive()
-    ends = sorted(replay.after_end)
+    ends, groups = sorted(replay.after_end), replay.groups
     end_images = [replay.observation_after_end(*key)[0] for key in ends]
+    end_vectors = [replay.after_end[key][1] for key in ends]
     arrays: Arrays = {name: getattr(replay, name)[rows] for name in _PER_STEP}
     if replay.advice is not None:
         arrays.update(replay.advice.arrays(rows))
-    arrays.update(_group_arrays(replay))
+    if groups is not None:
+        states = np.array(list(groups.states.values()), dtype=np.float32)
+        arrays["state_at"] = np.array(list(groups.states), dtype=np.int64).reshape(-1, 2)
+        arrays["states"] = states.reshape(len(groups.states), groups.state_size)
     arrays["total"] = np.array([replay.total, size], dtype=np.int64)
     arrays["frames"] = np.frombuffer(b"".join(blobs), dtype=np.uint8)
     arrays["blob_bytes"] = np.array([len(blob) for blob in blobs], dtype=np.int64)
     arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
     empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
     empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
+    arrays["end_images"] = np.stack(end_images) if ends else empty_image
+    arrays["end_vectors"] = np.stack(end_vectors) if ends else empty_vector
     arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
-    arrays["end_images"] = np.stack(end_images) if ends else empty_image
-    arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
     return {key: np.ascontiguousarray(value) for key, value in arrays.items()}
 
@@ -224,31 +216,18 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
     return sorted({(index, seat) for index in cut for seat in range(replay.n_envs)} | set(replay.windows.whole))
 
 
-def _group_arrays(replay: FrameReplay) -> Arrays:
-    """The states that were stored for groups."""
-    groups = replay.groups
-    if groups is None:
-        return {}
-    states = np.zeros((len(groups.states), groups.state_size), dtype=np.float32)
-    for row, state in zip(states, groups.states.values(), strict=True):
-        row[:] = state
-    return {
-        "state_at": np.array(list(groups.states), dtype=np.int64).reshape(-1, 2),
-        "states": states,
-    }
-
-
 def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
     size = _stored_steps(replay, arrays)
-    for name, (shape, kind) in _expected(replay, arrays, size).items():
-        if arrays[name].shape != shape or arrays[name].dtype != kind:
-            got = arrays[name].dtype, arrays[name].shape
-            raise ValueError(f"replay: {name} is {got[0]} {got[1]}; expected {np.dtype(kind)} {shape}")
-    frames, lengths = arrays["frames"], arrays["blob_bytes"]
-    if len(arrays["next_images"]) not in (0, replay.n_envs) or frames.ndim != 1 or lengths.ndim != 1:
+    for name, own in _replay_arrays(replay).items():
+        got, count = arrays[name], size if name in _PER_STEP else len(arrays[name])
+        shape = (count, *own.shape[1:])
+        if got.shape != shape or got.dtype != own.dtype:
+            raise ValueError(f"replay: {name} is {got.dtype} {got.shape}; expected {own.dtype} {shape}")
+    lengths, coming = arrays["blob_bytes"], {len(arrays["next_images"]), len(arrays["next_vectors"])}
+    if coming not in ({0}, {replay.n_envs}):
         raise ValueError("replay: its images do not go together")
-    if (lengths < 0).any() or int(lengths.sum()) != len(frames):
+    if (lengths < 0).any() or int(lengths.sum()) != len(arrays["frames"]):
         raise ValueError("replay: its frames have other lengths than it says")
 
 
@@ -260,33 +239,6 @@ def _stored_steps(replay: FrameReplay, arrays: Arrays) -> int:
     if not 0 <= size <= total or size != min(total, replay.buffer_size):
         raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
     return size
-
-
-def _expected(replay: FrameReplay, arrays: Arrays, size: int) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
-    """Shape and type of each array, with as many ends, windows and frames as there are."""
-    layout = replay.layout
-    ends, whole, coming = (len(arrays[name]) for name in ("end_at", "whole_images", "next_images"))
-    return {
-        **{name: ((size, *getattr(replay, name).shape[1:]), getattr(replay, name).dtype) for name in _PER_STEP},
-        "end_at": ((ends, 2), np.int64),
-        "end_images": ((ends, layout.image_bytes), np.uint8),
-        "end_vectors": ((ends, layout.vector_size), np.float32),
-        "whole_at": ((whole, 2), np.int64),
-        "whole_images": ((whole, layout.image_bytes), np.uint8),
-        "next_images": ((coming, layout.image_bytes), np.uint8),
-        "next_vectors": ((coming, layout.vector_size), np.float32),
-        "frames": (arrays["frames"].shape, np.uint8),
-        "blob_bytes": (arrays["blob_bytes"].shape, np.int64),
-        **({} if replay.groups is None else _expected_groups(replay.groups, arrays)),
-    }
-
-
-def _expected_groups(groups: Groups, arrays: Arrays) -> dict[str, tuple[tuple[int, ...], npt.DTypeLike]]:
-    states = len(arrays["state_at"])
-    return {
-        "state_at": ((states, 2), np.int64),
-        "states": ((states, groups.state_size), np.float32),
-    }
 
 
 def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
@@ -322,9 +274,7 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
 
 
-def _restore_frames(
-    replay: FrameReplay, arrays: Arrays, index: npt.NDArray[np.int64], alive: Callable[[], object]
-) -> None:
+def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Callable[[], object]) -> None:
     ends = np.cumsum(arrays["blob_bytes"])
     data = arrays["frames"].tobytes()
     blobs = [data[end - length : end] for end, length in zip(ends, arrays["blob_bytes"], strict=True)]

@@ -11,10 +11,10 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from wcsim.core import files
+from wcsim.core.closing import Closing
 from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, DiskFullError, PolicyError
 
@@ -86,7 +86,7 @@ def _line(values: Iterable[object]) -> str:
     return out.getvalue()
 
 
-class BoardLog:
+class BoardLog(Closing):
     """Writes each number of a row as a scalar, `episode/NAME` or `train/NAME`, at the row's step; close it."""
 
     def __init__(self, run: Path, keep_to_step: int | None = None) -> None:
@@ -109,14 +109,6 @@ class BoardLog:
     def close(self) -> None:
         """End the files."""
         self._writer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def check_tensorboard() -> None:

@@ -194,7 +194,7 @@ class SeqDQN(DQN):
         self.max_abs_q = 0.0
         self.last_loss = float("nan")
         self.meanwhile = False  # whether the environment does the due updates within its step
-        self._due: tuple[int, int] | None = None  # gradient steps and batch size of updates that were put off
+        self.due: tuple[int, int] | None = None  # gradient steps and batch size of updates that were put off
         dqn.setdefault("replay_buffer_class", FrameReplay)
         super().__init__(policy, env, seed=seed, _init_setup_model=_init_setup_model, **dqn)
 
@@ -321,7 +321,7 @@ class SeqDQN(DQN):
         """Do `gradient_steps` updates, now or after the next action was chosen. Raises as `do_updates`."""
         if self.settings.updates == "while_waiting":
             self.catch_up()
-            self._due = gradient_steps, batch_size
+            self.due = gradient_steps, batch_size
         else:
             self.do_updates(gradient_steps, batch_size)
 
@@ -331,21 +331,12 @@ class SeqDQN(DQN):
         The action was chosen by the weights before them, and they draw from the steps before it, whenever they are
         done: by the environment while it waits for the world (`meanwhile`), or before it moves. None without any.
         """
-        return None if self._due is None else self.catch_up
-
-    @property
-    def owes_updates(self) -> bool:
-        """Whether updates were put off that are not done yet; a checkpoint holds it."""
-        return self._due is not None
-
-    def owe_updates(self, gradient_steps: int) -> None:
-        """Put updates off, as the run did whose checkpoint this one goes on from."""
-        self._due = gradient_steps, self.batch_size
+        return None if self.due is None else self.catch_up
 
     def catch_up(self) -> None:
         """Do the updates that were put off, if there are any. Raises as `do_updates`."""
-        if self._due is not None:
-            due, self._due = self._due, None
+        if self.due is not None:
+            due, self.due = self.due, None
             self.do_updates(*due)
 
     def do_updates(self, gradient_steps: int, batch_size: int) -> None:
@@ -398,7 +389,7 @@ class SeqDQN(DQN):
         """Scaled n-step returns plus the discounted value after them, (B, 1)."""
         after = self.q_net_target(batch.next_observations)
         chooser = self.q_net(batch.next_observations) if self.settings.double_q else after
-        value = after.gather(1, self.q_net.choice(chooser, batch.next_observations)[:, None])
+        value = after.gather(1, chooser.argmax(dim=1, keepdim=True))
         discounts = self.gamma if batch.discounts is None else batch.discounts
         return torch.as_tensor(self.settings.reward_scale * batch.rewards + (1.0 - batch.dones) * discounts * value)
 

@@ -17,18 +17,18 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wcsim.agents.learning.build import build_model, network_settings
 from wcsim.agents.learning.callbacks import (
+    Between,
     EpisodeMetrics,
     EventWatch,
     Every,
     EverySeconds,
     StopRequest,
-    StopWhenAsked,
     TrainingLogs,
     TrainProgress,
 )
 from wcsim.agents.learning.checkpoint import restoring, save_checkpoint
 from wcsim.agents.learning.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
-from wcsim.agents.learning.phases import LearningPhase, PhasePlan
+from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import checked_device, torch_settings
@@ -116,25 +116,6 @@ def _stopped_error(path: Path, step: int, total: int, unsaved: str) -> Interrupt
     return InterruptedRunError(f"{message}; {path} holds the policy so far; continue it: {how_to_resume(path)}")
 
 
-class _PhaseSwitch(BaseCallback):
-    """Calls `on_switch` once, before the first rollout of the second phase; the first is complete and stored then."""
-
-    def __init__(self, plan: PhasePlan, on_switch: Callable[[], None], done: bool = False) -> None:
-        super().__init__()
-        self.plan = plan
-        self.on_switch = on_switch
-        self.done = done
-
-    def _on_rollout_start(self) -> None:
-        if not self.done and self.plan.phase(self.num_timesteps) is LearningPhase.AGENT_DRIVEN:
-            if self.plan.learn.phase1_steps > 0:
-                self.on_switch()
-            self.done = True  # not before: what fails on a full disk is done when the run goes on
-
-    def _on_step(self) -> bool:
-        return True
-
-
 class _Session:
     """One sitting of a run: a fresh start or a resume, until done or stopped."""
 
@@ -164,20 +145,20 @@ class _Session:
             board=BoardLog(run.path, kept) if self.learn_config.tensorboard else None,
         )
         self.episodes = EpisodeMetrics(self.logs, time.monotonic(), model._episode_num, before.crashes)
-        self.switch = _PhaseSwitch(plan, self._switched, done=before.phase1_done)
+        self.plan, self.phase1_done = plan, before.phase1_done
         self.alarmed = before.q_alarm
         self.unsaved = ""  # why the last checkpoint could not be written
         if before.owes_updates:
-            model.owe_updates(1)
+            model.due = 1, model.batch_size
         self.callbacks: list[BaseCallback] = [
             self.episodes,
-            self.switch,
+            Between(self._switch_phase),
             EventWatch(self.run.event),
             Every(self.learn_config.checkpoint_every, self._checkpoint),
             EverySeconds(REPLAY_EVERY_S, self._checkpoint),
             EverySeconds(WEIGHTS_EVERY_S, partial(self._checkpoint, replay=False)),
             Every(progress_every, self._report),
-            StopWhenAsked(request),
+            Between(request.look),
         ]
 
     def learn(self) -> Path:
@@ -199,9 +180,9 @@ class _Session:
             if self.request.asked and isinstance(error, LinkError):
                 raise self._interrupted() from error
             raise
-        if not self.switch.done and self.learn_config.phase1_steps > 0:
+        if not self.phase1_done and self.learn_config.phase1_steps > 0:
             self._switched()
-            self.switch.done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
+            self.phase1_done = self.model.phase is LearningPhase.AGENT_DRIVEN  # a run that goes on has done it
         self._checkpoint()
         self._finish("done")
         return self.run.path
@@ -211,6 +192,13 @@ class _Session:
         self.request.ending = True
         self._finish("interrupted")
         return _stopped_error(self.run.path, self.model.num_timesteps, self.learn_config.total_steps, self.unsaved)
+
+    def _switch_phase(self) -> None:
+        """Before the first rollout of the second phase: the first is complete and stored then."""
+        if not self.phase1_done and self.plan.phase(self.model.num_timesteps) is LearningPhase.AGENT_DRIVEN:
+            if self.learn_config.phase1_steps > 0:
+                self._switched()
+            self.phase1_done = True  # not before: what fails on a full disk is done when the run goes on
 
     def _switched(self) -> None:
         self._save("phase1")
@@ -236,9 +224,9 @@ class _Session:
         self._watch_values()
         extra = {
             "crashes": self.episodes.crashes,
-            "phase1_done": self.switch.done,
+            "phase1_done": self.phase1_done,
             "q_alarm": self.alarmed,
-            "owes_updates": self.model.owes_updates,
+            "owes_updates": self.model.due is not None,
         }
         try:
             save_checkpoint(self.run.checkpoints, self.model, extra, self.alive, replay=replay)

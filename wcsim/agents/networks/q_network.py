@@ -73,11 +73,6 @@ class QNet(BasePolicy):
             q = q + self.follow_reward(observations[JOYSTICK_KEY])
         return torch.as_tensor(q)
 
-    def choice(self, values: torch.Tensor, observations: PyTorchObs) -> torch.Tensor:
-        """(B,) the action that is taken for these values (B, A)."""
-        del observations
-        return values.argmax(dim=1)
-
     def distances(self, joysticks_xy: torch.Tensor) -> torch.Tensor:
         """Joystick distance of every action, (B, 2) -> (B, A)."""
         gap = joysticks_xy[:, None, :] - torch.as_tensor(self._points)[None]
@@ -94,7 +89,7 @@ class QNet(BasePolicy):
         return prior.reward_scale * reward
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
-        return self.choice(self(observation), observation)
+        return torch.as_tensor(self(observation)).argmax(dim=1)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {"observation_space": self.observation_space, "action_space": self.action_space, "spec": self.spec}
@@ -152,10 +147,7 @@ class SeqQPolicy(DQNPolicy):
         space, actions = self.observation_space, self.action_space
         if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
             raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
-        return self._make_net(space, actions).to(self.device)
-
-    def _make_net(self, space: spaces.Dict, actions: spaces.Discrete) -> QNet:
-        return QNet(space, actions, self.spec)
+        return QNet(space, actions, self.spec).to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {

@@ -224,9 +224,12 @@ class FrameReplay(ReplayBuffer):
         A step that no seat has driven, as its world began again, is left out: the one before leads to its observation.
         """
         images, vectors = self.layout.image_rows(obs), self.layout.vector_rows(obs)
-        self._cut_where_broken(images, vectors)
-        if all(info.get("reason") == WORLD_RESTARTED for info in infos):
-            self._end_chains()
+        restarted = all(info.get("reason") == WORLD_RESTARTED for info in infos)
+        for seat in self._goes_on():
+            if restarted or not self._led_to(images, vectors, seat):
+                self.ended[(self.total - 1) % self.buffer_size, seat] = True
+                self._store_expected(self.total - 1, seat)
+        if restarted:
             return
         row = self.pos
         self._forget(self.total - self.buffer_size)
@@ -383,26 +386,16 @@ class FrameReplay(ReplayBuffer):
         back = np.minimum(self.rng.integers(0, self.precrash_window, count), reach)
         return index - back, seats
 
-    def _cut_where_broken(self, images: U8, vectors: F32) -> None:
-        """End the chain of a seat whose observation is not the one that its last step led to."""
-        if self.expected is None or self.total == 0:
-            return
-        row = (self.total - 1) % self.buffer_size
-        for seat in np.flatnonzero(~self.ended[row]):
-            next_images, next_vectors = self.expected
-            same = np.array_equal(images[seat], next_images[seat]) and np.array_equal(vectors[seat], next_vectors[seat])
-            if not same:
-                self._end_chain(int(seat))
+    def _goes_on(self) -> list[int]:
+        """The seats whose chain goes on."""
+        return np.flatnonzero(~self.ended[(self.total - 1) % self.buffer_size]).tolist() if self.total > 0 else []
 
-    def _end_chains(self) -> None:
-        """End the chains of all seats with the last step, and the observation that it led to."""
-        if self.total > 0:
-            for seat in np.flatnonzero(~self.ended[(self.total - 1) % self.buffer_size]):
-                self._end_chain(int(seat))
-
-    def _end_chain(self, seat: int) -> None:
-        self.ended[(self.total - 1) % self.buffer_size, seat] = True
-        self._store_expected(self.total - 1, seat)
+    def _led_to(self, images: U8, vectors: F32, seat: int) -> bool:
+        """Whether a seat's observation is the one that its last step led to."""
+        if self.expected is None:
+            return True
+        next_images, next_vectors = self.expected
+        return np.array_equal(images[seat], next_images[seat]) and np.array_equal(vectors[seat], next_vectors[seat])
 
     def _store_expected(self, index: int, seat: int) -> None:
         if self.expected is not None:

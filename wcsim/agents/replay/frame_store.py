@@ -16,7 +16,7 @@ steps before it are gone) is stored whole beside the frames, so what is read is 
 from __future__ import annotations
 
 import struct
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import zstandard
@@ -76,28 +76,18 @@ class _BlobCodec:
         return np.frombuffer(unzstd(packed, most, self._unpack), np.uint8)
 
 
-class _FrameStore(Protocol):
-    """Frames of the last steps by (absolute index of the step, seat); a frame is a flat uint8 array of `size` bytes."""
-
-    def write(self, index: int, seat: int, frame: U8) -> None:
-        """Store a frame (size,) of the next step."""
-
-    def read(self, index: I64, seats: I64) -> U8:
-        """Copies of frames, (K,) and (K,) -> (K, size)."""
-
-
 class _RawFrames:
-    """Frames as they are."""
+    """Frames of the last steps by (absolute index, seat) as they are: flat uint8 arrays of `size` bytes."""
 
     def __init__(self, rows: int, seats: int, size: int) -> None:
         self._frames = np.zeros((rows, seats, size), dtype=np.uint8)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
-        """Store a frame (size,)."""
+        """Store a frame (size,) of the next step."""
         self._frames[index % len(self._frames), seat] = frame
 
     def read(self, index: I64, seats: I64) -> U8:
-        """Copies of frames, (K, size)."""
+        """Copies of frames, (K,) and (K,) -> (K, size)."""
         return np.asarray(self._frames[index % len(self._frames), seats], dtype=np.uint8)
 
 
@@ -109,7 +99,7 @@ class _PackedFrames:
         self._size, self._codec = size, _BlobCodec(size, smooth)
 
     def write(self, index: int, seat: int, frame: U8) -> None:
-        """Store a frame (size,)."""
+        """Store a frame (size,) of the next step."""
         self._blobs[index % len(self._blobs)][seat] = self._codec.pack(frame)
 
     def read(self, index: I64, seats: I64) -> U8:
@@ -122,7 +112,7 @@ class _PackedFrames:
         return out
 
 
-def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _FrameStore:
+def _frame_store(rows: int, seats: int, size: int, smooth: int = 0) -> _RawFrames | _PackedFrames:
     """The store in memory that fits frames of `size` bytes, the first `smooth` of depth, of the last `rows` steps."""
     return _RawFrames(rows, seats, size) if size <= PACK_ABOVE_BYTES else _PackedFrames(rows, seats, size, smooth)
 
@@ -150,7 +140,7 @@ class WindowStore:
         self._window, self._size = frames, size
         self._rows = steps + frames - 1  # the oldest window's older frames belong to steps before it
         self._steps = steps
-        self.frames: _FrameStore = _frame_store(self._rows, seats, size, smooth)
+        self.frames = _frame_store(self._rows, seats, size, smooth)
         self._depth = np.zeros((self._rows, seats), dtype=np.int64)  # steps since the start of the chain
         self._last = np.zeros((seats, frames * size), dtype=np.uint8)  # the last windows, as they would be read
         self.reset()

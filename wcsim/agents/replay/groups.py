@@ -126,9 +126,8 @@ class Groups:
         """States (K, S) where the burn-in of these groups begins, and its steps (K,)."""
         steps = self._burned(memory, index, seats)
         states = np.zeros((len(index), self.state_size), dtype=np.float32)
-        if self.state_size > 0:
-            for k, key in enumerate(zip((index - steps).tolist(), seats.tolist(), strict=True)):
-                states[k] = self.states.get(key, 0.0)  # none is kept where an episode begins
+        for k, key in enumerate(zip((index - steps).tolist(), seats.tolist(), strict=True)):
+            states[k] = self.states.get(key, 0.0)  # none is kept where an episode begins
         return states, steps
 
     def _burned(self, memory: FrameReplay, index: I64, seats: I64) -> I64:

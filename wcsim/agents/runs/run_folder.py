@@ -19,7 +19,7 @@ import platform
 import shlex
 import subprocess
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
@@ -58,22 +58,14 @@ _NOT_OF_ONE = {"clients", "files_sha256", "seal", *_OF_A_MOMENT}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manifest:
+class Manifest(RunInfo):
     """What a run was made with."""
 
-    seed: int
-    town: str
-    town_sha256: str
     config_sha256: str
-    rewards: tuple[str, ...]
-    command: tuple[str, ...]
     versions: dict[str, str]
     git_revision: str
     status: Status = "running"
     steps: int = 0
-    hook: str = ""
-    more_towns: dict[str, str] = field(default_factory=dict)  # see `RunInfo`
-    overrides: tuple[Override, ...] = ()  # of the town's own SUMO options
     own_code: str = ""  # mark of the user's own classes, see agents/runs/own_code.py
 
     @property

@@ -63,14 +63,18 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
         own: Whether it is one of wcsim's: what it asks for is known before any memory is given to it.
 
     Raises:
-        PolicyError: As `_read_weights` and `_checked_weights` do.
+        PolicyError: As `_read_weights` and `checked_tensors` do, or the bytes are none of a safetensors file.
     """
     path = folder / WEIGHTS
     with torch.device("meta") if own else contextlib.nullcontext():
         net = make()
     data = _read_weights(path, sha256, net.state_dict())
     net = make() if own else net
-    net.load_state_dict(_checked_weights(path, data, net.state_dict()))
+    try:
+        tensors = load(data)
+    except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
+        raise PolicyError(f"{escaped(path)} is not a safetensors file: {escaped(error)}") from None
+    net.load_state_dict(checked_tensors(escaped(path), tensors, net.state_dict()))
     return net
 
 
@@ -100,19 +104,6 @@ def _read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
         )
     _check_same(escaped(path), _read_header(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
     return data
-
-
-def _checked_weights(path: Path, data: bytes, wanted: Tensors) -> dict[str, torch.Tensor]:
-    """The tensors in the bytes of a weights file.
-
-    Raises:
-        PolicyError: They are not those of `wanted` in name, type and shape, or not finite.
-    """
-    try:
-        tensors = load(data)
-    except Exception as error:  # of safetensors or PyTorch, by what is wrong with the bytes
-        raise PolicyError(f"{escaped(path)} is not a safetensors file: {escaped(error)}") from None
-    return checked_tensors(escaped(path), tensors, wanted)
 
 
 def checked_tensors(where: str, tensors: dict[str, torch.Tensor], wanted: Tensors) -> dict[str, torch.Tensor]:

@@ -29,7 +29,8 @@ from wcsim.server.specs import RunInfo, SeatRequest, seat_spec
 from wcsim.types import CLIENT_NAME
 
 if TYPE_CHECKING:
-    from wcsim.server.links.socket import SocketSeat, WorldOffer
+    from wcsim.server.links.socket import SocketSeat
+    from wcsim.server.protocol import messages as m
 
 WORLD_PARTS = ("world", "chair", "cameras", "imu", "sensors", "reward", "vary")
 """Parts of a configuration that are the world's, not the client's."""
@@ -86,7 +87,7 @@ def run(words: list[str]) -> int:
 
 def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, ...]) -> Path:
     # torch is loaded here, before there is a seat for which others would wait
-    from wcsim.agents.envs.wheelchair_env import SeatedEnv
+    from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.build import network_settings
     from wcsim.agents.learning.train import train
     from wcsim.agents.networks.device import checked_device
@@ -102,7 +103,7 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
         _require_known_plant(offered, options.endpoint)
         parts = {part: getattr(offered, part) for part in WORLD_PARTS}
         fit = resolve(config, {**parts, "env": {"actions": offered.env.actions}})
-        street = SeatedEnv(seat, fit, world.town, terms)
+        street = WheelchairEnv(world.town, config=fit, reward_terms=terms, join=seat)
         info = RunInfo(seed=options.seed, town=world.town, rewards=options.reward, command=command)
         beats = count(1)
         with StageBar("loading the town") as bar:
@@ -132,7 +133,7 @@ def _order(options: Options, config: RunConfig) -> SeatRequest:
     )
 
 
-def _world(options: Options, seat: SocketSeat) -> WorldOffer:
+def _world(options: Options, seat: SocketSeat) -> m.Welcome:
     """Take the seat, and hear what the world is; from then on the server may be silent for longer."""
     try:
         seat.join()
@@ -142,4 +143,4 @@ def _world(options: Options, seat: SocketSeat) -> WorldOffer:
             "(--wait S waits longer)"
         ) from None
     seat.core.patience = Patience(reconnect_s=RECONNECT_S)
-    return seat.world
+    return seat.welcome

@@ -9,8 +9,9 @@ from __future__ import annotations
 import secrets
 import time
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
@@ -20,6 +21,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
 from wcsim.types import ClientSnapshot, Joystick
 
+INTERRUPTED = "the previous step was interrupted or has not finished; call reset() first"
 LEAVING_S = 10.0  # who is to end gives up a world that is silent for so long; one that lives speaks every second
 
 
@@ -30,11 +32,124 @@ class Waits:
     steps: int = 0
     simulation_s: float = 0.0  # what the world took for the steps, as it said itself
     link_s: float = 0.0  # all waiting; the rest of it is for the barrier and the transport
-    worked_s: float = 0.0  # of link_s, in which something else was done: see `WorldLink.while_waiting`
+    worked_s: float = 0.0  # of link_s, in which something else was done: see `Seat.while_waiting`
 
 
-class WorldLink(Closing):
-    """One seat of a world: a client core, driven by calls that wait; a transport carries its messages."""
+class Seat(Closing):
+    """One seat of a world."""
+
+    @abstractmethod
+    def join(self) -> ClientSnapshot:
+        """The frame the seat has now: the first one of its episode when nothing was done yet."""
+
+    @abstractmethod
+    def ask_join(self) -> None:
+        """The first half of the first `join`; `receive` is the second."""
+
+    @abstractmethod
+    def send(self, tick: int, joystick: Joystick) -> None:
+        """The first half of `act`: say what to do. Raises ProtocolError after a step that was interrupted."""
+
+    @abstractmethod
+    def receive(self) -> ClientSnapshot:
+        """The second half of `act`, of `respawn` too: wait for the frame."""
+
+    @abstractmethod
+    def ask_respawn(self) -> None:
+        """The first half of `respawn`."""
+
+    @abstractmethod
+    def rebuild(self, seed: int) -> ClientSnapshot:
+        """Begin the world again with another seed; for a sole client or the master. Raises NotMasterError."""
+
+    @property
+    @abstractmethod
+    def interrupted(self) -> bool:
+        """Whether an answer is owed while nobody waits for it, as after Ctrl-C in a step."""
+
+    @property
+    @abstractmethod
+    def epoch(self) -> int:
+        """The epoch of the last frame; -1 before the first one."""
+
+    @property
+    @abstractmethod
+    def waits(self) -> Waits:
+        """Where the time went so far."""
+
+    def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
+        """Drive through tick `tick` with this joystick; returns the frame of tick + 1.
+
+        Raises:
+            WorldRestartedError: A new epoch began; `join()` has its first frame.
+            LinkError: See `wcsim.errors` for what else a client can see.
+        """
+        self.send(tick, joystick)
+        return self.receive()
+
+    def respawn(self) -> ClientSnapshot:
+        """Begin the seat's next episode now, without a tick."""
+        self.ask_respawn()
+        return self.receive()
+
+    def while_waiting(self, work: Callable[[], object]) -> None:
+        """Do something between `send` and `receive`; its time is part of the waiting as long as there is no answer.
+
+        A link whose world is elsewhere hears it meanwhile: as the master it ticks once the barrier is full.
+        """
+        work()
+
+    def beat(self, progress: int) -> None:
+        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
+
+    def wait_less(self) -> None:
+        """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.
+
+        May be called by a signal's handler.
+        """
+
+    def wait_no_more(self) -> None:
+        """From now on an answer that is not there yet is a ServerGoneError; for a client that is to end.
+
+        May be called by a signal's handler.
+        """
+
+
+class SeatGroup(Closing):
+    """A world of its own with a link to each of its seats, in seat order; a link may be closed before the others."""
+
+    links: Sequence[Seat]
+
+    def join(self) -> tuple[ClientSnapshot, ...]:
+        """Take all seats; nobody gets one before all have asked."""
+        for link in self.links:
+            link.ask_join()
+        return tuple(link.receive() for link in self.links)
+
+    def respawn(self) -> tuple[ClientSnapshot, ...]:
+        """Begin the next episodes of all seats, without a tick."""
+        for link in self.links:
+            link.ask_respawn()
+        return tuple(link.receive() for link in self.links)
+
+    def begin_again(self, seed: int) -> tuple[ClientSnapshot, ...]:
+        """A new epoch with all seats, as in a new world with this seed; the links are new ones."""
+        self.leave()
+        self._renew(seed)
+        return self.join()
+
+    def leave(self) -> None:
+        """Give all seats back."""
+        for link in self.links:
+            link.close()
+
+    @abstractmethod
+    def _renew(self, seed: int) -> None:
+        """Begin the world again, nobody is in it, and make new links."""
+
+
+class WorldLink(Seat):
+    """One seat of a world elsewhere: a client core, driven by calls that wait; a transport carries its messages."""
 
     def __init__(self, core: ClientCore, ledger: LedgerWriter | None = None) -> None:
         self.core = core
@@ -70,74 +185,48 @@ class WorldLink(Closing):
     # --- what a client calls ---
 
     def join(self) -> ClientSnapshot:
-        """The frame the seat has now: the first one of its episode when nothing was done yet."""
+        """See `Seat`."""
         if self.core.phase.value == "off":
             self.ask_join()
             return self._await()
         return self._await() if self._frame is None else self._frame
 
     def ask_join(self) -> None:
-        """The first half of the first `join`; `receive` is the second."""
+        """See `Seat`."""
         self._refuse_closed()
         self._frame = None
         self.take(self.core.join(self._now_s()))
 
     def send(self, tick: int, joystick: Joystick) -> None:
-        """The first half of `act`: say what to do. Raises ProtocolError after a step that was interrupted."""
+        """See `Seat`."""
         self._refuse_closed()
         self._raise_error()
         if self.interrupted:
-            raise ProtocolError("the previous step was interrupted or has not finished; call reset() first")
-        self.take(self.core.act(tick, joystick, self._now_s()))
+            raise ProtocolError(INTERRUPTED)
+        self._ask(partial(self.core.act, tick, joystick))
 
     def receive(self) -> ClientSnapshot:
-        """The second half of `act`, of `respawn` too: wait for the frame."""
+        """See `Seat`."""
         self._refuse_closed()
         return self._await()
 
-    def while_waiting(self, work: Callable[[], object]) -> None:
-        """Do something between `send` and `receive`; its time is part of the waiting as long as there is no answer.
-
-        A link whose world is elsewhere hears it meanwhile: as the master it ticks once the barrier is full.
-        """
-        work()
-
-    def act(self, tick: int, joystick: Joystick) -> ClientSnapshot:
-        """Drive through tick `tick` with this joystick; returns the frame of tick + 1.
-
-        Raises:
-            WorldRestartedError: A new epoch began; `join()` has its first frame.
-            LinkError: See `wcsim.errors` for what else a client can see.
-        """
-        self.send(tick, joystick)
-        return self.receive()
-
-    def respawn(self) -> ClientSnapshot:
-        """Begin the seat's next episode now, without a tick."""
-        self.ask_respawn()
-        return self.receive()
-
     def ask_respawn(self) -> None:
-        """The first half of `respawn`."""
-        self._refuse_closed()
-        self._raise_error()
-        self.take(self.core.respawn(self._now_s()))
+        """See `Seat`."""
+        self._ask(self.core.respawn)
 
     def rebuild(self, seed: int) -> ClientSnapshot:
-        """Begin the world again with another seed; for a sole client or the master. Raises NotMasterError."""
-        self._refuse_closed()
-        self._raise_error()
-        self.take(self.core.rebuild(seed, self._now_s()))
-        return self.receive()
+        """See `Seat`."""
+        self._ask(partial(self.core.rebuild, seed))
+        return self._await()
 
     def beat(self, progress: int) -> None:
-        """Show that a long computation goes on, by a counter that rises; see `Rules.lease_s`. Nothing once closed."""
+        """See `Seat`."""
         if not self._closed:
             self.take(self.core.beat(progress))
 
     @property
     def interrupted(self) -> bool:
-        """Whether an answer is owed while nobody waits for it, as after Ctrl-C in a step."""
+        """See `Seat`."""
         return self.core.waiting
 
     @property
@@ -147,7 +236,7 @@ class WorldLink(Closing):
 
     @property
     def epoch(self) -> int:
-        """The epoch of the last frame; -1 before the first one."""
+        """See `Seat`."""
         return self.core.epoch
 
     @property
@@ -157,22 +246,16 @@ class WorldLink(Closing):
 
     @property
     def waits(self) -> Waits:
-        """Where the time went so far."""
+        """See `Seat`."""
         return Waits(steps=self._steps, simulation_s=self._simulation_s, link_s=self._link_s, worked_s=self._worked_s)
 
     def wait_less(self) -> None:
-        """From now on a world that is silent for `LEAVING_S` is gone; for a client that is asked to end.
-
-        May be called by a signal's handler.
-        """
+        """See `Seat`."""
         patience = self.core.patience
         self.core.patience = replace(patience, reconnect_s=min(patience.reconnect_s, LEAVING_S))
 
     def wait_no_more(self) -> None:
-        """From now on an answer that is not there yet is a ServerGoneError; for a client that is to end.
-
-        May be called by a signal's handler.
-        """
+        """See `Seat`."""
         self._waits_no_more = True
 
     def close(self) -> None:
@@ -188,6 +271,12 @@ class WorldLink(Closing):
             self._end()
 
     # --- inside ---
+
+    def _ask(self, ask: Callable[[float], list[Outcome]]) -> None:
+        """Have the core ask for something, unless the link is closed or has failed meanwhile."""
+        self._refuse_closed()
+        self._raise_error()
+        self.take(ask(self._now_s()))
 
     def take(self, outcomes: list[Outcome]) -> None:
         """Do what the client core wants done."""

@@ -14,29 +14,40 @@ from pathlib import Path
 import msgspec
 
 from wcsim.errors import ConfigError, LinkClosedError, LinkTimeoutError
-from wcsim.server.links.local import local_rules
-from wcsim.server.links.open import SeatGroup
+from wcsim.server.links.base import SeatGroup
 from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Patience
+from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.world_folder import RingFolder, endpoint_in, remove_stale_rings
 from wcsim.types import SeatSpec
 
 _OPEN_TIMEOUT_S = 300.0  # building a town's mesh for the first time and warming its traffic up
 _END_TIMEOUT_S = 5.0
-_LOOK_S = 0.2
+_NEVER_S = 1e12
+
+
+def private_rules(capacity: int, expected: int) -> Rules:
+    """Of a world whose clients are all of one process: nobody can hang or die alone."""
+    return Rules(
+        capacity=capacity,
+        expected=expected,
+        gather_s=_NEVER_S,
+        lease_s=_NEVER_S,
+        tick_lease_s=_NEVER_S,
+        notice_s=_NEVER_S,
+        recordings=None,
+    )
 
 
 class _WorldChild:
     """A world process that belongs to this one, ready for its clients."""
 
-    def __init__(self, order: WorldOrder, expected: int = 1) -> None:
+    def __init__(self, order: WorldOrder) -> None:
         """Start the process and wait for its world; raises what opening it in this process would raise.
 
-        Args:
-            order: The world.
-            expected: Clients that the first tick waits for.
+        Its first tick waits for all seats.
         """
         remove_stale_rings()
         place = RingFolder()
@@ -47,7 +58,7 @@ class _WorldChild:
             town=order.town,
             config_json=order.config.model_dump_json(),
             seed=order.seed,
-            rules=local_rules(order.seats, expected),
+            rules=private_rules(order.seats, order.seats),
             endpoint=self.endpoint,
             ring=str(place.path / "ring"),
             run=order.run and str(Path(order.run).absolute()),
@@ -99,12 +110,12 @@ class _WorldChild:
 class ChildSeat(SocketSeat):
     """A seat of a world process that belongs to this one; notices when that has ended."""
 
-    def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int = m.ANY_SEAT, name: str = "sole") -> None:
+    def __init__(self, child: _WorldChild, spec: SeatSpec, seat: int) -> None:
         self._child = child
         super().__init__(
             SeatRequest(
                 endpoint=child.endpoint,
-                name=name,
+                name=f"chair-{seat}",
                 claim=secrets.token_hex(),
                 spec=spec,
                 seat=seat,
@@ -124,31 +135,11 @@ class ChildSeat(SocketSeat):
             self._let_go()
 
 
-class ProcessLink(ChildSeat):
-    """The only seat of a world of its own in a child process."""
-
-    def __init__(self, order: WorldOrder) -> None:
-        """Start the world; raises what opening it in this process would raise."""
-        child = _WorldChild(order)
-        try:
-            super().__init__(child, order.seat)
-        except BaseException:
-            child.close()
-            raise
-
-    def _end(self) -> None:
-        try:
-            super()._end()
-        finally:
-            self._child.close()
-
-
 class ProcessGroup(SeatGroup):
     """A world process with all its seats; an epoch that begins again is a new process."""
 
     def __init__(self, order: WorldOrder) -> None:
         """Start the world; raises what opening it in this process would raise."""
-        super().__init__()
         self._order = order
         self._connect(order.seed)
 
@@ -164,8 +155,8 @@ class ProcessGroup(SeatGroup):
 
     def _connect(self, seed: int) -> None:
         order = self._order
-        self._child = _WorldChild(replace(order, seed=seed), expected=order.seats)
-        self.links = [ChildSeat(self._child, order.seat, seat, f"chair-{seat}") for seat in range(order.seats)]
+        self._child = _WorldChild(replace(order, seed=seed))
+        self.links = [ChildSeat(self._child, order.seat, seat) for seat in range(order.seats)]
 
 
 def _ready(line: bytes) -> bool:

@@ -2,7 +2,7 @@
 
 A process that forks after it has opened a link must not use it in the child: ZeroMQ's threads are not there.
 
-A thread that listens while its caller works; the two never use the same thing at the same time.
+While the caller works, a thread listens in its stead; the two never use the same thing at the same time.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
@@ -31,58 +29,10 @@ from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
 from wcsim.types import ClientSnapshot
 
-
-class _Listener:
-    """A context manager: what is to be heard is heard by another thread from its begin to its end.
-
-    The thread ends by itself once it has heard what it listens for, and the context waits for that; a failure of the
-    work, or an interrupt, recalls it. What it raised is raised here.
-    """
-
-    def __init__(self, listen: Callable[[Callable[[], bool]], None]) -> None:
-        """`listen` gets a function that says whether it was recalled, and looks at it now and then."""
-        self._listen = listen
-        self._recalled = False
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name="wcsim-listener", daemon=True)
-        self.ended_s = 0.0  # of `time.perf_counter`, when it had heard all
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._recalled = error is not None
-        try:
-            self._thread.join()
-        except BaseException:  # an interrupt
-            self._recalled = True
-            self._thread.join()
-            raise
-        if error is None and self._error is not None:
-            raise self._error
-
-    def _run(self) -> None:
-        try:
-            self._listen(lambda: self._recalled)
-        except BaseException as error:
-            self._error = error
-        finally:
-            self.ended_s = time.perf_counter()
-
-
 _POLL_MS = 200
 _BYE_S = 1.0
 QUEUE = 64
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldOffer:
-    """A running world, as its server describes it to a client."""
-
-    config_json: str
-    town: str
 
 
 def open_seat(order: SeatRequest) -> SocketSeat:
@@ -113,7 +63,7 @@ class SocketSeat(WorldLink):
         # Also when nobody closes the link: ZeroMQ would else wait at the end of the process.
         self._let_go = weakref.finalize(self, self._context.destroy, 0)
         self._ring: RingView | None = None
-        self._world: WorldOffer | None = None
+        self._welcome: m.Welcome | None = None
         self._said_leave = False
         try:
             self._socket = _connected(self._context, order)
@@ -124,25 +74,33 @@ class SocketSeat(WorldLink):
             raise
 
     @property
-    def world(self) -> WorldOffer:
-        """What the server says of its world. Raises ProtocolError before the first `join`."""
-        if self._world is None:
+    def welcome(self) -> m.Welcome:
+        """What the server says of itself and its world. Raises ProtocolError before the first `join`."""
+        if self._welcome is None:
             raise ProtocolError("the server has not described its world yet; call join() first")
-        return self._world
+        return self._welcome
 
     def while_waiting(self, work: Callable[[], object]) -> None:
-        """See `WorldLink`: a thread of its own hears the world; there is none when this returns."""
-        listener = _Listener(self._listened)
+        """See `Seat`: a thread of its own hears the world; there is none when this returns."""
         begun_s = time.perf_counter()
-        with listener:
-            work()
-            worked_s = time.perf_counter()
-        self._link_s += listener.ended_s - begun_s
-        self._worked_s += min(worked_s, listener.ended_s) - begun_s
+        recalled = threading.Event()
+        with ThreadPoolExecutor(1, "wcsim-listener") as listener:
+            heard = listener.submit(self._listen, recalled)
+            try:
+                work()
+                worked_s = time.perf_counter()
+                ended_s = heard.result()
+            except BaseException:  # a failure, or an interrupt
+                recalled.set()
+                raise
+        self._link_s += ended_s - begun_s
+        self._worked_s += min(worked_s, ended_s) - begun_s
 
-    def _listened(self, recalled: Callable[[], bool]) -> None:
-        while self.core.waiting and self._error is None and not (recalled() or self._waits_no_more):
+    def _listen(self, recalled: threading.Event) -> float:
+        """Hear the world until what is waited for is there; returns when that was."""
+        while self.core.waiting and self._error is None and not (recalled.is_set() or self._waits_no_more):
             self._pump()
+        return time.perf_counter()
 
     def _post(self, message: m.Request) -> None:
         """Send, or drop the message when many others wait to go: what matters is asked again."""
@@ -167,7 +125,7 @@ class SocketSeat(WorldLink):
         return seen.client
 
     def _welcomed(self, welcome: m.Welcome) -> None:
-        self._world = WorldOffer(config_json=welcome.config_json, town=welcome.town)
+        self._welcome = welcome
         if welcome.ring and not self._order.endpoint.startswith("ipc://"):
             raise ProtocolError("the server named a file of this machine; over the network it must not")
         self._ring = RingView(Path(welcome.ring)) if welcome.ring else None
