@@ -18,6 +18,7 @@ from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
 from wcsim.core.closing import Closing
 from wcsim.physics.wheelchair.plant import plant_spec
+from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ActorState, Street
 
@@ -135,8 +136,6 @@ def _options(town: Town, street: Street, config: WorldConfig, seed: int) -> Sumo
     return SumoOptions(
         sumocfg=town.sumocfg,
         origin_m=town.file.origin_m,
-        step_s=config.tick_s,
-        seed=seed,
-        jam_teleport_s=config.jam_teleport_s,
+        settings=Settings(step_s=config.tick_s, seed=seed, jam_teleport_s=config.jam_teleport_s),
         z_origin_m=street.net_origin_m[2],
     )

@@ -16,6 +16,7 @@ from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
+from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scene_folders.build import build_scene
 from wcsim.types import ActorState
 
@@ -124,7 +125,7 @@ class MirrorLoop:
 @contextmanager
 def mirror_loop(sumocfg: Path, radius_m: float = 400.0, **options) -> Iterator[MirrorLoop]:
     """A session and an engine, closed at the end. Steps are few and long: empty space needs no fine ones."""
-    wanted = SumoOptions(sumocfg=sumocfg, origin_m=(0.0, 0.0), step_s=0.1, seed=1, **options)
+    wanted = SumoOptions(sumocfg=sumocfg, origin_m=(0.0, 0.0), settings=Settings(step_s=0.1, seed=1, **options))
     with SumoSession(wanted) as sumo, Engine(1 / 100) as engine:
         yield MirrorLoop(sumo=sumo, engine=engine, pool=BodyPool(engine), radius_m=radius_m, substeps=10)
 

@@ -174,7 +174,7 @@ def _run(place: Path, sumocfg: Path, log: Path) -> int:
     resource.setrlimit(resource.RLIMIT_CPU, (30, 30))
     try:
         staged = stage_scenario(open_town(sumocfg), SETTINGS, place / "run")
-        options = SumoOptions(sumocfg=staged.sumocfg, origin_m=(0.0, 0.0), step_s=SETTINGS.step_s, seed=1)
+        options = SumoOptions(sumocfg=staged.sumocfg, origin_m=(0.0, 0.0), settings=SETTINGS)
         with SumoSession(options) as session:
             for _ in range(STEPS):
                 session.step()

@@ -72,7 +72,7 @@ def test_the_authors_end_does_not_end_the_run_and_his_begin_begins_it(sound, tmp
     town = open_town(hostile.scenario(sound, tmp_path / "t", "<begin value='100'/><end value='0:01:48'/>", "", flow))
     with ExitStack() as held:
         scenario = open_scenario(town, SETTINGS, RunPlace(), held)
-        options = SumoOptions(sumocfg=scenario.sumocfg, origin_m=(0, 0), step_s=0.1, seed=1)
+        options = SumoOptions(sumocfg=scenario.sumocfg, origin_m=(0, 0), settings=SETTINGS)
         session = held.enter_context(SumoSession(options))
         seen = set()
         for _ in range(150):

@@ -8,6 +8,7 @@ import pytest
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_process
 from wcsim.errors import SumoError, WorldInUseError
+from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ActorKind
 
@@ -19,10 +20,7 @@ def options(corner, **changes) -> SumoOptions:
     plain = {
         "sumocfg": town.sumocfg,
         "origin_m": town.file.origin_m,
-        "step_s": 0.1,
-        "seed": 1,
-        "demand_scale": 1.0,
-        "jam_teleport_s": 300.0,
+        "settings": Settings(step_s=0.1, seed=1, jam_teleport_s=300.0),
     }
     return SumoOptions(**{**plain, **changes})
 

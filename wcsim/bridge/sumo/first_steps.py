@@ -12,11 +12,13 @@ from pathlib import Path
 
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.errors import WcsimError
+from wcsim.towns.scenario.overrides import Settings
 
 
 def main() -> int:
     """Run the scenario that the command line names."""
-    options = SumoOptions(sumocfg=Path(sys.argv[1]), origin_m=(0.0, 0.0), step_s=float(sys.argv[2]), seed=1)
+    settings = Settings(step_s=float(sys.argv[2]), seed=1)
+    options = SumoOptions(sumocfg=Path(sys.argv[1]), origin_m=(0.0, 0.0), settings=settings)
     try:
         with SumoSession(options) as session:
             _steps(session, int(sys.argv[3]))

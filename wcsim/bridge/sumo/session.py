@@ -80,21 +80,15 @@ class SumoOptions:
 
     sumocfg: Path
     origin_m: tuple[float, float]
-    step_s: float
-    seed: int
-    demand_scale: float = 1.0
-    jam_teleport_s: float | None = None  # None keeps the scenario's own
+    settings: Settings
     z_origin_m: float = 0.0  # the net's own height of W's z = 0
     author_scale: float = 1.0  # the scenario's own, which demand_scale multiplies
     hook: str = ""  # a user's own module:Class, see `bridge/sumo/step_hook.py`
 
     def arguments(self) -> list[str]:
         """The command line for libsumo; the scenario's own configuration comes first and is overridden by the rest."""
-        settings = Settings(
-            step_s=self.step_s, seed=self.seed, demand_scale=self.demand_scale, jam_teleport_s=self.jam_teleport_s
-        )
         words = ["sumo", "--configuration-file", str(self.sumocfg)]
-        for name, value in forced(settings, self.author_scale):
+        for name, value in forced(self.settings, self.author_scale):
             words += [f"--{name}", value]
         return words
 
@@ -114,7 +108,7 @@ class SumoSession(Closing):
         self._open = True
         self.pilot = VehicleControl(libsumo, options.origin_m)
         self.buttons = SignalControl(libsumo)
-        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.step_s)
+        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.step_s)
         self._guarded(lambda: libsumo.start(options.arguments()))
         try:
             self._hook = open_hook(options.hook, libsumo)
@@ -165,7 +159,7 @@ class SumoSession(Closing):
         """Start the scenario again from its beginning with another seed."""
         # A drain step: libsumo can crash when it is loaded over pending commands.
         self._guarded(libsumo.simulationStep)
-        self._options = replace(self._options, seed=seed)
+        self._options = replace(self._options, settings=replace(self._options.settings, seed=seed))
         self._reader.forget()
         self.pilot.forget()
         self.buttons.forget()
@@ -246,14 +240,12 @@ def open_session(
 
     Raises TownError for a scenario that cannot be run, WorldInUseError while another session lives in this process.
     """
-    scenario = open_scenario(town, settings_of(config, sumo_seed(seed)), place, held)
+    settings = settings_of(config, sumo_seed(seed))
+    scenario = open_scenario(town, settings, place, held)
     options = SumoOptions(
         sumocfg=scenario.sumocfg,
         origin_m=town.file.origin_m,
-        step_s=config.world.tick_s,
-        seed=sumo_seed(seed),
-        demand_scale=config.world.demand_scale,
-        jam_teleport_s=config.world.jam_teleport_s,
+        settings=settings,
         z_origin_m=net_z_m,
         author_scale=scenario.author_scale,
         hook=place.hook,
