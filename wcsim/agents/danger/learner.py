@@ -18,7 +18,6 @@ from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
 _CLIP = 5.0
 _WARM_UP = 0.05  # share of all updates in which the rate rises
@@ -42,9 +41,8 @@ class DangerLearner:
         danger = config.danger
         # Here, and not once for a run: the first weights must not depend on what was drawn before.
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
-        points = torch.as_tensor(action_set(config.env.actions).points)
         self._device = checked_device(config.learn.device)
-        self.net = channels_last(DangerNet(spec_of(config), points)).to(self._device)
+        self.net = channels_last(DangerNet(spec_of(config))).to(self._device)
         self._optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
         )
