@@ -131,7 +131,7 @@ def test_the_heads_death_ends_the_run_in_a_line_and_it_goes_on_from_its_checkpoi
             if now.round == 1 and now.segments == 1:
                 head.kill()
 
-        with pytest.raises(WorkersError, match=r"is lost; expected its head to live.*wcsim resume"):
+        with pytest.raises(WorkersError, match=r"is lost: start its head again.*wcsim resume"):
             trained(corner, out, Machines(cluster=head.address), show=die)
     assert (out / "checkpoints" / "round-000").is_dir()
     with RayNode(tmp_path / "again") as head:

@@ -20,7 +20,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
 from multiprocessing.connection import Connection
@@ -31,7 +31,7 @@ from wcsim.core.files import home
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.cluster_node import SentParcel, digest_of, do_work, packed
-from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
+from wcsim.server.workers.worker_api import Facts, Parcel, Work, WorkEnd
 
 LOCAL: Final = "local"
 STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small
@@ -331,7 +331,7 @@ class _Link:
         """Wait no longer for a node: one that was stopped keeps its connections, and Ray would wait for them."""
         for ref, begun in [item for item in self._begun.items() if item[1].node == node]:
             del self._begun[ref]
-            self._pipe.send(("ended", _lost_with_its_node(begun)))
+            self._ended(begun, lost="its node died", counts=False)
 
     def _tell_workers(self) -> None:
         works = [(key, node) for key, node in self._nodes.items() if node.state == "works"]
@@ -345,18 +345,18 @@ class _Link:
 
     def _begin(self, worker: str, work: Work, parcels: tuple[Parcel, ...]) -> None:
         name = worker.rpartition("/")[0]
-        node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), None)
-        if node is None:
-            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, lost="its node died", counts=False)))
+        node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), "")
+        begun = _Begun(worker=worker, node=node, key=work.key, since_s=time.monotonic())
+        if not node:
+            self._ended(begun, lost="its node died", counts=False)
             return
         try:
             sent = tuple(self._sent(parcel) for parcel in parcels)
         except (OSError, WcsimError) as error:
-            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, error=error)))
+            self._ended(begun, error=error)
             return
         options = {"scheduling_strategy": self._on(node), "name": f"wcsim {work.key}"}
-        ref = self._do.options(**options).remote(worker, work, sent)
-        self._begun[ref] = _Begun(worker=worker, node=node, key=work.key, since_s=time.monotonic())
+        self._begun[self._do.options(**options).remote(worker, work, sent)] = begun
 
     def _put(self, parcel: Parcel) -> SentParcel:
         """A parcel in Ray's store."""
@@ -378,12 +378,23 @@ class _Link:
         except self._ray.exceptions.GetTimeoutError:
             return  # its machine is slow to give it out, or cut off
         except Exception as error:
-            begun = self._begun.pop(ref)
-            self._pipe.send(("ended", _without_reply(begun, error, self._ray)))
+            known = self._ray.exceptions
+            of_machine = (
+                known.NodeDiedError,
+                known.TaskUnschedulableError,
+                known.ObjectLostError,
+                known.OwnerDiedError,
+            )
+            told = f"{type(error).__name__}: {_first_line(error)}"
+            self._ended(self._begun.pop(ref), lost=told, counts=not isinstance(error, of_machine))
             self._looked_s = float("-inf")  # its node may be gone
             return
-        facts = {**end.facts, **_since(self._begun.pop(ref))}
-        self._pipe.send(("ended", replace(end, facts=facts)))
+        self._ended(self._begun.pop(ref), data=end.data, error=end.error, lost=end.lost, facts=end.facts)
+
+    def _ended(self, begun: _Begun, facts: Facts | None = None, **what: Any) -> None:
+        """Tell the run what has come of a piece."""
+        whole = {**(facts or {}), "total_s": round(time.monotonic() - begun.since_s, 3)}
+        self._pipe.send(("ended", WorkEnd(worker=begun.worker, key=begun.key, facts=whole, **what)))
 
     def _judge(self, key: str, ref: Any) -> None:
         """Whether a node may work."""
@@ -433,26 +444,6 @@ def _look_at_node() -> Callable[[], Any]:
 
     look.__module__ = "__main__"  # or Ray would look for it in wcsim there
     return look
-
-
-def _since(begun: _Begun) -> dict[str, float]:
-    return {"total_s": round(time.monotonic() - begun.since_s, 3)}
-
-
-def _lost_with_its_node(begun: _Begun) -> WorkEnd:
-    return WorkEnd(worker=begun.worker, key=begun.key, lost="its node died", counts=False, facts=_since(begun))
-
-
-def _without_reply(begun: _Begun, error: Exception, ray: Any) -> WorkEnd:
-    known = ray.exceptions
-    of_machine = (known.NodeDiedError, known.TaskUnschedulableError, known.ObjectLostError, known.OwnerDiedError)
-    return WorkEnd(
-        worker=begun.worker,
-        key=begun.key,
-        lost=f"{type(error).__name__}: {_first_line(error)}",
-        counts=not isinstance(error, of_machine),
-        facts=_since(begun),
-    )
 
 
 def _first_line(error: Exception) -> str:

@@ -85,8 +85,8 @@ def _keep(data: bytes, folder: Path) -> None:
         place = beside / folder.name
         place.mkdir()
         _unpack(data, place)
-        for old in (home,) if home.exists() else ():  # it was changed by somebody, or cut short
-            shutil.rmtree(old)
+        if home.exists():  # it was changed by somebody, or cut short
+            shutil.rmtree(home)
         beside.replace(home)
     finally:
         shutil.rmtree(beside, ignore_errors=True)

@@ -107,13 +107,11 @@ class Crew:
     def now(self) -> tuple[WorkerNow, ...]:
         """Who is at what."""
         with self._lock:
-            now_s = time.monotonic()
-            found = []
-            for name in self._names:
-                task = self._at.get(name)
-                key, since_s = (task.work.key, task.since_s) if task is not None else ("", now_s)
-                found.append(WorkerNow(name=name, key=key, for_s=now_s - since_s))
-            return tuple(found)
+            now_s, found = time.monotonic(), {name: WorkerNow(name=name, key="") for name in self._names}
+            for name in found.keys() & self._at.keys():
+                task = self._at[name]
+                found[name] = WorkerNow(name=name, key=task.work.key, for_s=now_s - task.since_s)
+            return tuple(found.values())
 
     def _work(self) -> None:
         try:
