@@ -19,7 +19,7 @@ from wcsim.agents.collecting.data_folder import COLUMNS, FOLLOW, NETWORK, ORACLE
 from wcsim.agents.collecting.segment_places import SegmentOrder, SegmentPlace, places_of
 from wcsim.agents.envs.episode_view import Info, delay_ticks
 from wcsim.agents.envs.seat_driver import SeatDriver
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, HearsSent, Observation
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CollectConfig, RunConfig
@@ -32,20 +32,14 @@ _ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
 _RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
 
 
-class Learned(Protocol):
+class Learned(HearsSent, Protocol):
     """The network as a driver: in each step `choose` or `observe`, then `sent`."""
 
     def reset(self) -> None:
         """An episode begins."""
 
-    def choose(self, observation: Observation) -> int:
-        """Its action."""
-
     def observe(self, observation: Observation) -> None:
         """Take in an observation without choosing."""
-
-    def sent(self, action: int) -> None:
-        """What is carried out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
