@@ -197,6 +197,6 @@ class _Seat:
 def _segment_of(chairs: Sequence[Sequence[dict[str, Any]]]) -> Segment:
     """The rows of all chairs, one chair after the other; a chair's last step here ends its episode."""
     for chair in chairs:
-        chair[-1]["ended"] = True
+        chair[-1]["ended"] = True  # nobody drives on from here: what lies ahead of it is not known
     rows = [row for chair in chairs for row in chair]
     return Segment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})

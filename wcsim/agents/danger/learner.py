@@ -102,6 +102,7 @@ class DangerLearner:
         self.net.load_state_dict(checked_tensors("the weights", weights, self.net.state_dict()))
         parameters = dict(self.net.named_parameters())
         names = sorted({name.rpartition(".")[0] for name in moments})
+        # Of those that were moved: a parameter without a gradient has no moments yet.
         wanted = {
             f"{name}.{key}": torch.zeros(() if key == "step" else parameters[name].shape)
             for name in names

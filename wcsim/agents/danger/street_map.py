@@ -187,6 +187,7 @@ class Features:
 
     def batch(self) -> tuple[U8, F32, F64, U8]:
         """Picture, vector, start and frames as those of a batch of one."""
+        # `sweep` reckons in float64, with what the data keeps in float32: learned and driven roll-outs are equal.
         return self.picture[None], self.vector[None], self.start[None].astype(np.float64), self.frames[None]
 
 
@@ -218,7 +219,8 @@ class FeatureExtractor:
     def forget(self) -> None:
         """Stand still, and know nothing of the street."""
         self.around.forget()
-        self._cells[:] = 0  # heights stay: they are read only where a cell has a tick
+        # Heights stay: they are read only where a cell has a tick.
+        self._cells[:] = 0
         self._tick = 0
         self._sent = np.zeros((COMMANDS, 2))
         self._frames: U8 = np.empty((0, *self._shape), np.uint8)

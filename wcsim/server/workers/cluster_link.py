@@ -284,6 +284,7 @@ class _Link:
         self._nodes: dict[str, _Node] = {}
         self._probes: dict[Any, str] = {}
         self._begun: dict[Any, _Begun] = {}
+        # A town is wanted again with every piece, a network with all pieces of its round.
         self._sent = lru_cache(_MOST_SENT)(self._put)
         self._tries: dict[str, int] = {}  # to ask a node
         self._looked_s = float("-inf")
@@ -347,12 +348,12 @@ class _Link:
         name = worker.rpartition("/")[0]
         node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), "")
         begun = _Begun(worker=worker, node=node, key=work.key, since_s=time.monotonic())
-        if not node:
+        if not node:  # it went while the piece was on its way here
             self._ended(begun, lost="its node died", counts=False)
             return
         try:
             sent = tuple(self._sent(parcel) for parcel in parcels)
-        except (OSError, WcsimError) as error:
+        except (OSError, WcsimError) as error:  # of files here: no node could do better
             self._ended(begun, error=error)
             return
         options = {"scheduling_strategy": self._on(node), "name": f"wcsim {work.key}"}

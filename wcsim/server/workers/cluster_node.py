@@ -121,7 +121,7 @@ def do_work(worker: str, work: Work, parcels: tuple[SentParcel, ...], fetch: Fet
         except WcsimError as error:
             _say(f"{key} failed: {error}")
             return end(error=error)
-        except (OSError, MemoryError) as error:
+        except (OSError, MemoryError) as error:  # of this machine: another one may have room
             _say(f"{key} is lost: {error}")
             return end(lost=f"{type(error).__name__}: {error}")
         except Exception as error:
