@@ -106,10 +106,16 @@ class HearsSent(Protocol):
     """A policy that needs to know which action was executed, as that may differ from its choice."""
 
     def choose(self, observation: Observation) -> int:
-        """The action for this observation, as from `act`, before it is decided which one is sent."""
+        """The action for this observation, before it is decided which one is sent."""
 
     def sent(self, action: int) -> None:
         """Record the action that is executed."""
+
+    def act(self, observation: Observation) -> int:
+        """`choose`, then `sent`."""
+        action = self.choose(observation)
+        self.sent(action)
+        return action
 
 
 @runtime_checkable

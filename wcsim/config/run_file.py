@@ -107,15 +107,30 @@ class DangerRule(Model):
     warn: Share = 0.3  # of the user's own stick's danger, smoothed, see `next_alarm`: above it, warn
 
 
-class DangerFile(Model):
+class DangerSpec(Model):
+    """What a danger network is made of, and what it is shown."""
+
+    net: DangerNetFile
+    camera: CameraConfig
+    classes: Literal["cityscapes", "wcsim"]
+
+    @property
+    def street(self) -> bool:
+        """Whether it looks at the street map."""
+        return self.net.eye != "picture"
+
+    @property
+    def pictures(self) -> int:
+        """How many of the last pictures it looks at as they are."""
+        return 0 if self.net.eye == "map" else self.net.window
+
+
+class DangerFile(DangerSpec):
     """`policy.json` of a danger network."""
 
     schema_version: Literal[1]
     algorithm: Literal["danger"]
-    net: DangerNetFile
     rule: Annotated[DangerRule, AfterValidator(_all_named)]
-    camera: CameraConfig
-    classes: Literal["cityscapes", "wcsim"]
     chair: ChairConfig  # whose drive its roll-outs obey
     manifest_sha256: Sha256 | Literal[""]
     weights_sha256: Sha256
@@ -225,6 +240,24 @@ class RoundFile(Model):
     updates: Count
     loss: Annotated[float, Field(strict=True, allow_inf_nan=False)]  # smoothed
     segments: Segments  # that it has learned from
+
+
+_Whole = Annotated[int, Field(ge=0, le=10**15)]
+_Measured = Annotated[float, Field(ge=0.0, le=1e15, allow_inf_nan=False)]
+
+
+class TrainedRound(Model):
+    """A row of `metrics.csv` of a danger network's run, in the order of its columns."""
+
+    round: _Whole
+    steps: _Whole  # that can be learned from, of this round and those before, and of data folders
+    new_steps: _Whole  # of these that were driven in this round
+    tight_share: _Measured  # of these, in which something is unsafe
+    crashes: _Whole  # of whoever drove in this round
+    updates: _Whole  # in all
+    loss: float  # at its end, smoothed over some 50 updates; NaN where nothing was learned
+    wait_s: _Measured  # wall clock, for the worlds
+    learn_s: _Measured  # wall clock
 
 
 class GuardRule(Model):

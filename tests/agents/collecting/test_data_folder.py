@@ -51,7 +51,7 @@ def a_segment(rows: int = 7, seed: int = 0) -> Segment:
 
 
 def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
-    segment, path = a_segment(), segment_path(tmp_path, KEY)
+    segment, path = a_segment(), segment_path(tmp_path, KEY.name)
     sha256 = _write_segment(path, segment)
     for name, column in read_segment(path, sha256).arrays().items():
         assert column.dtype == segment.arrays()[name].dtype and (column == segment.arrays()[name]).all(), name

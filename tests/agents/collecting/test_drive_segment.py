@@ -31,8 +31,9 @@ ACTIONS = action_set("square81")
 
 
 def order_in(corner: Path, *overrides: str, key: SegmentKey = KEY) -> SegmentOrder:
-    config = dqn_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", *overrides)
-    return SegmentOrder(key=key, towns=(str(corner),), config=config, settings=("vary.action_delay_ticks=[0,2]",))
+    varied = 'collect.variants=["vary.action_delay_ticks=[0,2]"]'
+    config = dqn_config("collect.ticks=40", "collect.chairs=2", "collect.scene_share=0", varied, *overrides)
+    return SegmentOrder(key=key, towns=(str(corner),), config=config)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ POINTS = torch.as_tensor(ACTIONS.points)
 
 def net_of(config) -> DangerNet:
     torch.manual_seed(0)
-    return channels_last(DangerNet(spec_of(config), POINTS))
+    return channels_last(DangerNet(spec_of(config)))
 
 
 @pytest.mark.parametrize("eye", ["map", "picture", "both"])
@@ -37,7 +37,7 @@ def test_every_network_of_the_registry_can_be_the_eye(network):
     config = small_config("danger.eye=picture", f"learn.network={network}")
     net, lessons = net_of(config), lectures(config, 12)
     batch = lessons.batch(all_of(lessons)[:4])
-    assert batch.inputs[3].shape[1] == spec_of(config).shape.window == (1 if network == "patch" else 4)
+    assert batch.inputs[3].shape[1] == spec_of(config).net.window == (1 if network == "patch" else 4)
     assert net(*batch.inputs).shape == (4, 81)
 
 

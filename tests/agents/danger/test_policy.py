@@ -22,7 +22,7 @@ RULE = DangerRule(warn=0.5)
 def policy_of(*words: str, base: float = -3.0) -> DangerPolicy:
     config = small_config(*words)
     torch.manual_seed(1)
-    net = channels_last(DangerNet(spec_of(config), torch.as_tensor(ACTIONS.points))).eval()
+    net = channels_last(DangerNet(spec_of(config))).eval()
     with torch.no_grad():
         net.base.fill_(base)
     return DangerPolicy("own", net, config, RULE)

@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 import torch
 
-from wcsim.agents.danger.network import DangerNet, DangerSpec
-from wcsim.agents.danger.policy import DangerPolicy, inputs
+from wcsim.agents.danger.dataset import to_tensors
+from wcsim.agents.danger.network import DangerNet
+from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.danger.rule import choose, next_recent, within
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.export.policy_graphs import DangerGraph, Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
-from wcsim.config.run_file import DangerNetFile, DangerRule
+from wcsim.config.run_file import DangerNetFile, DangerRule, DangerSpec
 from wcsim.core.joystick import driven, limits_of, shaped_rows
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import MAX_DISTANCE, action_set
 
 CONFIG = resolve(RunConfig(cameras=(CameraConfig(width_px=48, height_px=36),)), ("world.action_delay_ticks=2",))
-POINTS = torch.as_tensor(action_set("square81").points)
 
 
 def network(**parts: object) -> DangerNet:
     torch.manual_seed(0)
     shape = DangerNetFile(**{"width": 20, "actions": "square81", **parts})
-    net = DangerNet(DangerSpec(shape=shape, camera=CONFIG.cameras[0], classes="cityscapes"), POINTS)
+    net = DangerNet(DangerSpec(net=shape, camera=CONFIG.cameras[0], classes="cityscapes"))
     with torch.no_grad():
         for value in net.parameters():
             value.add_(0.3 * torch.randn_like(value) * value.abs().mean())
@@ -105,7 +105,7 @@ def test_the_graph_sees_what_the_policy_sees_and_does_what_it_does(width, height
         sight = eye.extract(seen)
         with torch.inference_mode():
             values, warning, danger, *state = graph(*(torch.as_tensor(seen[key])[None] for key in graph.inputs), *state)
-            wanted = torch.sigmoid(net(*inputs([sight], eye)))
+            wanted = torch.sigmoid(net(*to_tensors(eye, *sight.batch())))
         own = graph._codes(state[0], state[4])
         differ = (own - torch.as_tensor(sight.picture).float()).abs() > 2.0
         assert differ.float().mean() < 0.01, "cells at a border may go either way"

@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
 from tests.agents.danger.sights import a_segment, small_config
-from wcsim.agents.collecting.data_folder import SegmentKey, _write_segment, read_manifest, segment_path
+from wcsim.agents.collecting.data_folder import _write_segment, read_manifest, segment_path
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.saved import save_danger
@@ -20,7 +19,6 @@ from wcsim.config.run_file import DangerRule
 from wcsim.core.files import locked
 from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.workers.machines import Machines
-from wcsim.supervisor.actions import action_set
 
 PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
 
@@ -39,12 +37,12 @@ class OneDies:
     def __exit__(self, *exception: object) -> None:
         """Nobody works."""
 
-    def take(self, orders: Sequence[SegmentOrder], back: Callable[[SegmentKey], object]) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], back: Callable[[], object]) -> dict[str, str]:
         found = {}
         for number, order in enumerate(orders):
             if self.dies and number == 1:
                 raise KeyboardInterrupt
-            path = segment_path(self._folder, order.key)
+            path = segment_path(self._folder, order.key.name)
             found[path.name] = _write_segment(path, a_segment(seed=order.key.index))
         return found
 
@@ -112,8 +110,7 @@ def test_a_policy_of_other_senses_or_actions_is_refused_before_anything_is_begun
 def a_policy(folder: Path) -> Path:
     """A danger network that learned nothing, with the settings of `small_config`."""
     config = small_config()
-    points = torch.as_tensor(action_set(config.env.actions).points)
-    return save_danger(folder / "policy", DangerNet(spec_of(config), points), DangerRule(), config)
+    return save_danger(folder / "policy", DangerNet(spec_of(config)), DangerRule(), config)
 
 
 def test_a_drive_that_died_goes_on_with_its_own_settings_alone(

@@ -51,11 +51,9 @@ class NoiseCrew:
     def ask(self, orders: Sequence[SegmentOrder]) -> None:
         assert all(not order.policy or Path(order.policy, "policy.json").is_file() for order in orders)
 
-    def take(
-        self, orders: Sequence[SegmentOrder], done: Callable[[SegmentKey], object], watch: object
-    ) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], done: Callable[[], object], watch: object) -> dict[str, str]:
         self.ask(orders)
-        paths = {segment_path(self._folder, order.key): order.key for order in orders}
+        paths = {segment_path(self._folder, order.key.name): order.key for order in orders}
         return {path.name: _write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
 
 
@@ -130,7 +128,7 @@ def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, t
 
 def others_drive(folder: Path, count: int) -> dict[str, str]:
     """A data folder with so many segments of noise; their SHA-256 by file name."""
-    paths = [segment_path(folder, SegmentKey(run=8, round=0, index=index)) for index in range(count)]
+    paths = [segment_path(folder, SegmentKey(run=8, round=0, index=index).name) for index in range(count)]
     held = {path.name: _write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
     write_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
     return held

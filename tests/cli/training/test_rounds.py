@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.collecting.data_folder import SegmentKey
 from wcsim.agents.rounds.train_rounds import RoundProgress, _RoundTeller
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
@@ -74,12 +73,11 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
 def test_what_a_run_that_goes_on_finds_there_is_told_as_one():
     told: list[int] = []
     teller = _RoundTeller(lambda now: told.append(now.segments), RoundProgress(round=0, rounds=2, segments=0, of=5))
-    key = SegmentKey(run=0, round=0, index=0)
     for _ in range(3):
-        teller.back(key)
+        teller.back()
     assert told == [], "they took no time, which is no pace for the rest"
     teller.watch(())
-    teller.back(key)
+    teller.back()
     teller.watch(())
     assert told == [3, 4, 4]
 

@@ -117,13 +117,13 @@ class _Ray:
 def test_what_ray_says_against_it_becomes_one_line(error, told, tmp_path):
     import re
 
-    spec = LinkSpec(address="10.0.0.1:6379", count=1, run="x", log=tmp_path / "ray.log")
+    spec = LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
     text = cluster_link._told(spec, error, _Ray)
     assert re.search(told, text) and "\n" not in text and "abc" not in text
 
 
 def test_a_token_that_was_asked_for_is_found_in_what_ray_wrote_for_this_try_alone(tmp_path):
-    spec = LinkSpec(address="10.0.0.1:6379", count=1, run="x", log=tmp_path / "ray.log")
+    spec = LinkSpec(address="10.0.0.1:6379", count=1, log=tmp_path / "ray.log")
     assert cluster_link._logged(spec.log, 0) == ""
     spec.log.write_text("W 1 Unauthenticated: RPC error: InvalidAuthToken: Authentication token is missing\n")
     before, error = spec.log.stat().st_size, ConnectionError("Failed to connect to Ray cluster")
@@ -154,7 +154,7 @@ def test_who_has_a_token_shows_it_and_a_word_of_the_users_own_stays(tmp_path, mo
         token.write_text("abc")
     elif place:
         monkeypatch.setenv(place, str(token))
-    spec = LinkSpec(address="10.0.0.1:6379", count=0, run="r", log=tmp_path / "log")
+    spec = LinkSpec(address="10.0.0.1:6379", count=0, log=tmp_path / "log")
     for name in ("RAY_USAGE_STATS_ENABLED", *cluster_link._PATIENCE):  # what is set beside is taken back at the end
         monkeypatch.setenv(name, "1")
     cluster_link._prepare(spec)

@@ -53,7 +53,7 @@ _TOLD: Final = (  # where they differ
     *(f"chair.{key}" for key in ChairConfig.model_fields),
     *_ALSO,
 )
-_FORMS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: its kind; numbers in a row, 0 for any
+COLUMNS: Final[Mapping[str, tuple[str, tuple[int, ...]]]] = {  # of a column: its kind; numbers in a row, 0 for any
     **dict.fromkeys(("depth", "seg"), ("u1", (0, 0))),
     **dict.fromkeys(("visible", "truth"), ("u1", (0,))),
     **dict.fromkeys(("action", "driver", "delay"), ("u1", ())),
@@ -73,6 +73,15 @@ class SegmentKey:
     run: int  # its seed
     round: int
     index: int
+
+    @property
+    def name(self) -> str:
+        """What it is called wherever something is said of it.
+
+        >>> SegmentKey(run=3, round=0, index=12).name
+        '3-000-0012'
+        """
+        return f"{self.run}-{self.round:03d}-{self.index:04d}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,9 +150,9 @@ def unsafe_ahead(codes: U8, ends: Bool, ahead: int) -> Bool:
     return unsafe
 
 
-def segment_path(folder: Path, key: SegmentKey) -> Path:
-    """Where the segment of a key lies."""
-    return folder / SEGMENTS / f"{key.run}-{key.round:03d}-{key.index:04d}.npz.zst"
+def segment_path(folder: Path, name: str) -> Path:
+    """Where the segment of that name lies, see `SegmentKey`."""
+    return folder / SEGMENTS / f"{name}.npz.zst"
 
 
 def key_of(name: str) -> SegmentKey:
@@ -300,7 +309,7 @@ def _columns(data: bytes) -> dict[str, np.ndarray]:
 
 
 def _require_whole(path: Path, columns: dict[str, np.ndarray]) -> None:
-    wrong = [name for name, (kind, wide) in _FORMS.items() if not _fits(columns[name], kind, wide)]
+    wrong = [name for name, (kind, wide) in COLUMNS.items() if not _fits(columns[name], kind, wide)]
     if wrong:
         raise PolicyError(f"{escaped(path)} has another form ({', '.join(wrong)}); expected a segment of this version")
     lengths = {len(column) for column in columns.values()}

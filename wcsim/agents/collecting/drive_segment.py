@@ -14,13 +14,12 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from wcsim.agents.collecting.data_folder import FOLLOW, NETWORK, ORACLE, RECKLESS, Segment, SegmentKey, codes_of, joined
+from wcsim.agents.collecting.data_folder import COLUMNS, FOLLOW, NETWORK, ORACLE, RECKLESS, Segment, codes_of, joined
 from wcsim.agents.collecting.segment_places import SegmentOrder, SegmentPlace, places_of
-from wcsim.agents.envs.episode_view import EpisodeStep, Info, delay_ticks
+from wcsim.agents.envs.episode_view import Info, delay_ticks
 from wcsim.agents.envs.seat_driver import SeatDriver
-from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, Observation
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY, HearsSent, Observation
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import CollectConfig, RunConfig
@@ -33,20 +32,14 @@ _ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
 _RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
 
 
-class Learned(Protocol):
+class Learned(HearsSent, Protocol):
     """The network as a driver: in each step `choose` or `observe`, then `sent`."""
 
     def reset(self) -> None:
         """An episode begins."""
 
-    def choose(self, observation: Observation) -> int:
-        """Its action."""
-
     def observe(self, observation: Observation) -> None:
         """Take in an observation without choosing."""
-
-    def sent(self, action: int) -> None:
-        """What is carried out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +52,7 @@ class _Choice:
 
 
 class _DataDriver:
-    """Drives one chair.
+    """Drives one chair for an episode; who drives it is drawn as it begins.
 
     Args:
         settings: How often who drives.
@@ -72,17 +65,12 @@ class _DataDriver:
         self, settings: CollectConfig, actions: ActionSet, rng: np.random.Generator, learned: Learned | None
     ) -> None:
         self._settings, self._actions, self._rng, self._learned = settings, actions, rng, learned
-        self.begin()
-
-    def begin(self) -> None:
-        """Draw who drives the episode that begins now."""
-        settings, draw = self._settings, self._rng.random(2)
-        alone = FOLLOW if draw[1] < settings.follow_share else ORACLE
-        learned = self._learned is not None and draw[0] < settings.network_share
-        self._driver = NETWORK if learned else alone
         self._held, self._offset, self._reckless = 0, np.zeros(2), False
-        if self._learned is not None and self._driver == NETWORK:
-            self._learned.reset()
+        draw = rng.random(2)
+        self._driver = FOLLOW if draw[1] < settings.follow_share else ORACLE
+        if learned is not None and draw[0] < settings.network_share:
+            self._driver = NETWORK
+            learned.reset()
 
     def choose(self, observation: Observation, said: Verdict) -> _Choice:
         """Answer an observation; `said` is the oracle's verdict of its moment."""
@@ -133,18 +121,12 @@ def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
         TownError: A town cannot be opened.
         ConfigError: The chairs lack a sense that data needs.
     """
+    key, parts = order.key, list[Segment]()
     with TemporaryDirectory(prefix="wcsim-collect-") as work:
-        return joined(
-            [
-                _driven(place, make_learned, _driving_seed(order.key, number))
-                for number, place in enumerate(places_of(order, Path(work)))
-            ]
-        )
-
-
-def _driving_seed(key: SegmentKey, number: int) -> int:
-    """Of who drives, and how, in the world of that number of a segment."""
-    return seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)
+        for number, place in enumerate(places_of(order, Path(work))):
+            seed = seeding.derive(key.run, "collect", key.round, key.index, "drivers", number)  # of who drives, and how
+            parts.append(_driven(place, make_learned, seed))
+    return joined(parts)
 
 
 def _driven(place: SegmentPlace, make_learned: MakeLearned | None, seed: int) -> Segment:
@@ -162,24 +144,13 @@ def _driven(place: SegmentPlace, make_learned: MakeLearned | None, seed: int) ->
     return _segment_of([seat.rows for seat in seats])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _DrivenRow:
-    """One step of one chair."""
-
-    seen: Observation
-    said: Truth
-    choice: _Choice
-    step: EpisodeStep
-    delay: int
-
-
 class _Seat:
     """One chair with its agent, and what it has written down."""
 
     def __init__(
         self, config: RunConfig, first: ClientSnapshot, make_learned: MakeLearned | None, rng: np.random.Generator
     ) -> None:
-        self.rows: list[_DrivenRow] = []
+        self.rows: list[dict[str, Any]] = []  # by column of a segment
         self._config, self._make, self._rng = config, make_learned, rng
         self._actions = action_set(config.env.actions)
         self._delay = 0
@@ -202,35 +173,30 @@ class _Seat:
     def take(self, client: ClientSnapshot) -> None:
         """Write down what came of it."""
         seen, said = self.driver.observation, self.driver.info["truth"]
-        step = self.driver.take(client)
-        self.rows.append(_DrivenRow(seen=seen, said=said, choice=self._choice, step=step, delay=self._delay))
+        step, choice = self.driver.take(client), self._choice
+        self.rows.append(
+            {
+                "depth": seen[DEPTH_KEY][-1],
+                "seg": seen[CLASS_KEY][-1],
+                "imu": seen[IMU_KEY],
+                "odometry": seen[ODOMETRY_KEY],
+                "stick": seen[JOYSTICK_KEY],
+                "wish": choice.wish,
+                "action": choice.action,
+                "driver": choice.driver,
+                "visible": codes_of((said.visible or said).first_s),
+                "truth": codes_of(said.first_s),
+                "reward": step.reward,
+                "crashed": step.terminated,
+                "ended": step.done,
+                "delay": self._delay,
+            }
+        )
 
 
-def _segment_of(chairs: Sequence[Sequence[_DrivenRow]]) -> Segment:
+def _segment_of(chairs: Sequence[Sequence[dict[str, Any]]]) -> Segment:
     """The rows of all chairs, one chair after the other; a chair's last step here ends its episode."""
+    for chair in chairs:
+        chair[-1]["ended"] = True  # nobody drives on from here: what lies ahead of it is not known
     rows = [row for chair in chairs for row in chair]
-    last = [number == len(chair) - 1 for chair in chairs for number in range(len(chair))]
-    return Segment(
-        depth=_seen(rows, DEPTH_KEY)[:, -1],
-        seg=_seen(rows, CLASS_KEY)[:, -1],
-        imu=_seen(rows, IMU_KEY),
-        odometry=_seen(rows, ODOMETRY_KEY),
-        stick=_seen(rows, JOYSTICK_KEY),
-        wish=_column(rows, lambda row: row.choice.wish, np.float32),
-        action=_column(rows, lambda row: row.choice.action, np.uint8),
-        driver=_column(rows, lambda row: row.choice.driver, np.uint8),
-        visible=_column(rows, lambda row: codes_of((row.said.visible or row.said).first_s), np.uint8),
-        truth=_column(rows, lambda row: codes_of(row.said.first_s), np.uint8),
-        reward=_column(rows, lambda row: row.step.reward, np.float32),
-        crashed=_column(rows, lambda row: row.step.terminated, np.bool_),
-        ended=np.array(last) | _column(rows, lambda row: row.step.done, np.bool_),
-        delay=_column(rows, lambda row: row.delay, np.uint8),
-    )
-
-
-def _seen(rows: Sequence[_DrivenRow], key: str) -> npt.NDArray[Any]:
-    return np.stack([row.seen[key] for row in rows])
-
-
-def _column(rows: Sequence[_DrivenRow], take: Callable[[_DrivenRow], Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    return np.array([take(row) for row in rows], dtype)
+    return Segment(**{name: np.array([row[name] for row in rows], kind) for name, (kind, _) in COLUMNS.items()})

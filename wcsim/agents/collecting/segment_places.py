@@ -29,7 +29,6 @@ class SegmentOrder:
     key: SegmentKey
     towns: tuple[str, ...]  # folders or names
     config: RunConfig
-    settings: tuple[str, ...] = ()  # section.key=value, over the configuration: what this segment is like
     policy: str = ""  # the folder of the network that drives, "" for none
 
 
@@ -61,10 +60,7 @@ def orders_of(
     """
     require_recordable(config)
     keys = [replace(first, index=first.index + number) for number in range(count)]
-    return [
-        SegmentOrder(key=key, towns=towns, config=config, settings=_drawn_settings(config, key), policy=policy)
-        for key in keys
-    ]
+    return [SegmentOrder(key=key, towns=towns, config=config, policy=policy) for key in keys]
 
 
 def require_recordable(config: RunConfig) -> None:
@@ -142,7 +138,7 @@ def places_of(order: SegmentOrder, work: Path) -> Iterator[SegmentPlace]:
     Raises:
         TownError: A town is missing.
     """
-    config = resolve(order.config, (*order.settings, "world.draw_threads=1"))
+    config = resolve(order.config, (*_drawn_settings(order.config, order.key), "world.draw_threads=1"))
     config = resolve(config, sense_settings(config, MOTION_SENSES))
     if _is_of_scenes(order.config, order.key):
         yield from _scenes(order, config, work)

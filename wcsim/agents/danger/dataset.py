@@ -165,7 +165,7 @@ class Dataset:
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
         frames = self._frames(chosen)
         vector = np.stack([part.vectors[row] for part, row in chosen])
-        # Through float32 to float64, as `policy.inputs` does: learned and driven roll-outs are equal to the bit.
+        # Through float32 to float64, as `Features.batch` does: learned and driven roll-outs are equal to the bit.
         start = np.stack([part.starts[row] for part, row in chosen]).astype(np.float64)
         unsafe = np.stack([part.unsafe[row] for part, row in chosen])
         if mirror:

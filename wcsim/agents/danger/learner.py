@@ -18,7 +18,6 @@ from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
 _CLIP = 5.0
 _WARM_UP = 0.05  # share of all updates in which the rate rises
@@ -42,9 +41,8 @@ class DangerLearner:
         danger = config.danger
         # Here, and not once for a run: the first weights must not depend on what was drawn before.
         torch.manual_seed(seeding.derive(seed, "agent", "danger"))
-        points = torch.as_tensor(action_set(config.env.actions).points)
         self._device = checked_device(config.learn.device)
-        self.net = channels_last(DangerNet(spec_of(config), points)).to(self._device)
+        self.net = channels_last(DangerNet(spec_of(config))).to(self._device)
         self._optimizer = torch.optim.AdamW(
             self.net.parameters(), lr=danger.learning_rate, weight_decay=danger.weight_decay
         )
@@ -96,25 +94,27 @@ class DangerLearner:
         """Go on after so many updates with what `arrays` gave then.
 
         Raises:
-            PolicyError, KeyError: It is of another network.
-            ValueError: A tensor of it is of another form, or not finite.
+            PolicyError, KeyError: It is of another network, or not finite.
         """
         weights, moments = (
             {name: torch.from_numpy(value) for name, value in arrays[part].items()} for part in ("weights", "moments")
         )
         self.net.load_state_dict(checked_tensors("the weights", weights, self.net.state_dict()))
         parameters = dict(self.net.named_parameters())
+        names = sorted({name.rpartition(".")[0] for name in moments})
+        # Of those that were moved: a parameter without a gradient has no moments yet.
+        wanted = {
+            f"{name}.{key}": torch.zeros(() if key == "step" else parameters[name].shape)
+            for name in names
+            for key in _MOMENTS
+        }
+        held = checked_tensors("the moments", moments, wanted)
         # Whatever the optimiser has gathered since would be mixed with what it had then.
         self._optimizer.state.clear()
-        for name in sorted({name.rpartition(".")[0] for name in moments}):
-            held = {key: moments[f"{name}.{key}"].clone() for key in _MOMENTS}
-            for key, value in held.items():
-                wanted = torch.Size() if key == "step" else parameters[name].shape
-                if value.dtype != torch.float32 or value.shape != wanted or not bool(torch.isfinite(value).all()):
-                    raise ValueError(f"{name}.{key}")
+        for name in names:
             # The count of steps stays on the CPU, where AdamW keeps it.
             self._optimizer.state[parameters[name]] = {
-                key: value if key == "step" else value.to(self._device) for key, value in held.items()
+                key: held[f"{name}.{key}"].clone().to("cpu" if key == "step" else self._device) for key in _MOMENTS
             }
         self.updates, self.loss = updates, loss
 

@@ -8,8 +8,7 @@ pictures (eye `picture`): a network of the registry, then a dense layer. `both` 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import torch
@@ -19,30 +18,12 @@ from torch.nn import functional
 
 from wcsim.agents.danger.street_map import PLANES, SIDE, SLICES, VECTOR
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
-from wcsim.config import CameraConfig, RunConfig
-from wcsim.config.run_file import DangerNetFile
+from wcsim.config import RunConfig
+from wcsim.config.run_file import DangerNetFile, DangerSpec
+from wcsim.supervisor.actions import action_set
 
 _MAPS: Final = 2 * SLICES  # hull and wheels, by slice of time
 _BASE: Final = -3.0  # so rare are dangers before anything is learned
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DangerSpec:
-    """What the network is made of, and what it is shown."""
-
-    shape: DangerNetFile
-    camera: CameraConfig
-    classes: Literal["cityscapes", "wcsim"]
-
-    @property
-    def street(self) -> bool:
-        """Whether it looks at the street map."""
-        return self.shape.eye != "picture"
-
-    @property
-    def pictures(self) -> int:
-        """How many of the last pictures it looks at as they are."""
-        return 0 if self.shape.eye == "map" else self.shape.window
 
 
 def spec_of(config: RunConfig) -> DangerSpec:
@@ -54,8 +35,8 @@ def spec_of(config: RunConfig) -> DangerSpec:
         network = config.learn.network
         window = config.env.window or preferred_window(network)
     width, actions, eye = danger.width, config.env.actions, danger.eye
-    shape = DangerNetFile(width=width, actions=actions, eye=eye, network=network, window=window)
-    return DangerSpec(shape=shape, camera=config.cameras[0], classes=config.env.classes)
+    net = DangerNetFile(width=width, actions=actions, eye=eye, network=network, window=window)
+    return DangerSpec(net=net, camera=config.cameras[0], classes=config.env.classes)
 
 
 class DangerNet(nn.Module):
@@ -63,16 +44,12 @@ class DangerNet(nn.Module):
 
     Args:
         spec: Its parts.
-        points: (A, 2) joystick positions.
     """
 
-    def __init__(self, spec: DangerSpec, points: torch.Tensor) -> None:
+    def __init__(self, spec: DangerSpec) -> None:
         super().__init__()
         self.spec = spec
-        count, width = len(points), spec.shape.width
-        # They follow from the spec: a file of weights has no need of them.
-        self.register_buffer("points", points.to(torch.float32), persistent=False)
-        self.points: torch.Tensor
+        count, width = len(action_set(spec.net.actions)), spec.net.width
         self.roll_out, self.context, self.pictures = None, None, None
         if spec.street:
             self.down = nn.Sequential(
@@ -85,7 +62,7 @@ class DangerNet(nn.Module):
             )
             self.roll_out = _RollOutHead(width)
             self.context = Context(count)
-        if spec.shape.eye != "map":
+        if spec.net.eye != "map":
             self.pictures = _PictureHead(spec, count)
         # The order of these modules is the order of the random draws: another one gives another network for a seed.
         self.direct = nn.Sequential(nn.Linear(VECTOR, 48), nn.ReLU(), _small_init(nn.Linear(48, count)))
@@ -186,10 +163,10 @@ class _PictureHead(nn.Module):
         super().__init__()
         from wcsim.agents.networks.encoder import ObservationEncoder  # and with it Stable-Baselines3
 
-        image = spaces.Box(0, 255, (spec.shape.window, spec.camera.height_px, spec.camera.width_px), np.uint8)
+        image = spaces.Box(0, 255, (spec.net.window, spec.camera.height_px, spec.camera.width_px), np.uint8)
         vector, none = (spaces.Box(-2.0, 2.0, (size,), np.float32) for size in (VECTOR, 0))
         space = spaces.Dict({CLASS_KEY: image, DEPTH_KEY: image, IMU_KEY: vector, JOYSTICK_KEY: none})
-        self.encoder = ObservationEncoder(space, spec.shape.network, spec.classes)
+        self.encoder = ObservationEncoder(space, spec.net.network, spec.classes)
         self.dense = nn.Sequential(nn.Linear(self.encoder.features_dim + VECTOR, 64), nn.ReLU())
         self.out = _small_init(nn.Linear(64, count))
 

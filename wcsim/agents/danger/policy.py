@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.dataset import Inputs, to_tensors
+from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet
 from wcsim.agents.danger.rule import LEVELS, choose, next_recent, within
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
 from wcsim.agents.policies.alarm import Alarm, next_alarm
-from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, NotFinite, Observation, require_level
+from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import action_set
@@ -21,8 +21,8 @@ from wcsim.types import F64, Bool
 _SURE: Final = 60.0  # a logit beyond it says no more
 
 
-class DangerPolicy:
-    """Drives one chair.
+class DangerPolicy(HearsSent):
+    """Drives one chair: its action is the nearest to the user's stick that is safe enough.
 
     Args:
         name: How tables call it.
@@ -76,14 +76,8 @@ class DangerPolicy:
         self._extractor.forget()
         self._alarm, self._last, self._recent = Alarm(), -1, 0
 
-    def act(self, observation: Observation) -> int:
-        """The action nearest to the user's stick that is safe enough."""
-        action = self.choose(observation)
-        self.sent(action)
-        return action
-
     def choose(self, observation: Observation) -> int:
-        """The same, while another action may still be sent."""
+        """The action, while another one may still be sent."""
         stick = np.asarray(observation[JOYSTICK_KEY], np.float64)
         self.observe(observation)
         danger = self.danger(self.features)
@@ -107,21 +101,10 @@ class DangerPolicy:
     def danger(self, features: Features) -> F64:
         """How bad each action is, (A,) in 0..1. Raises NotFinite when the network leaves the finite numbers."""
         with torch.inference_mode():
-            tensors = [part.to(self._device) for part in inputs([features], self._extractor)]
+            tensors = [part.to(self._device) for part in to_tensors(self._extractor, *features.batch())]
             logits = self._net(*tensors).cpu().numpy()[0]
         if not np.isfinite(logits).all():
             raise NotFinite(f"policy {self.name!r} returns dangers that are not finite; train it again")
         # In float64 and clipped, so that exp never overflows and equal logits stay equal dangers.
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
         return danger
-
-
-def inputs(batch: list[Features], extractor: FeatureExtractor) -> Inputs:
-    """What the network is called with, for a batch of chairs like that of `extractor`."""
-    return to_tensors(
-        extractor,
-        picture=np.stack([features.picture for features in batch]),
-        vector=np.stack([features.vector for features in batch]),
-        start=np.stack([features.start for features in batch]).astype(np.float64),
-        frames=np.stack([features.frames for features in batch]),
-    )

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
-
-from wcsim.agents.danger.network import DangerNet, DangerSpec, channels_last
+from wcsim.agents.danger.network import DangerNet, channels_last
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_danger_file
@@ -15,14 +13,13 @@ from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
 from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
-from wcsim.supervisor.actions import action_set
 
 
 def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfig, manifest_sha256: str = "") -> Path:
     """See `write_policy`."""
     said = {
         "algorithm": "danger",
-        "net": net.spec.shape.model_dump(),
+        "net": net.spec.net.model_dump(),
         "rule": rule.model_dump(),
         "camera": config.cameras[0].model_dump(mode="json"),
         "classes": config.env.classes,
@@ -45,9 +42,7 @@ def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, Dange
     file = read_danger_file(folder)
     if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
         require_named(escaped(folder), file.net.network, network)
-    spec = DangerSpec(shape=file.net, camera=file.camera, classes=file.classes)
-    points = torch.as_tensor(action_set(file.net.actions).points)
-    net = load_network(folder, file.weights_sha256, lambda: DangerNet(spec, points))
+    net = load_network(folder, file.weights_sha256, lambda: DangerNet(file))
     net.train(False)
     return channels_last(net), file.rule
 

@@ -74,41 +74,6 @@ def movers() -> Bool:
     return table
 
 
-class _StreetMap:
-    """The raster of one chair.
-
-    Args:
-        rays: (n, 3) directions in B per metre of depth.
-        eye_B_m: (3,) where the camera is.
-        far_m: Depths from here on are no measurement.
-    """
-
-    def __init__(self, rays: F32, eye_B_m: F64, far_m: float) -> None:
-        self._rays, self._eye_B_m, self._far_m = rays, eye_B_m, far_m
-        self._kinds, self._movers = kinds_of_ground(), movers()
-        self._cells = np.zeros((RASTER, RASTER, 5), np.int64)
-        self._heights_m = np.zeros((RASTER, RASTER, 2), np.float32)
-        self.forget()
-
-    def forget(self) -> None:
-        """Know nothing."""
-        # Heights stay: they are read only where a cell has a tick.
-        self._cells[:] = 0
-        self._tick = 0
-
-    def see(self, depth_m: F32, class_id: U8, pose_O: F64) -> None:
-        """Take in a picture: depth (n,) along the optical axis, 0 for none, and classes (n,) of the same pixels."""
-        self._tick += 1
-        _write(
-            depth_m, class_id, self._rays, self._eye_B_m, self._far_m, pose_O, self._tick,
-            self._kinds, self._movers, self._cells, self._heights_m,
-        )  # fmt: skip
-
-    def picture(self, pose_O: F64, out: U8) -> None:
-        """Write the picture (PLANES, SIDE, SIDE) around a chair at `pose_O` (3,)."""
-        _read(pose_O, self._tick, self._cells, self._heights_m, out)
-
-
 @exact_kernel
 def _write(
     depth: F32, classes: U8, rays: F32, eye: F64, far_m: float, pose: F64, tick: int, kinds: U8, movers: Bool,
@@ -220,6 +185,11 @@ class Features:
     start: F32  # (6,) where roll-outs begin, see `sweep`
     frames: U8  # (T, 2, H, W) class ids and depth of the last T ticks, the newest last; the first one fills the window
 
+    def batch(self) -> tuple[U8, F32, F64, U8]:
+        """Picture, vector, start and frames as those of a batch of one."""
+        # `sweep` reckons in float64, with what the data keeps in float32: learned and driven roll-outs are equal.
+        return self.picture[None], self.vector[None], self.start[None].astype(np.float64), self.frames[None]
+
 
 class FeatureExtractor:
     """Makes the features of one chair, from tick to tick: `extract`, then `command`.
@@ -240,14 +210,18 @@ class FeatureExtractor:
         spec = plant_spec(config.chair)
         self.around = StreetSense(config, self._actions, spec.outline, delay_ticks)
         around = self.around
-        self._map = _StreetMap(around.rays, around.eye_B_m, around.far_m)
+        self._kinds, self._movers = kinds_of_ground(), movers()
+        self._cells = np.zeros((RASTER, RASTER, 5), np.int64)
+        self._heights_m = np.zeros((RASTER, RASTER, 2), np.float32)
         self.chair = hull_and_wheels(around.box_B_m, np.array(spec.stand_m(), np.float64))
         self.forget()
 
     def forget(self) -> None:
         """Stand still, and know nothing of the street."""
         self.around.forget()
-        self._map.forget()
+        # Heights stay: they are read only where a cell has a tick.
+        self._cells[:] = 0
+        self._tick = 0
         self._sent = np.zeros((COMMANDS, 2))
         self._frames: U8 = np.empty((0, *self._shape), np.uint8)
 
@@ -256,10 +230,9 @@ class FeatureExtractor:
         self._require(observation)
         picture = np.zeros((PLANES, SIDE, SIDE), np.uint8)
         if self.street:
-            around = self.around
-            around.move(observation)
-            self._map.see(around.depth_m, around.classes(observation), around.ego.pose_O)
-            self._map.picture(around.ego.pose_O, picture)
+            self.around.move(observation)
+            self._see(observation)
+            _read(self.around.ego.pose_O, self._tick, self._cells, self._heights_m, picture)
         else:
             self.around.feel(observation)
         start, later_s = self.around.start()
@@ -269,6 +242,15 @@ class FeatureExtractor:
             start=start.astype(np.float32),
             frames=self._seen(observation),
         )
+
+    def _see(self, observation: Observation) -> None:
+        """Write what the camera shows into the raster."""
+        around = self.around
+        self._tick += 1
+        _write(
+            around.depth_m, around.classes(observation), around.rays, around.eye_B_m, around.far_m, around.ego.pose_O,
+            self._tick, self._kinds, self._movers, self._cells, self._heights_m,
+        )  # fmt: skip
 
     def command(self, action: int) -> None:
         """Say which action is sent now."""

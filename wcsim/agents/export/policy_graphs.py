@@ -195,45 +195,24 @@ class DangerGraph(nn.Module):
     def __init__(self, net: DangerNet, config: RunConfig, rule: DangerRule) -> None:
         """Raises PolicyError for a network that cannot be exported."""
         super().__init__()
-        looks = net.spec.shape.eye
-        if looks != "map":
+        if net.spec.pictures:
             raise PolicyError(
-                f"a network with danger.eye={looks} cannot be exported; train with danger.eye=map, its default"
+                f"a network with danger.eye={net.spec.net.eye} cannot be exported; "
+                "train with danger.eye=map, its default"
             )
         camera, actions = config.cameras[0], action_set(config.env.actions)
         self.net, self.rule, self.delay = net, rule, config.world.action_delay_ticks
         self.tick_s, self.far_m = config.world.tick_s, 0.99 * camera.range_m
         self.stride = stride_px(camera)
         rays = viewing_rays(camera).reshape(camera.height_px, camera.width_px, 3)[:: self.stride, :: self.stride]
-        eye = np.array(camera.p_BC_m, np.float32)
         spec = plant_spec(config.chair)
-        box = box_of(spec.outline)
         self.drive = Drive(limits_of(config.chair), config.chair.deadband, config.chair.shape_exponent)
-        chair = hull_and_wheels(box, np.array(spec.stand_m(), np.float64))
-        kept = {
-            "rays": rays.reshape(-1, 3).astype(np.float32),
-            "eye": eye,
-            "metres": decode_depth(np.arange(256, dtype=np.uint8), camera.range_m),
-            "kinds": kinds_of_ground().astype(np.float32),
-            "movers": movers().astype(np.float32),
-            "points": actions.points.astype(np.float32),
-            "commands": shaped_rows(actions.points, config.chair).astype(np.float32),
-            "chair": chair.astype(np.float32),
-            "cells_B": _cells_B(),
-            "plane": _planes(chair).astype(np.float32),
-        }
-        self.rays: torch.Tensor
-        self.eye: torch.Tensor
-        self.metres: torch.Tensor
-        self.kinds: torch.Tensor
-        self.movers: torch.Tensor
-        self.points: torch.Tensor
-        self.commands: torch.Tensor
-        self.chair: torch.Tensor
-        self.cells_B: torch.Tensor
-        self.plane: torch.Tensor
-        for name, array in kept.items():
-            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)), persistent=False)
+        chair = hull_and_wheels(box_of(spec.outline), np.array(spec.stand_m(), np.float64))
+        self.rays, self.eye = _constant(rays.reshape(-1, 3)), _constant(np.array(camera.p_BC_m))
+        self.metres = _constant(decode_depth(np.arange(256, dtype=np.uint8), camera.range_m))
+        self.kinds, self.movers = _constant(kinds_of_ground()), _constant(movers())
+        self.points, self.commands = _constant(actions.points), _constant(shaped_rows(actions.points, config.chair))
+        self.chair, self.plane, self.cells_B = _constant(chair), _constant(_planes(chair)), _constant(_cells_B())
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """The shapes of all states."""
@@ -411,6 +390,11 @@ class DangerGraph(nn.Module):
         return -torch.where(nothing, danger + LESS_M * distance, cost), later
 
 
+def _constant(numbers: np.ndarray) -> torch.Tensor:
+    """What a graph never changes, float32; no file of weights holds it."""
+    return nn.Buffer(torch.from_numpy(np.ascontiguousarray(numbers, np.float32)), persistent=False)
+
+
 def _in_O(motion: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     cos, sin = torch.cos(motion[0, 4]), torch.sin(motion[0, 4])
     return motion[0, 2] + cos * x - sin * y, motion[0, 3] + sin * x + cos * y
@@ -444,7 +428,7 @@ def _cells_B() -> np.ndarray:
     rows, columns = np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij")
     x = (SIDE - rows - 0.5) * CELL_M - BEHIND_M
     y = HALF_M - (columns + 0.5) * CELL_M
-    return np.stack([x.reshape(-1), y.reshape(-1)], 1).astype(np.float32)
+    return np.stack([x.reshape(-1), y.reshape(-1)], 1)
 
 
 class ValueGraph(nn.Module):

@@ -16,7 +16,15 @@ from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policies.dynamic_window.arcs import touches_after
 from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
-from wcsim.agents.policy_api import HIGHEST_LEVEL, JOYSTICK_KEY, MOTION_SENSES, USUAL_LEVEL, Observation, require_level
+from wcsim.agents.policy_api import (
+    HIGHEST_LEVEL,
+    JOYSTICK_KEY,
+    MOTION_SENSES,
+    USUAL_LEVEL,
+    HearsSent,
+    Observation,
+    require_level,
+)
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import ActionSet
 from wcsim.types import F64, Bool, Outline
@@ -26,8 +34,10 @@ WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
 
 
-class DynamicWindow:
-    """Chooses actions; remembers the street around it, who moves there, and how it drives.
+class DynamicWindow(HearsSent):
+    """Chooses the actions nearest to the user's stick that can be braked in time, with some room on their sides.
+
+    It remembers the street around it, who moves there, and how it drives.
 
     Args:
         name: What it is called.
@@ -65,18 +75,12 @@ class DynamicWindow:
         require_level(level, self.levels)
         self.level, self._caution = level, caution(level)
 
-    def act(self, observation: Observation) -> int:
-        """The action nearest to the user's stick that can be braked in time, with some room on its sides."""
-        choice = self.choose(observation)
-        self.sent(choice)
-        return choice
-
     def sent(self, action: int) -> None:
         """Say which action is carried out."""
         self._around.command(action)
 
     def choose(self, observation: Observation) -> int:
-        """The same as `act`, while another action may still be sent."""
+        """The action, while another one may still be sent."""
         around, stick = self._around, np.asarray(observation[JOYSTICK_KEY], np.float64)
         around.observe(observation)
         points = around.in_the_way(self._caution.margin_m)

@@ -30,8 +30,8 @@ from wcsim.types import Bool
 _LEVEL: Final = 1.0  # of `dwa`, as it is when it drives alone
 
 
-class Veto:
-    """Drives one chair.
+class Veto(HearsSent):
+    """Drives one chair: its action is the policy's, or the nearest one to it that is not forbidden.
 
     Its level of assistance is that of `dwa`: how early, and how widely, it forbids.
 
@@ -88,14 +88,8 @@ class Veto:
         if hasattr(self.inner, "close"):
             self.inner.close()
 
-    def act(self, observation: Observation) -> int:
-        """The policy's action, or the nearest one to it that is not forbidden."""
-        action = self.choose(observation)
-        self.sent(action)
-        return action
-
     def choose(self, observation: Observation) -> int:
-        """The same, while another action may still be sent."""
+        """The action, while another one may still be sent."""
         inner = self.inner
         wanted = int(inner.choose(observation) if isinstance(inner, HearsSent) else inner.act(observation))
         self._dwa.choose(observation)

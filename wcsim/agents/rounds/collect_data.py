@@ -40,7 +40,7 @@ from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_has
 
 _LOOK_S = 1.0
 
-Done = Callable[[SegmentKey], object]
+Done = Callable[[], object]
 """Told of each segment that has come back."""
 Watch = Callable[[tuple[WorkerNow, ...]], object]
 """Told who drives what: once when all that was there before has been told of, and every second from then on."""
@@ -64,7 +64,7 @@ class SegmentCrew:
             require_travels(config, own_code=(config.learn.network,))
         self._folder = data
         self._crew = Crew(machines.open(logs), self._keep, least_late_s=LEAST_LATE_S)
-        self._sha256: dict[str, str] = {}  # of what has come, by key
+        self._sha256: dict[str, str] = {}  # of what has come, by name
 
     def __enter__(self) -> SegmentCrew:
         self._crew.__enter__()
@@ -75,10 +75,10 @@ class SegmentCrew:
 
     def ask(self, orders: Sequence[SegmentOrder]) -> None:
         """Begin to drive what is not there yet."""
-        self._crew.ask([_work(order) for order in orders if not self._path(order.key).is_file()])
+        self._crew.ask([_work(order) for order in orders if not segment_path(self._folder, order.key.name).is_file()])
 
     def take(
-        self, orders: Sequence[SegmentOrder], done: Done = lambda key: None, watch: Watch = lambda now: None
+        self, orders: Sequence[SegmentOrder], done: Done = lambda: None, watch: Watch = lambda now: None
     ) -> dict[str, str]:
         """Wait for these segments; their SHA-256 by file name.
 
@@ -88,60 +88,44 @@ class SegmentCrew:
             TownError: A town is missing.
         """
         found: dict[str, str] = {}
-        left = {_work_key(order.key): order.key for order in orders}
         asked = []
         for order in orders:
-            word = _work_key(order.key)
-            kept = self._kept(order.key) if word not in self._sha256 and self._path(order.key).is_file() else ""
+            name = order.key.name
+            kept = "" if name in self._sha256 else self._kept(name)
             if kept:
-                found[self._path(left.pop(word)).name] = kept
-                done(order.key)
+                found[segment_path(self._folder, name).name] = kept
+                done()
             else:
                 asked.append(_work(order))
         self._crew.ask(asked)
         watch(self._crew.now())
+        left = {work.key for work in asked}
         while left:
-            for word in sorted(self._crew.come(left, _LOOK_S)):
-                key = left.pop(word)
-                found[self._path(key).name] = self._sha256[word]
-                done(key)
+            for name in sorted(self._crew.come(left, _LOOK_S)):
+                left.remove(name)
+                found[segment_path(self._folder, name).name] = self._sha256[name]
+                done()
             watch(self._crew.now())
         return found
 
-    def _path(self, key: SegmentKey) -> Path:
-        return segment_path(self._folder, key)
-
-    def _keep(self, word: str, data: bytes) -> None:
+    def _keep(self, name: str, data: bytes) -> None:
         """In the crew's thread: what has come is on the disk before anybody hears of it."""
-        write_bytes(self._path(_key_of(word)), data)
-        self._sha256[word] = hashlib.sha256(data).hexdigest()
+        write_bytes(segment_path(self._folder, name), data)
+        self._sha256[name] = hashlib.sha256(data).hexdigest()
 
-    def _kept(self, key: SegmentKey) -> str:
+    def _kept(self, name: str) -> str:
         """The SHA-256 of a segment from before, "" where there is none that is whole."""
-        path = self._path(key)
-        with contextlib.suppress(PolicyError):
-            read_segment(path)
-            return sha256(path)
-        path.unlink(missing_ok=True)
+        path = segment_path(self._folder, name)
+        if path.is_file():  # one that comes meanwhile is not to be removed
+            with contextlib.suppress(PolicyError):
+                read_segment(path)
+                return sha256(path)
+            path.unlink(missing_ok=True)
         return ""
 
 
-def _work_key(key: SegmentKey) -> str:
-    """What a segment is called wherever something is said of it.
-
-    >>> _work_key(SegmentKey(run=3, round=0, index=12))
-    '3-000-0012'
-    """
-    return f"{key.run}-{key.round:03d}-{key.index:04d}"
-
-
-def _key_of(word: str) -> SegmentKey:
-    run, number, index = word.split("-")
-    return SegmentKey(run=int(run), round=int(number), index=int(index))
-
-
 def _work(order: SegmentOrder) -> Work:
-    return Work(key=_work_key(order.key), call=_drive_order, piece=order, needs=_needs_of)
+    return Work(key=order.key.name, call=_drive_order, piece=order, needs=_needs_of)
 
 
 def _needs_of(order: SegmentOrder) -> tuple[Parcel, ...]:
@@ -225,7 +209,7 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
     orders = orders_of(order.config, order.towns, first, order.segments, order.policy)
     done = 0
 
-    def back(_: SegmentKey) -> None:
+    def back() -> None:
         nonlocal done
         done += 1
         told(done, len(orders))

@@ -4,37 +4,21 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from wcsim.config import parse
+from wcsim.config.run_file import TrainedRound
 from wcsim.core import files
 from wcsim.core.reading import FileKind, escaped, read_text
-from wcsim.errors import PolicyError
+from wcsim.errors import ConfigError, PolicyError
 
 _COLUMNS: Final = (
     *("round", "steps", "new_steps", "tight_share", "crashes", "updates", "loss"),
     *("wait_s_wall", "learn_s_wall"),
 )
 _KIND = FileKind(what="the metrics.csv of a run", limit_bytes=1 << 30, error=PolicyError)
-_MOST: Final = 1e15
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainedRound:
-    """A row of it, in the order of its columns."""
-
-    round: int
-    steps: int  # that can be learned from, of this round and those before, and of data folders
-    new_steps: int  # of these that were driven in this round
-    tight_share: float  # of these, in which something is unsafe
-    crashes: int  # of whoever drove in this round
-    updates: int  # in all
-    loss: float  # at its end, smoothed over some 50 updates; NaN where nothing was learned
-    wait_s: float  # wall clock, for the worlds
-    learn_s: float  # wall clock
 
 
 def note_round(path: Path, row: Sequence[float]) -> None:
@@ -84,15 +68,6 @@ def _damaged(path: Path, number: int) -> PolicyError:
 
 def _round(row: Sequence[str], number: int, path: Path) -> TrainedRound:
     try:
-        values = [float(cell) for cell in row]
-    except ValueError:
-        values = []
-    usable = bool(values) and all(
-        0.0 <= value <= _MOST or (name == "loss" and math.isnan(value))
-        for name, value in zip(_COLUMNS, values, strict=True)
-    )
-    if not usable or values[0] != number:
-        raise _damaged(path, number)
-    kinds = {each.name: int if each.type == "int" else float for each in fields(TrainedRound)}
-    told: dict[str, Any] = {name: kind(value) for (name, kind), value in zip(kinds.items(), values, strict=True)}
-    return TrainedRound(**told)
+        return parse(TrainedRound, dict(zip(TrainedRound.model_fields, row, strict=True)), path.name)
+    except ConfigError:
+        raise _damaged(path, number) from None

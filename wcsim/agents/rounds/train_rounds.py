@@ -116,17 +116,17 @@ class RoundProgress:
 Progress = Callable[[RoundProgress], object]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rounds:
-    """What to train with."""
+def train_rounds(
+    folder: RunFolder, towns: tuple[str, ...], machines: Machines, progress: Progress, log: Callable[[str], object]
+) -> str:
+    """Do all rounds that are left; the SHA-256 of the weights.
 
-    folder: RunFolder
-    towns: tuple[str, ...]  # folders or names
-    machines: Machines = HERE
-
-
-def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object]) -> str:
-    """Do all rounds that are left; the SHA-256 of the weights. `log` is told of checkpoints that could not be used.
+    Args:
+        folder: Of the run.
+        towns: Folders or names.
+        machines: Who drives.
+        progress: Told what comes of it.
+        log: Told of checkpoints that could not be used.
 
     Raises:
         TownError: A town is missing.
@@ -136,7 +136,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
             numbers.
         DiskFullError: There is no room.
     """
-    config, folder = rounds.folder.config, rounds.folder
+    config = folder.config
     seed, total = folder.manifest.seed, config.collect.rounds
     learner = DangerLearner(config, seed, config.danger.updates * total)
     found = go_on(folder, _restoring(learner), log)
@@ -146,14 +146,14 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
         dataset.add(labelled_steps(segment, config))
     for name in in_order(segments):
         dataset.add(labelled_steps(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
-    with SegmentCrew(config, folder.path / DATA, rounds.machines, folder.path) as workers:
+    with SegmentCrew(config, folder.path / DATA, machines, folder.path) as workers:
         for number in range(first, total):
             began_s = time.monotonic()
-            now = _orders(rounds, number)
+            now = _orders(folder, towns, number)
             told = _RoundTeller(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
             came = workers.take(now, told.back, told.watch)
             if number + 1 < total:
-                workers.ask(_orders(rounds, number + 1))
+                workers.ask(_orders(folder, towns, number + 1))
             waited_s = time.monotonic() - began_s
             before, crashes = len(dataset), 0
             for name in sorted(came):
@@ -164,7 +164,7 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
             torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
             loss = learner.learn(dataset, config.danger.updates, told.learned)
             segments |= came
-            _save(rounds, learner, tag("round", number))
+            _save(folder, learner, tag("round", number))
             row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, learner.updates, loss)
             note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
             _save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
@@ -172,9 +172,9 @@ def train_rounds(rounds: Rounds, progress: Progress, log: Callable[[str], object
             progress(
                 RoundProgress(round=number, rounds=total, segments=many, of=many, updates=learner.updates, loss=loss)
             )
-    towns = {town.name: streets_hash(town) for town in map(find_town, rounds.towns)}
-    write_manifest(folder.path / DATA, config, towns, segments)
-    _save(rounds, learner, "final")
+    hashes = {town.name: streets_hash(town) for town in map(find_town, towns)}
+    write_manifest(folder.path / DATA, config, hashes, segments)
+    _save(folder, learner, "final")
     return digest_of(learner.net)
 
 
@@ -207,12 +207,12 @@ def _keep_newest(folder: RunFolder) -> bool:
     return bool(done)
 
 
-def _orders(rounds: Rounds, number: int) -> list[SegmentOrder]:
+def _orders(folder: RunFolder, towns: tuple[str, ...], number: int) -> list[SegmentOrder]:
     """The segments of a round, driven by the network of the round before the last, where there is one."""
-    config, driver = rounds.folder.config, number - 2
-    policy = str(rounds.folder.policy(tag("round", driver))) if driver >= 0 else ""
-    first = SegmentKey(run=rounds.folder.manifest.seed, round=number, index=0)
-    return orders_of(config, rounds.towns, first, config.collect.segments, policy)
+    driver = number - 2
+    policy = str(folder.policy(tag("round", driver))) if driver >= 0 else ""
+    first = SegmentKey(run=folder.manifest.seed, round=number, index=0)
+    return orders_of(folder.config, towns, first, folder.config.collect.segments, policy)
 
 
 class _RoundTeller:
@@ -224,7 +224,7 @@ class _RoundTeller:
     def __init__(self, progress: Progress, now: RoundProgress) -> None:
         self._progress, self._now, self._begun = progress, now, False
 
-    def back(self, key: SegmentKey) -> None:
+    def back(self) -> None:
         """A segment is there."""
         self._now = replace(self._now, segments=self._now.segments + 1)
         if self._begun:
@@ -242,10 +242,10 @@ class _RoundTeller:
             self._progress(self._now)
 
 
-def _save(rounds: Rounds, learner: DangerLearner, stage: str) -> None:
-    danger, sha256 = rounds.folder.config.danger, rounds.folder.manifest_sha256()
+def _save(folder: RunFolder, learner: DangerLearner, stage: str) -> None:
+    danger = folder.config.danger
     rule = DangerRule(threshold=danger.threshold, at_once=danger.at_once, warn=danger.warn)
-    save_danger(rounds.folder.policy(stage), learner.net, rule, rounds.folder.config, sha256)
+    save_danger(folder.policy(stage), learner.net, rule, folder.config, folder.manifest_sha256())
 
 
 def towns_of(
@@ -311,17 +311,15 @@ def train_danger(
     folder = folder_of(run, whole_data)
     with files.locked(folder.path), torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
-        rounds = Rounds(folder=folder, towns=towns, machines=machines)
-        total = folder.config.collect.rounds
         try:
-            sha256 = train_rounds(rounds, progress, stage)
+            sha256 = train_rounds(folder, towns, machines, progress, stage)
         except KeyboardInterrupt:
             folder.with_status("interrupted", 0)
             kept = "the policy of the complete rounds" if _keep_newest(folder) else "the segments so far, no policy yet"
             raise InterruptedRunError(
                 f"stopped; {folder.path} holds {kept}; continue it: {how_to_resume(folder.path)}"
             ) from None
-        folder.with_status("done", total * folder.config.danger.updates)
+        folder.with_status("done", folder.config.collect.rounds * folder.config.danger.updates)
         folder.event("done", weights_sha256=sha256)
     return folder.path
 

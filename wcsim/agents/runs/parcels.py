@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -38,12 +39,12 @@ def town_parcel(address: str) -> Parcel:
 def policy_parcel(name: str) -> Parcel:
     """A policy by its name without a level, with what its run says of it. Raises PolicyError."""
     policy = policy_path(name).resolve()
-    run = policy.parent.parent
-    if is_file(run / MANIFEST):
-        said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
-        inner = policy.relative_to(run).as_posix()
-        return Parcel(address=name, folder=run, names=(*said, *_below(policy, run)), inner=inner)
-    return Parcel(address=name, folder=policy, names=_below(policy, policy))
+    alone, run = folder_parcel(policy, name), policy.parent.parent
+    if not is_file(run / MANIFEST):
+        return alone
+    said = [file for file in (MANIFEST, CONFIG, PLANT) if is_file(run / file)]
+    inner = policy.relative_to(run).as_posix()
+    return replace(alone, folder=run, names=(*said, *(f"{inner}/{file}" for file in alone.names)), inner=inner)
 
 
 def folder_parcel(folder: Path, address: str = "") -> Parcel:
@@ -97,8 +98,3 @@ def require_travels(
             f"--cluster: {', '.join(found)} exists on this machine only and cannot be sent; expected parts of wcsim "
             "alone: leave it out, or drive without --cluster"
         )
-
-
-def _below(policy: Path, folder: Path) -> tuple[str, ...]:
-    """The files of a policy as they are called from a folder: values on top of a danger network have it in a folder."""
-    return tuple(path.relative_to(folder).as_posix() for path in sorted(policy.rglob("*")) if path.is_file())

@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import metadata
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -28,9 +29,9 @@ from typing import Any, Final
 
 from wcsim.core.files import home
 from wcsim.core.sources import code_digest
-from wcsim.errors import ConfigError, WcsimError, WorkersError
-from wcsim.server.workers.cluster_node import Reply, SentParcel, SentWork, digest_of, do_work, kill_worker, packed
-from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
+from wcsim.errors import ConfigError, WcsimError
+from wcsim.server.workers.cluster_node import SentParcel, digest_of, do_work, packed
+from wcsim.server.workers.worker_api import Facts, Parcel, Work, WorkEnd
 
 LOCAL: Final = "local"
 STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small
@@ -46,7 +47,6 @@ class LinkSpec:
 
     address: str  # HOST:PORT, or `local`
     count: int  # processes of a local cluster
-    run: str  # a word that no other run has
     log: Path  # for what Ray says
 
 
@@ -232,7 +232,7 @@ _LOOK_S: Final = 2.0  # at which nodes there are
 _WAIT_S: Final = 0.05
 _GET_S: Final = 30.0
 _MOST_TRIES: Final = 3
-_MOST_LOOSE: Final = 8  # parcels that are remembered and not wanted again
+_MOST_SENT: Final = 64  # parcels that stay in Ray's store
 
 
 @dataclass(slots=True, kw_only=True)
@@ -250,8 +250,7 @@ class _Begun:
 
     worker: str
     node: str
-    work: Work
-    attempt: str
+    key: str
     since_s: float
 
 
@@ -285,12 +284,11 @@ class _Link:
         self._nodes: dict[str, _Node] = {}
         self._probes: dict[Any, str] = {}
         self._begun: dict[Any, _Begun] = {}
-        self._kept: dict[str, SentParcel] = {}  # by address
-        self._loose: dict[str, SentParcel] = {}
+        # A town is wanted again with every piece, a network with all pieces of its round.
+        self._sent = lru_cache(_MOST_SENT)(self._put)
         self._tries: dict[str, int] = {}  # to ask a node
         self._looked_s = float("-inf")
         self._do = ray.remote(num_cpus=1, max_retries=0)(do_work)
-        self._kill = ray.remote(num_cpus=0, max_retries=0)(kill_worker)
         self._probe = ray.remote(num_cpus=0, max_retries=0)(_look_at_node())
         self._pipe.send(("joined", ""))
 
@@ -334,7 +332,7 @@ class _Link:
         """Wait no longer for a node: one that was stopped keeps its connections, and Ray would wait for them."""
         for ref, begun in [item for item in self._begun.items() if item[1].node == node]:
             del self._begun[ref]
-            self._pipe.send(("ended", _lost_with_its_node(begun)))
+            self._ended(begun, lost="its node died", counts=False)
 
     def _tell_workers(self) -> None:
         works = [(key, node) for key, node in self._nodes.items() if node.state == "works"]
@@ -348,44 +346,28 @@ class _Link:
 
     def _begin(self, worker: str, work: Work, parcels: tuple[Parcel, ...]) -> None:
         name = worker.rpartition("/")[0]
-        node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), None)
-        if node is None:
-            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, lost="its node died", counts=False)))
+        node = next((key for key, each in self._nodes.items() if each.name == name and each.state == "works"), "")
+        begun = _Begun(worker=worker, node=node, key=work.key, since_s=time.monotonic())
+        if not node:  # it went while the piece was on its way here
+            self._ended(begun, lost="its node died", counts=False)
             return
         try:
             sent = tuple(self._sent(parcel) for parcel in parcels)
-        except (OSError, WcsimError) as error:
-            self._pipe.send(("ended", WorkEnd(worker=worker, key=work.key, error=error)))
+        except (OSError, WcsimError) as error:  # of files here: no node could do better
+            self._ended(begun, error=error)
             return
-        attempt = secrets.token_hex(4)
-        whole = SentWork(
-            run=self._spec.run, key=work.key, attempt=attempt, call=work.call, piece=work.piece, parcels=sent
-        )
         options = {"scheduling_strategy": self._on(node), "name": f"wcsim {work.key}"}
-        ref = self._do.options(**options).remote(whole)
-        self._begun[ref] = _Begun(worker=worker, node=node, work=work, attempt=attempt, since_s=time.monotonic())
+        self._begun[self._do.options(**options).remote(worker, work, sent)] = begun
 
-    def _sent(self, parcel: Parcel) -> SentParcel:
-        """A parcel in Ray's store, put there once."""
-        store = self._kept if parcel.kept else self._loose
-        if parcel.address not in store:
-            store[parcel.address] = SentParcel(
-                address=parcel.address,
-                digest=digest_of(parcel.folder, parcel.names),
-                name=parcel.folder.name,
-                inner=parcel.inner,
-                kept=parcel.kept,
-                ref=(self._ray.put(packed(parcel)),),
-            )
-            while len(self._loose) > _MOST_LOOSE:
-                self._loose.pop(next(iter(self._loose)))
-        return store[parcel.address]
+    def _put(self, parcel: Parcel) -> SentParcel:
+        """A parcel in Ray's store."""
+        digest = digest_of(parcel.folder, parcel.names)
+        return SentParcel(parcel=parcel, digest=digest, ref=(self._ray.put(packed(parcel)),))
 
     def _stop(self, worker: str) -> None:
-        for begun in self._begun.values():
+        for ref, begun in self._begun.items():
             if begun.worker == worker and begun.node in self._nodes:
-                kill = self._kill.options(scheduling_strategy=self._on(begun.node))
-                kill.remote(self._spec.run, begun.work.key, begun.attempt)
+                self._ray.cancel(ref, force=True)  # Ray kills the process, even one that was stopped
 
     def _heard(self, ref: Any) -> None:
         """A node has answered, or will not any more."""
@@ -393,16 +375,27 @@ class _Link:
             self._judge(self._probes.pop(ref), ref)
             return
         try:
-            reply: Reply = self._ray.get(ref, timeout=_GET_S)
+            end: WorkEnd = self._ray.get(ref, timeout=_GET_S)
         except self._ray.exceptions.GetTimeoutError:
             return  # its machine is slow to give it out, or cut off
         except Exception as error:
-            begun = self._begun.pop(ref)
-            self._pipe.send(("ended", _without_reply(begun, error, self._ray)))
+            known = self._ray.exceptions
+            of_machine = (
+                known.NodeDiedError,
+                known.TaskUnschedulableError,
+                known.ObjectLostError,
+                known.OwnerDiedError,
+            )
+            told = f"{type(error).__name__}: {_first_line(error)}"
+            self._ended(self._begun.pop(ref), lost=told, counts=not isinstance(error, of_machine))
             self._looked_s = float("-inf")  # its node may be gone
             return
-        begun = self._begun.pop(ref)
-        self._pipe.send(("ended", _with_reply(begun, reply)))
+        self._ended(self._begun.pop(ref), data=end.data, error=end.error, lost=end.lost, facts=end.facts)
+
+    def _ended(self, begun: _Begun, facts: Facts | None = None, **what: Any) -> None:
+        """Tell the run what has come of a piece."""
+        whole = {**(facts or {}), "total_s": round(time.monotonic() - begun.since_s, 3)}
+        self._pipe.send(("ended", WorkEnd(worker=begun.worker, key=begun.key, facts=whole, **what)))
 
     def _judge(self, key: str, ref: Any) -> None:
         """Whether a node may work."""
@@ -452,45 +445,6 @@ def _look_at_node() -> Callable[[], Any]:
 
     look.__module__ = "__main__"  # or Ray would look for it in wcsim there
     return look
-
-
-def _with_reply(begun: _Begun, reply: Reply) -> WorkEnd:
-    total_s = time.monotonic() - begun.since_s
-    facts = {
-        "pid": reply.pid,
-        "bytes": len(reply.data),
-        "fetched_bytes": reply.fetched_bytes,
-        "fetch_s": round(reply.fetch_s, 3),
-        "work_s": round(reply.work_s, 3),
-        "total_s": round(total_s, 3),
-    }
-    worker, key = begun.worker, begun.work.key
-    if reply.error is not None:
-        return WorkEnd(worker=worker, key=key, error=reply.error, facts=facts)
-    if reply.fault:
-        told = f"{key} failed on {worker}: {reply.fault[:300]}; see Ray's log on that machine"
-        return WorkEnd(worker=worker, key=key, error=WorkersError(told), facts=facts)
-    if reply.lost:
-        return WorkEnd(worker=worker, key=key, lost=reply.lost, facts=facts)
-    return WorkEnd(worker=worker, key=key, data=reply.data, facts=facts)
-
-
-def _lost_with_its_node(begun: _Begun) -> WorkEnd:
-    waited_s = round(time.monotonic() - begun.since_s, 3)
-    facts = {"total_s": waited_s}
-    return WorkEnd(worker=begun.worker, key=begun.work.key, lost="its node died", counts=False, facts=facts)
-
-
-def _without_reply(begun: _Begun, error: Exception, ray: Any) -> WorkEnd:
-    known = ray.exceptions
-    of_machine = (known.NodeDiedError, known.TaskUnschedulableError, known.ObjectLostError, known.OwnerDiedError)
-    return WorkEnd(
-        worker=begun.worker,
-        key=begun.work.key,
-        lost=f"{type(error).__name__}: {_first_line(error)}",
-        counts=not isinstance(error, of_machine),
-        facts={"total_s": round(time.monotonic() - begun.since_s, 3)},
-    )
 
 
 def _first_line(error: Exception) -> str:

@@ -9,26 +9,25 @@ import hashlib
 import io
 import os
 import shutil
-import signal
-import stat
 import sys
 import tempfile
 import time
 import traceback
 import zipfile
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import zstandard
 
 from wcsim.core.files import alone
 from wcsim.core.reading import escaped, unzstd
-from wcsim.errors import ConfigError, WcsimError
-from wcsim.server.workers.machines import find_in_work, work_folder
-from wcsim.server.workers.worker_api import Call, Parcel
+from wcsim.errors import ConfigError, WcsimError, WorkersError
+from wcsim.server.workers.machines import work_folder
+from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
 from wcsim.towns.cache.folder import cache_folder
 
 MOST_BYTES: Final = 512 << 20
@@ -38,7 +37,7 @@ _PARCELS: Final = "parcels"
 
 def digest_of(folder: Path, names: tuple[str, ...]) -> str:
     """SHA-256 (hex) over a folder's name, and the names and the bytes of files in it. Raises OSError."""
-    text = hashlib.sha256(f"{_name_of(folder.name)}\n".encode())
+    text = hashlib.sha256(f"{_name_of(folder)}\n".encode())
     for name in sorted(names):
         with (folder / name).open("rb") as file:
             text.update(f"{name} {hashlib.file_digest(file, 'sha256').hexdigest()}\n".encode())
@@ -61,33 +60,14 @@ def packed(parcel: Parcel) -> bytes:
 
 
 def _unpack(data: bytes, folder: Path) -> None:
-    """Write files into a folder that is there, which may hold folders.
-
-    Raises ValueError for a name that leads elsewhere, a link, or too many bytes.
-    """
-    plain = unzstd(data, 2 * MOST_BYTES)
-    with zipfile.ZipFile(io.BytesIO(plain)) as held:
-        for file in held.infolist():
-            path = PurePosixPath(file.filename)
-            if path.is_absolute() or ".." in path.parts:
-                raise ValueError(f"{file.filename!r} points outside its folder")
-            if stat.S_ISLNK(file.external_attr >> 16):  # the mode of a file, as Unix packs it
-                raise ValueError(f"{file.filename!r} is a link; expected files only")
-            place = folder / path
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_bytes(held.read(file))
+    """Write files below a folder that is there. Raises ValueError for too many bytes."""
+    with zipfile.ZipFile(io.BytesIO(unzstd(data, 2 * MOST_BYTES))) as held:
+        held.extractall(folder)  # it lets no name lead elsewhere, and makes no links
 
 
-def _kept_folder(cache: Path, digest: str, name: str) -> Path:
-    """Where a parcel with that hash is kept; its folder has the name that it had, as a town may be called by it.
-
-    The name is in the hash: towns that differ in it alone are kept beside each other.
-    """
-    return cache / _PARCELS / digest / _name_of(name)
-
-
-def _name_of(name: str) -> str:
-    return name or "folder"  # the root has none
+def _name_of(folder: Path) -> str:
+    """What a folder is called wherever it travels to, as a town may be called by it."""
+    return folder.name or "folder"  # the root has none
 
 
 def _is_kept(folder: Path, digest: str) -> bool:
@@ -105,8 +85,8 @@ def _keep(data: bytes, folder: Path) -> None:
         place = beside / folder.name
         place.mkdir()
         _unpack(data, place)
-        for old in (home,) if home.exists() else ():  # it was changed by somebody, or cut short
-            shutil.rmtree(old)
+        if home.exists():  # it was changed by somebody, or cut short
+            shutil.rmtree(home)
         beside.replace(home)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
@@ -119,91 +99,58 @@ Fetch = Callable[[Any], bytes]
 class SentParcel:
     """A parcel on its way; what is in it is fetched only by a node that does not have it."""
 
-    address: str
+    parcel: Parcel
     digest: str
-    name: str  # of its folder
-    inner: str
-    kept: bool
     ref: tuple[Any, ...]  # the object of Ray's that holds it; in a tuple, so that Ray does not fetch it unasked
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SentWork:
-    """A piece of work on its way."""
+def do_work(worker: str, work: Work, parcels: tuple[SentParcel, ...], fetch: Fetch | None = None) -> WorkEnd:
+    """Do a piece of work in this process, which Ray has started; `fetch` stands in for Ray's store.
 
-    run: str  # whose it is: a word that no other run has
-    key: str
-    attempt: str  # a word of its own each time that the piece is given out
-    call: Call
-    piece: Any
-    parcels: tuple[SentParcel, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reply:
-    """What came of it: `data`, or an `error` that is final, or `lost`: another machine may do better."""
-
-    data: bytes = b""
-    error: WcsimError | None = None
-    fault: str = ""  # an error that nobody had reckoned with
-    lost: str = ""
-    pid: int = 0
-    fetched_bytes: int = 0
-    fetch_s: float = 0.0
-    work_s: float = 0.0
-
-
-def do_work(sent: SentWork, fetch: Fetch | None = None) -> Reply:
-    """Do a piece of work in this process, which Ray has started; `fetch` stands in for Ray's store."""
-    _say(f"{sent.key} starts")
+    Where it is lost, another machine may do better.
+    """
+    key = work.key
+    end = partial(WorkEnd, worker=worker, key=key, facts={"pid": os.getpid()})
+    _say(f"{key} starts")
     with ExitStack() as leaving:
         began_s = time.monotonic()
         try:
-            own = leaving.enter_context(work_folder())
-            (own / _pid_name(sent.run, sent.key, sent.attempt)).write_text(str(os.getpid()), encoding="utf-8")
-            places, fetched = _received(sent.parcels, fetch or _from_ray, own)
+            places, fetched = _received(parcels, fetch or _from_ray, leaving.enter_context(work_folder()))
             fetch_s = time.monotonic() - began_s
-            data = sent.call(sent.piece, lambda address: places.get(address, address))
+            data = work.call(work.piece, lambda address: places.get(address, address))
         except WcsimError as error:
-            _say(f"{sent.key} failed: {error}")
-            return Reply(error=error, pid=os.getpid())
-        except (OSError, MemoryError) as error:
-            _say(f"{sent.key} is lost: {error}")
-            return Reply(lost=f"{type(error).__name__}: {error}", pid=os.getpid())
+            _say(f"{key} failed: {error}")
+            return end(error=error)
+        except (OSError, MemoryError) as error:  # of this machine: another one may have room
+            _say(f"{key} is lost: {error}")
+            return end(lost=f"{type(error).__name__}: {error}")
         except Exception as error:
-            _say(f"{sent.key} failed: {traceback.format_exc()}")
-            return Reply(fault=f"{type(error).__name__}: {error}", pid=os.getpid())
+            _say(f"{key} failed: {traceback.format_exc()}")
+            told = f"{type(error).__name__}: {error}"[:300]
+            return end(error=WorkersError(f"{key} failed on {worker}: {told}; see Ray's log on that machine"))
         work_s = time.monotonic() - began_s - fetch_s
-        _say(f"{sent.key} is done, {len(data)} bytes after {work_s:.1f} s")
-        return Reply(data=data, pid=os.getpid(), fetched_bytes=fetched, fetch_s=fetch_s, work_s=work_s)
-
-
-def kill_worker(run: str, key: str, attempt: str) -> bool:
-    """Kill the process of this machine that is at a piece, even one that was stopped. Whether there was one."""
-    with suppress(OSError, ValueError):
-        found = find_in_work(_pid_name(run, key, attempt))
-        pid = 0 if found is None else int(found.read_text(encoding="utf-8"))
-        if pid and b"ray::" in Path(f"/proc/{pid}/cmdline").read_bytes():  # its number may be somebody else's by now
-            os.kill(pid, signal.SIGKILL)
-            return True
-    return False
+        _say(f"{key} is done, {len(data)} bytes after {work_s:.1f} s")
+        took = {"fetch_s": round(fetch_s, 3), "work_s": round(work_s, 3)}
+        return end(data=data, facts={"pid": os.getpid(), "bytes": len(data), "fetched_bytes": fetched, **took})
 
 
 def _received(parcels: tuple[SentParcel, ...], fetch: Fetch, own: Path) -> tuple[dict[str, str], int]:
     """Where each parcel lies here, in a folder of this piece's own unless it is kept; how many bytes came for them."""
     places, fetched = {}, 0
-    for number, parcel in enumerate(parcels):
+    for number, sent in enumerate(parcels):
+        parcel, name = sent.parcel, _name_of(sent.parcel.folder)
         if parcel.kept:
-            folder = _kept_folder(cache_folder(), parcel.digest, parcel.name)
-            with alone(folder.parents[1] / f"{folder.parent.name}.lock"):  # a town comes once to a machine
-                if not _is_kept(folder, parcel.digest):
-                    data = fetch(parcel.ref[0])
+            home = cache_folder() / _PARCELS / sent.digest
+            folder = home / name  # towns that differ in their name alone are kept beside each other: it is in the hash
+            with alone(home.with_name(f"{home.name}.lock")):  # a town comes once to a machine
+                if not _is_kept(folder, sent.digest):
+                    data = fetch(sent.ref[0])
                     fetched += len(data)
                     _keep(data, folder)
         else:
-            folder = own / f"parcel-{number}" / (parcel.name or "folder")
+            folder = own / f"parcel-{number}" / name
             folder.mkdir(parents=True)
-            data = fetch(parcel.ref[0])
+            data = fetch(sent.ref[0])
             fetched += len(data)
             _unpack(data, folder)
         places[parcel.address] = str(folder / parcel.inner) if parcel.inner else str(folder)
@@ -215,10 +162,6 @@ def _from_ray(ref: Any) -> bytes:
 
     data: bytes = ray.get(ref)
     return data
-
-
-def _pid_name(run: str, key: str, attempt: str) -> str:
-    return f"{run}-{hashlib.sha256(key.encode()).hexdigest()[:16]}-{attempt}.pid"  # a key may be a long path
 
 
 def _say(text: str) -> None:

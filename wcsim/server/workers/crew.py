@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -64,9 +64,9 @@ class Crew:
         self._at: dict[str, _Task] = {}
         self._asked: set[str] = set()
         self._done: set[str] = set()
-        self._deaths: dict[str, int] = {}
-        self._lost_on: dict[str, set[str]] = {}  # by piece, the machines that have lost it, or were late
-        self._times_late: dict[str, int] = {}
+        self._deaths = Counter[str]()
+        self._lost_on = defaultdict[str, set[str]](set)  # by piece, the machines that have lost it, or were late
+        self._times_late = Counter[str]()
         self._failed: BaseException | None = None
         self._somebody_s = time.monotonic()
         self._names: tuple[str, ...] = ()
@@ -107,13 +107,11 @@ class Crew:
     def now(self) -> tuple[WorkerNow, ...]:
         """Who is at what."""
         with self._lock:
-            now_s = time.monotonic()
-            found = []
-            for name in self._names:
-                task = self._at.get(name)
-                key, since_s = (task.work.key, task.since_s) if task is not None else ("", now_s)
-                found.append(WorkerNow(name=name, key=key, for_s=now_s - since_s))
-            return tuple(found)
+            now_s, found = time.monotonic(), {name: WorkerNow(name=name, key="") for name in self._names}
+            for name in found.keys() & self._at.keys():
+                task = self._at[name]
+                found[name] = WorkerNow(name=name, key=task.work.key, for_s=now_s - task.since_s)
+            return tuple(found.values())
 
     def _work(self) -> None:
         try:
@@ -147,7 +145,7 @@ class Crew:
         """The next piece for a worker, but none that its machine has lost while there is another that has not."""
         own, all_of_them = _machine_of(name), {_machine_of(other) for other in names}
         for place, work in enumerate(self._left):
-            lost_on = self._lost_on.get(work.key, set())
+            lost_on = self._lost_on[work.key]
             if own not in lost_on or all_of_them <= lost_on:
                 del self._left[place]
                 return work
@@ -169,9 +167,9 @@ class Crew:
                 self._lock.notify_all()
             return
         if ended.counts and not task.late:
-            self._deaths[key] = self._deaths.get(key, 0) + 1
-            self._lost_on.setdefault(key, set()).add(_machine_of(ended.worker))
-        if self._deaths.get(key, 0) >= MOST_DEATHS:
+            self._deaths[key] += 1
+            self._lost_on[key].add(_machine_of(ended.worker))
+        if self._deaths[key] >= MOST_DEATHS:
             raise WorkersError(
                 f"{key} was started {MOST_DEATHS} times and never finished; the last time on {ended.worker}, where "
                 f"{ended.lost}; check disk space and memory; {_KEPT}"
@@ -185,12 +183,11 @@ class Crew:
         now_s = time.monotonic()
         for name, task in list(self._at.items()):
             key = task.work.key
-            times = self._times_late.get(key, 0)
             if task.late:
                 if now_s - task.stopped_s > LATE * self._longest_s:  # it was not heard, or there was nobody yet to kill
                     task.stopped_s = now_s
                     self._workers.stop(name)
-            elif now_s - task.since_s > LATE * self._longest_s * 2**times:
+            elif now_s - task.since_s > LATE * self._longest_s * 2 ** self._times_late[key]:
                 if key not in self._done:  # an earlier attempt may have come all the same
                     self._ask_again(name, task.work, now_s - task.since_s)
                 task.late, task.stopped_s = True, now_s
@@ -198,14 +195,13 @@ class Crew:
 
     def _ask_again(self, name: str, work: Work, for_s: float) -> None:
         """Have a piece that is late done by somebody else."""
-        times = self._times_late.get(work.key, 0) + 1
-        if times >= MOST_DEATHS:
+        if self._times_late[work.key] + 1 >= MOST_DEATHS:
             raise WorkersError(
                 f"{work.key} was started {MOST_DEATHS} times and never finished, the last time on {name} within "
                 f"{for_s:.0f} s; check what that machine is doing; {_KEPT}"
             )
-        self._times_late[work.key] = times
-        self._lost_on.setdefault(work.key, set()).add(_machine_of(name))
+        self._times_late[work.key] += 1
+        self._lost_on[work.key].add(_machine_of(name))
         with self._lock:
             self._left.appendleft(work)
 

@@ -43,11 +43,6 @@ def work_folder() -> Iterator[Path]:
             tempfile.tempdir = before
 
 
-def find_in_work(name: str) -> Path | None:
-    """A file of that name in the folder of whoever works on this machine now, or did when it was killed."""
-    return next(Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*/{name}"), None)
-
-
 def _sweep() -> None:
     """Remove what processes have left that are gone."""
     for folder in Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*"):

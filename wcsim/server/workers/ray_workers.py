@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import secrets
 import socket
 import threading
 import time
@@ -51,7 +50,7 @@ class RayWorkers:
         require_address(address)
         folder.mkdir(parents=True, exist_ok=True)
         self._address, self._say, self._folder = address, say, folder
-        spec = LinkSpec(address=address, count=count, run=secrets.token_hex(6), log=folder / RAY_LOG)
+        spec = LinkSpec(address=address, count=count, log=folder / RAY_LOG)
         self._names: tuple[str, ...] = ()
         self._asked = 1  # nodes that have not answered yet
         self._refused: list[str] = []

@@ -43,6 +43,9 @@ class Work:
     needs: Needs = _nothing_needed
 
 
+Facts = Mapping[str, str | int | float]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkEnd:
     """What a worker has come to with a piece: `data`, or an `error` that is final, or neither: the piece is lost."""
@@ -53,7 +56,7 @@ class WorkEnd:
     error: BaseException | None = None
     lost: str = ""  # why
     counts: bool = True  # whether the piece may have killed the worker, rather than its machine have gone
-    facts: Mapping[str, str | int | float] = field(default_factory=dict)  # for the log
+    facts: Facts = field(default_factory=dict)  # for the log
 
 
 class Workers(Protocol):

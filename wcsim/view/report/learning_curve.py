@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from wcsim.agents.learning.metrics import COLUMNS, KPI1_STEPS, ROW_STEPS, STEP_COLUMNS, read_metrics
-from wcsim.agents.rounds.round_log import TrainedRound, logs_rounds, read_rounds
+from wcsim.agents.rounds.round_log import logs_rounds, read_rounds
 from wcsim.agents.runs.run_folder import MANIFEST, METRICS, STEPS, read_json
+from wcsim.config.run_file import TrainedRound
 from wcsim.core.reading import escaped_value, is_file
 from wcsim.errors import PolicyError
 from wcsim.supervisor.kpi import MAX_FOLLOW_DISTANCE

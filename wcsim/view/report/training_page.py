@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.learning.metrics import KPI1_STEPS
-from wcsim.agents.rounds.round_log import TrainedRound
+from wcsim.config.run_file import TrainedRound
 from wcsim.core.reading import counted
 from wcsim.errors import PolicyError
 from wcsim.view.report.charts import Curve, curve_chart

@@ -18,7 +18,6 @@ from wcsim.config.run_file import DangerRule
 from wcsim.errors import ConfigError
 from wcsim.server.workers import cluster_node
 from wcsim.server.workers.machines import Machines
-from wcsim.supervisor.actions import action_set
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +26,7 @@ def run(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     resolved = run_in(corner, tmp_path_factory.mktemp("trained") / "run")
     folder = create_run(resolved.out, resolved.config, make_manifest(resolved.config, resolved.info))
     torch.manual_seed(3)
-    net = DangerNet(spec_of(folder.config), torch.as_tensor(action_set("square81").points))
+    net = DangerNet(spec_of(folder.config))
     save_danger(folder.policy("final"), channels_last(net).eval(), DangerRule(), folder.config)
     return str(folder.path)
 
