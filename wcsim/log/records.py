@@ -1,4 +1,4 @@
-"""What a log holds: a header, and records of inputs, of states, of drives and notes; each as a payload, and back.
+"""What a log holds: a header, and records of inputs, states, drives and frames seen; each as a payload, and back.
 
 The header is JSON, a record is MessagePack; every number of both is bounded as it is read.
 """
@@ -38,7 +38,7 @@ _NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # 
 _CONTENT: Final = 1  # version of what the digest is over
 _FIRST: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')  # of a header, and of those of older formats
 
-LogKind = Literal["journal", "trace", "drive"]
+LogKind = Literal["journal", "trace", "drive", "ledger"]
 Count = Annotated[int, Meta(ge=0, le=1 << 62)]
 Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
 Seat = Annotated[int, Meta(ge=0, le=MOST_SEATS - 1)]
@@ -87,10 +87,13 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     origin_z_m: Number = 0.0
     chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
     drive: DriveHeader | None = None  # who drove, where the log is of one chair's ticks
+    client: Document | None = None  # its name, where the log is of the frames that it saw, of whatever world
 
     @property
     def kind(self) -> LogKind:
-        """What the log holds: a drive's ticks, a world's inputs (journal), or its states (trace)."""
+        """What the log holds: a client's frames (ledger), a drive's ticks, a world's inputs (journal) or its states."""
+        if self.client is not None:
+            return "ledger"
         return "drive" if self.drive is not None else "journal" if self.config else "trace"
 
 
@@ -227,8 +230,16 @@ class Note(_Record, frozen=True, kw_only=True, tag="n"):
     detail: Annotated[str, Meta(max_length=MOST_DETAIL)] = ""
 
 
+class Seen(_Record, frozen=True, kw_only=True, tag="f"):
+    """A client saw the frame of this tick."""
+
+    epoch: Count
+    tick: Count
+    stepped: bool  # it came of the client's own action, not of a join, a respawn or a new epoch
+
+
 Input = EpochBegun | Admitted | Dismissed | Respawned | Ticked | Ended
-LogRecord = Input | WorldState | DriveTick | Note
+LogRecord = Input | WorldState | DriveTick | Note | Seen
 S = TypeVar("S", bound=Struct)
 
 

@@ -29,8 +29,11 @@ Before = Callable[[World | None, Input], object]
 
 
 def log_of(path: Path) -> Log:
-    """A file as what can be made again of it. Raises JournalError when it is no log, or a drive that is damaged."""
-    return read_drive(path) if read_header(path).kind == "drive" else path
+    """A file as what can be made again of it. Raises JournalError when it is no such log, or a drive that is damaged."""
+    if read_header(path).kind == "drive":
+        return read_drive(path)
+    read_header(path, "journal")
+    return path
 
 
 def replayed(

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
+from wcsim.log.records import Seen
+from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
-from wcsim.server.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
 from wcsim.types import ClientSnapshot, Joystick
@@ -36,7 +37,7 @@ class Waits:
 class WorldLink(Closing):
     """One seat of a world: a client core, driven by calls that wait; a transport carries its messages."""
 
-    def __init__(self, core: ClientCore, ledger: LedgerWriter | None = None) -> None:
+    def __init__(self, core: ClientCore, ledger: LogWriter | None = None) -> None:
         self.core = core
         self._ledger = ledger
         self._frame: ClientSnapshot | None = None
@@ -210,8 +211,7 @@ class WorldLink(Closing):
 
     def _see(self, seen: FrameSeen) -> None:
         if self._ledger is not None:
-            session = self.core.session
-            self._ledger.add(LedgerEntry(session=session, epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
+            self._ledger.append(Seen(epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
         self._steps += seen.stepped
         self._frame = self._open_frame(seen)
 
