@@ -16,7 +16,7 @@ from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DriveObserver, DriverKind, EventKind
+from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind
 from wcsim.drive.pictures import DrivePictures, PageLooks, clamped
 from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
@@ -26,7 +26,7 @@ from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import ProtocolError, WcsimError
-from wcsim.log.records import DriveTick, Note
+from wcsim.log.records import Note
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.users.profiles import profile_names
@@ -250,7 +250,7 @@ class DriveRunner:
     def _say(self, message: Any) -> None:
         self._pipe.send_bytes(JSON + m.spoken(message))
 
-    def _note(self, record: DriveTick | Note) -> None:
+    def _note(self, record: DriveRecord) -> None:
         notice = notice_of(record)
         if notice is not None:
             self._say(notice)
@@ -500,9 +500,9 @@ def _xy(stick: Joystick) -> tuple[float, float]:
     return round(stick.x, 3), round(stick.y, 3)
 
 
-def notice_of(record: DriveTick | Note) -> m.Notice | None:
+def notice_of(record: DriveRecord) -> m.Notice | None:
     """What a person wants to hear of a record, if anything; the state says the ticks, and a crash."""
-    if isinstance(record, DriveTick):
+    if not isinstance(record, Note):
         return None
     if record.detail == ELSEWHERE:
         return m.Notice(kind="note", told="No place before the crash is free. You start somewhere else.")

@@ -8,8 +8,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
+from wcsim.bridge.replay.drive_inputs import town_of_drive
 from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
 from wcsim.bridge.world import World
 from wcsim.drive.driven import DriverKind, EventKind
@@ -17,7 +19,7 @@ from wcsim.drive.playing.film_states import FilmAbout, FilmLine, FilmNames, Film
 from wcsim.drive.playing.sources.frame_maker import FrameMaker, TickSays, asked_before, intervening
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
-from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked
+from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked, WorldTick
 from wcsim.server.specs import town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.types import Joystick
@@ -43,7 +45,7 @@ def replay_about(header: Header, ticks: int, *, epoch: int | None = None, live: 
     about, maps, config = header.drive, list[str](), config_of(header)
     if about is not None:
         town = town_of_drive(header).address
-        title = f"drive in {header.town_name}: {about.profile}"
+        title = f"drive in {header.town_name}: {about.driver}"
         title += f", assisted by {about.policy}" if about.policy else ""
     else:
         town = header.town
@@ -88,7 +90,7 @@ class RecordScene:
 
     def before(self, world: World | None, record: Input) -> None:
         """What is so before a record is done."""
-        if isinstance(record, Ticked) and world is not None:
+        if isinstance(record, WorldTick) and world is not None:
             self._maker.begin(world)
             self._asked = asked_before(world.snapshot.clients)
 
@@ -100,12 +102,12 @@ class RecordScene:
                 if self._drive is None:
                     yield FilmLine(kind="mark", told=f"World {record.epoch} starts.")
                 else:
-                    yield FilmNames(names={0: self._drive.about.profile})
+                    yield FilmNames(names={0: self._drive.about.driver})
             case Admitted() if self._drive is None:
                 if self._names.get(record.seat) != record.name:
                     self._names[record.seat] = record.name
                     yield FilmNames(names=dict(self._names))
-            case Ticked():
+            case Ticked() | DriveTick():
                 yield self._step(world, record)
             case _:
                 return
@@ -116,11 +118,11 @@ class RecordScene:
             return told
         return f"{told} {self.differs} ticks differ: it was made with other versions or on another machine."
 
-    def _step(self, world: World, record: Ticked) -> FilmStep:
-        if self._drive is not None and self._decides is not None:
-            tick = self._drive.tick_of(record)
-            self.differs += tuple(world.snapshot.clients[0].plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
-            return self._maker.step_of(world, {0: _said(tick, self._decides.flags(tick))})
+    def _step(self, world: World, record: WorldTick) -> FilmStep:
+        if isinstance(record, DriveTick):
+            self.differs += not np.array_equal(world.snapshot.clients[0].plant.p_WB_m, record.p_WB_m)
+            flags = Flag(0) if self._decides is None else self._decides.flags(record)
+            return self._maker.step_of(world, {0: _said(record, flags)})
         self.differs += record.state_hash != world.snapshot.state_hash
         said = {}
         for command in record.commands:
@@ -134,7 +136,7 @@ class _WhoDecides:
 
     def __init__(self, drive: DriveRecording) -> None:
         about = drive.about
-        self._events, self._hands_over = deque(drive.events), about.accompanied and bool(about.episode)
+        self._events, self._hands_over = deque(drive.events), not about.profile and bool(about.episode)
         self._assisted, self._simulated = True, False
         self._can_assist = about.policy not in ("", UNAIDED)
 
@@ -145,7 +147,7 @@ class _WhoDecides:
         """
         while self._events and self._events[0].tick < tick.tick:
             self._note(self._events.popleft())
-        alone = self._hands_over and not self._simulated and not by_person(tick)
+        alone = self._hands_over and not self._simulated and not tick.by_person
         return (Flag.ALONE if alone else Flag(0)) | (Flag(0) if self._can_assist and self._assisted else Flag.UNAIDED)
 
     def _note(self, event: Note) -> None:
