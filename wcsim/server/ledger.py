@@ -93,9 +93,7 @@ def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]]
     )
 
 
-def audits(
-    records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]]]
-) -> tuple[int, tuple[Audit, ...]]:
+def audits(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]]]) -> tuple[int, tuple[Audit, ...]]:
     """The same, and each ledger by itself: how many ticks the world did, and what is wrong with each.
 
     Epoch by epoch, in their order, so that no more than one of them is in memory.
