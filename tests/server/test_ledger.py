@@ -8,12 +8,12 @@ from tests.log.test_log import write
 from wcsim.errors import ConfigError, JournalError
 from wcsim.log.diff import first_difference
 from wcsim.log.reader import iter_inputs
-from wcsim.log.records import Seen
+from wcsim.log.records import SeenFrame
 from wcsim.server.ledger import iter_ledger, open_ledger
 
 
 def seen(tick, stepped=True):
-    return Seen(epoch=0, tick=tick, stepped=stepped)
+    return SeenFrame(epoch=0, tick=tick, stepped=stepped)
 
 
 def filled(path, *frames):
@@ -42,7 +42,10 @@ def test_a_frame_takes_few_bytes(tmp_path):
 def test_two_of_them_are_compared_and_other_logs_are_refused(tmp_path):
     filled(tmp_path / "a", seen(0), seen(1))
     filled(tmp_path / "b", seen(0), seen(2))
-    assert first_difference(tmp_path / "a", tmp_path / "b") == "Seen (epoch 0, tick 1) against Seen (epoch 0, tick 2)"
+    assert (
+        first_difference(tmp_path / "a", tmp_path / "b")
+        == "SeenFrame (epoch 0, tick 1) against SeenFrame (epoch 0, tick 2)"
+    )
     write(tmp_path / "journal")
     for use in (iter_ledger, lambda path: open_ledger(path, "c0")):
         with pytest.raises(JournalError, match="is not a ledger but a journal"):

@@ -232,7 +232,7 @@ class Note(_Record, frozen=True, kw_only=True, tag="n"):
     detail: Annotated[str, Meta(max_length=MOST_DETAIL)] = ""
 
 
-class Seen(_Record, frozen=True, kw_only=True, tag="f"):
+class SeenFrame(_Record, frozen=True, kw_only=True, tag="f"):
     """A client saw the frame of this tick."""
 
     epoch: Count
@@ -243,7 +243,7 @@ class Seen(_Record, frozen=True, kw_only=True, tag="f"):
 WorldTick = Ticked | DriveTick
 """What carries a world on by a tick."""
 Input = EpochBegun | Admitted | Dismissed | Respawned | WorldTick | Ended
-LogRecord = Input | WorldState | Note | Seen
+LogRecord = Input | WorldState | Note | SeenFrame
 S = TypeVar("S", bound=Struct)
 
 

@@ -11,7 +11,7 @@ from itertools import groupby
 from pathlib import Path
 
 from wcsim.log.reader import LogScan
-from wcsim.log.records import Header, Input, Seen, Ticked
+from wcsim.log.records import Header, Input, SeenFrame, Ticked
 from wcsim.log.writer import LogWriter
 
 
@@ -22,13 +22,13 @@ def open_ledger(path: Path, client: str) -> LogWriter:
     return LogWriter(path, Header(town="", seed=0, seats=0, tick_s=1.0, fingerprint="", client=client))
 
 
-def iter_ledger(path: Path) -> Iterator[Seen]:
+def iter_ledger(path: Path) -> Iterator[SeenFrame]:
     """What a client saw, up to the last whole record; it may be writing it.
 
     Raises:
         JournalError: It is no ledger, or damaged before its end.
     """
-    return (record for record in LogScan(path, "ledger").records() if isinstance(record, Seen))
+    return (record for record in LogScan(path, "ledger").records() if isinstance(record, SeenFrame))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,11 +43,11 @@ class _LedgerFacts:
     lives: int  # joins, respawns and new epochs
 
 
-def ledger_facts(entries: Iterable[Seen]) -> _LedgerFacts:
+def ledger_facts(entries: Iterable[SeenFrame]) -> _LedgerFacts:
     """Count what a ledger shows by itself; a session that was taken over goes on with the same life."""
     missing = doubled = ticks = lives = 0
-    first: Seen | None = None
-    before: Seen | None = None
+    first: SeenFrame | None = None
+    before: SeenFrame | None = None
     seen: set[int] = set()  # ticks of this epoch
     for now in entries:
         if before is None or now.epoch != before.epoch:
@@ -79,7 +79,7 @@ class Audit:
     phantom: int  # steps that a client saw and the journal does not have
 
 
-def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]]]) -> Audit:
+def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]) -> Audit:
     """Compare a journal with (seat, ledger) of each client.
 
     Only the very last step of a life may be missing from a ledger: its client acted, and died before it saw the frame.
@@ -93,7 +93,9 @@ def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]]
     )
 
 
-def audits(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]]]) -> tuple[int, tuple[Audit, ...]]:
+def audits(
+    records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]
+) -> tuple[int, tuple[Audit, ...]]:
     """The same, and each ledger by itself: how many ticks the world did, and what is wrong with each.
 
     Epoch by epoch, in their order, so that no more than one of them is in memory.
@@ -118,12 +120,12 @@ def audits(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[Seen]
 class _Pages:
     """A ledger, read epoch by epoch."""
 
-    def __init__(self, seat: int, entries: Iterable[Seen]) -> None:
+    def __init__(self, seat: int, entries: Iterable[SeenFrame]) -> None:
         self.seat = seat
         self.lost = self.doubled = self.phantom = 0
         self._entries = iter(entries)
         self._next = next(self._entries, None)
-        self._before: Seen | None = None
+        self._before: SeenFrame | None = None
 
     def compare(self, epoch: int | None, done: set[int]) -> None:
         """Read on to the end of an epoch, of all for None; `done` are the ticks that the world did for this seat."""

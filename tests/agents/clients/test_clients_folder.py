@@ -17,7 +17,7 @@ from wcsim.agents.clients.group_run import (
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.core import files
 from wcsim.errors import PolicyError
-from wcsim.log.records import Seen
+from wcsim.log.records import SeenFrame
 from wcsim.server.ledger import open_ledger
 from wcsim.server.specs import RunInfo
 
@@ -32,7 +32,7 @@ def folder(tmp_path: Path) -> ClientsFolder:
 def write(folder: ClientsFolder, name: str, *stepped: bool) -> None:
     with open_ledger(folder.ledger(name), name) as ledger:
         for tick, own in enumerate(stepped):
-            ledger.append(Seen(epoch=0, tick=tick, stepped=own))
+            ledger.append(SeenFrame(epoch=0, tick=tick, stepped=own))
 
 
 def test_a_run_in_which_clients_only_joined_is_fruitless(folder):

@@ -19,14 +19,14 @@ from tests.support.framing import chained, pieces, read_whole
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.log.framing import MAX_RECORD_BYTES, framed
 from wcsim.log.reader import iter_inputs, log_digest
-from wcsim.log.records import Ended, Input, LogRecord, Seen, header_bytes
+from wcsim.log.records import Ended, Input, LogRecord, SeenFrame, header_bytes
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.event_log import EVENTS, RunLog
 from wcsim.server.ledger import iter_ledger, open_ledger
 
 TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
 LONG: tuple[Input, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
-FRAMES = tuple(Seen(epoch=0, tick=number, stepped=number % 30 > 0) for number in range(60))
+FRAMES = tuple(SeenFrame(epoch=0, tick=number, stepped=number % 30 > 0) for number in range(60))
 DEEP = b"\x94\xa1e" + b"\x91" * 50_000
 Spoil = Callable[[list[bytes], np.random.Generator], bytes]
 """Makes another file of the pieces of a sound one."""

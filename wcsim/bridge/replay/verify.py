@@ -54,8 +54,7 @@ def verify(
                 continue
             if isinstance(record, DriveTick):
                 client = world.snapshot.clients[0]
-                same = (of_person and record.by_person) or asked[0] == record.stick
-                same = same and _is_same(record, client)
+                same = _is_same(record, client, None if of_person and record.by_person else asked[0])
                 gap_m = math.dist(client.plant.p_WB_m.tolist(), record.p_WB_m.tolist())
             else:
                 same, gap_m = record.state_hash == world.snapshot.state_hash, 0.0
@@ -70,12 +69,13 @@ def verify(
     return result
 
 
-def _is_same(tick: DriveTick, client: ClientSnapshot) -> bool:
-    """Whether a drive's tick left the seat as it is recorded."""
+def _is_same(tick: DriveTick, client: ClientSnapshot, asked: Joystick | None) -> bool:
+    """Whether a drive's tick left the seat as it is recorded; `asked` is the stick of who was simulated."""
     plant, events = client.plant, client.events
     ends = (events.arrived, events.gave_up, events.crashed, events.truncated)
     return (
-        ends == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
+        asked in (None, tick.stick)
+        and ends == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
         and np.array_equal(plant.p_WB_m, tick.p_WB_m)
         and (plant.yaw_rad, float(plant.v_B_mps[0])) == (tick.yaw_rad, tick.speed_mps)
     )

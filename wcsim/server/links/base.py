@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
-from wcsim.log.records import Seen
+from wcsim.log.records import SeenFrame
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.protocol import messages as m
@@ -211,7 +211,7 @@ class WorldLink(Closing):
 
     def _see(self, seen: FrameSeen) -> None:
         if self._ledger is not None:
-            self._ledger.append(Seen(epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
+            self._ledger.append(SeenFrame(epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
         self._steps += seen.stepped
         self._frame = self._open_frame(seen)
 
