@@ -6,7 +6,8 @@ import json
 
 from wcsim.agents.policy_api import Observation
 from wcsim.drive import messages as m
-from wcsim.log.records import DriveTick, Note
+from wcsim.drive.driven import DriveRecord
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned
 
 
 class Noted:
@@ -15,10 +16,16 @@ class Noted:
     def __init__(self) -> None:
         self.ticks: list[DriveTick] = []
         self.events: list[Note] = []
+        self.inputs: list[Respawned | Admitted] = []
         self.closed = 0
 
-    def __call__(self, record: DriveTick | Note) -> None:
-        (self.ticks if isinstance(record, DriveTick) else self.events).append(record)  # type: ignore[arg-type]
+    def __call__(self, record: DriveRecord) -> None:
+        if isinstance(record, DriveTick):
+            self.ticks.append(record)
+        elif isinstance(record, Note):
+            self.events.append(record)
+        else:
+            self.inputs.append(record)
 
     def close(self) -> None:
         self.closed += 1

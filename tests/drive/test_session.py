@@ -16,6 +16,7 @@ from wcsim.drive.runner import notice_of
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, checked
 from wcsim.errors import ConfigError, PolicyError, TownError
+from wcsim.log.records import Respawned
 from wcsim.types import Joystick, StartSpec
 from wcsim.types.chair import AT_REST
 from wcsim.users.user import SimulatedUser
@@ -124,12 +125,12 @@ def test_every_beginning_faces_its_way(session: DriveSession, noted: Noted) -> N
         session.new_place()
         drawn.append(faces(session))
     assert set(drawn) == {True, False}, "starts as they are drawn, or as a list fixes them, may face away"
-    session.place, before = place, len(noted.events)
+    session.place, before = place, len(noted.inputs)
     for begin in (*[session.new_place] * 8, lambda: session.change_user("slow"), session.again, session.face_way):
         begin()
         assert faces(session)
-    turned = [event.detail for event in noted.events[before:] if event.kind == EventKind.RESPAWN and event.detail]
-    assert turned and all("yaw_rad" in told for told in turned), "so that a recording does it again"
+    turned = [record for record in noted.inputs[before:] if isinstance(record, Respawned) and record.start is not None]
+    assert turned, "so that a recording does it again"
 
 
 def test_after_a_crash_the_drive_goes_on_some_metres_before_it(session: DriveSession, noted: Noted) -> None:

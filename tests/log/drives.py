@@ -11,7 +11,6 @@ from wcsim.config import resolve
 from wcsim.log.records import DriveHeader, DriveTick, Header, Note, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
-from wcsim.users.profiles import profile, profile_json
 
 TICK_S = 0.1
 
@@ -21,7 +20,6 @@ def drive_header(**changes: object) -> Header:
     about = DriveHeader(
         wcsim=__version__,
         profile="competent",
-        user=profile_json(profile("competent")),
         policy="dwa",
         level="1",
         episode="dev 3.1",

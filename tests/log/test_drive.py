@@ -29,32 +29,23 @@ from wcsim.log.records import (
     header_bytes,
     record_bytes,
     record_of,
-    start_json,
-    start_of_json,
+    ticked,
 )
 from wcsim.log.writer import LogWriter
-from wcsim.types import Joystick, StartSpec
+from wcsim.types import Joystick
 
 FLAGS = ("warning", "intervening", "overruled", "helped", "arrived", "gave_up", "crashed", "truncated")
 FAR = {"p_W_m": [1.0, 1e300], "yaw_rad": 0.0, "goal_W_m": [0.0, 0.0]}
+STARTS = ({"p_W_m": [1.0], "yaw_rad": 0.0}, FAR)
 UNIT = st.floats(-1.0, 1.0)
-
-
-def test_a_start_in_an_event_is_whole_or_refused():
-    start = StartSpec(p_W_m=(0.1, -2.0), yaw_rad=1 / 3, goal_W_m=(9.0, 2.0))
-    assert start_of_json(start_json(start)) == start
-    for text in ("", "7", "{}", start_json(start).replace("9.0", "1e99"), start_json(start).replace("9.0", '"a"')):
-        with pytest.raises(JournalError, match=r"^the drive's respawn at"):
-            start_of_json(text)
 
 
 def test_what_is_recorded_is_read(tmp_path):
     ticks = [tick(1), tick(2, intent=None, helped=True), tick(3, crashed=True), tick(4, episode=1)]
     events = (Note(tick=0, time_s=0.0, kind="help", detail="a" * 1000),)
-    start = StartSpec(p_W_m=(1.0, 2.0), yaw_rad=0.5, goal_W_m=(9.0, 2.0))
-    path = write_drive(tmp_path / "deep" / "a.drive", ticks, events, start=start)
+    path = write_drive(tmp_path / "deep" / "a.drive", ticks, events)
     drive = read_drive(path)
-    assert drive.header == drive_header(start=start) == read_header(path)
+    assert drive.header == drive_header() == read_header(path)
     assert [item.tick for item in drive.ticks] == [1, 2, 3, 4]
     assert drive.ticks[0] == changed(ticks[0], sticks=ticks[0].sticks)
     assert drive.events == events
@@ -71,7 +62,7 @@ def test_a_tick_with_as_many_steps_as_a_world_may_have_is_kept_whole(tmp_path):
     assert np.allclose(kept.sticks, sticks, atol=1e-7) and kept.sticks.shape == (480, 2)
 
 
-@pytest.mark.parametrize("wrong", [{"seed": 1 << 63}, {"seed": -1}, {"max_steps": 0}, {"tick_s": float("nan")}])
+@pytest.mark.parametrize("wrong", [{"seed": 1 << 63}, {"seed": -1}, {"tick_s": float("nan")}])
 def test_a_header_that_could_not_be_read_again_begins_no_recording(tmp_path, wrong):
     with pytest.raises(ConfigError, match=r"a\.drive: its header is out of bounds .*change seed, tick or steps"):
         LogWriter(tmp_path / "a.drive", drive_header(**wrong))
@@ -125,9 +116,7 @@ def test_a_torn_end_is_left_out_and_damage_before_it_is_refused(tmp_path):
         ({"seats": 65}, "header cannot be used"),
         ({"seats": 0}, "header cannot be used"),
         ({"config": ""}, "header cannot be used"),
-        ({"drive": {"wcsim": "1", "profile": "p", "start": {"p_W_m": [1.0], "yaw_rad": 0.0}}}, "header cannot be used"),
-        ({"drive": {"wcsim": "1", "profile": "p", "start": FAR}}, "header cannot be used"),
-        ({"drive": {"wcsim": "1", "profile": "p", "max_steps": 0}}, "header cannot be used"),
+        ({"drive": {"wcsim": "1", "profile": "p", "max_steps": 1}}, "header cannot be used"),
         ({"more": 1}, "header cannot be used"),
         ({"drive": None}, "is not a drive but a journal"),
         ({"drive": None, "config": ""}, "is not a drive but a trace"),
@@ -171,7 +160,9 @@ def with_field(place, value):
         with_field(9, 1 << 20),
         with_field(10, [[3], 8, struct.pack("<3d", math.inf, 0.0, 0.0)]),
         with_field(10, [[2], 8, bytes(16)]),
+        *(msgspec.msgpack.encode(["r", 0, 1, 0, start]) for start in STARTS),
         record_bytes(Ended()),
+        record_bytes(ticked(0, 2, (), "")),
         record_bytes(tick(7)),
         record_bytes(tick(2, time_s=0.05)),
     ],

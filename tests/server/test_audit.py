@@ -7,9 +7,9 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wcsim.log.records import EpochBegun
+from wcsim.log.records import EpochBegun, SeenFrame
 from wcsim.log.records import ticked as log_ticked
-from wcsim.server.ledger import LedgerEntry, audit, audits, ledger_facts
+from wcsim.server.ledger import audit, audits, ledger_facts
 from wcsim.types import Command, Joystick
 
 
@@ -20,7 +20,7 @@ def ticked(epoch, tick, *seats):
 
 def seen(*frames):
     """Entries of (epoch, tick); those with a third item are first frames of a life."""
-    return [LedgerEntry(session=b"", epoch=e, tick=t, stepped=not first) for e, t, *first in frames]
+    return [SeenFrame(epoch=e, tick=t, stepped=not first) for e, t, *first in frames]
 
 
 JOURNAL = [
@@ -68,7 +68,7 @@ def test_each_ledger_by_itself_and_a_ledger_by_itself():
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 4), st.booleans()), max_size=12), st.data())
 def test_the_same_as_with_everything_in_memory(frames, data):
     """Against counting by sets over all epochs at once, for ledgers and journals whose epochs do not go back."""
-    entries = [LedgerEntry(session=b"", epoch=e, tick=t, stepped=s) for e, t, s in sorted(frames, key=lambda f: f[0])]
+    entries = [SeenFrame(epoch=e, tick=t, stepped=s) for e, t, s in sorted(frames, key=lambda f: f[0])]
     done = data.draw(st.sets(st.tuples(st.integers(0, 3), st.integers(1, 4))))
     records = [ticked(epoch, tick, 0) for epoch, tick in sorted(done)]
     mine = {(entry.epoch, entry.tick) for entry in entries if entry.stepped}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final
 
-from wcsim.log.records import DriveTick, Note
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned
 from wcsim.supervisor.kpi import FOLLOWED
 from wcsim.types import Joystick
 
@@ -35,8 +35,6 @@ class EventKind(StrEnum):
 
     BEGUN = "begun"
     EPISODE = "episode"
-    RESPAWN = "respawn"  # the episode begins elsewhere than the world began it, before `EPISODE`
-    USER = "user"  # another simulated user sits there, in another chair, before `EPISODE`
     REBUILT = "rebuilt"  # the world is another one, at its beginning, before `EPISODE`
     DRIVER = "driver"
     ASSISTANCE = "assistance"
@@ -58,7 +56,10 @@ class EventKind(StrEnum):
     POLICY_FAILED = "policy-failed"
 
 
-DriveObserver = Callable[[DriveTick | Note], object]
+DriveRecord = DriveTick | Note | Respawned | Admitted
+"""A tick; an event; that the episode begins elsewhere than the world began it; that another simulated user sits there,
+in another chair. The last two come before the event `EPISODE`."""
+DriveObserver = Callable[[DriveRecord], object]
 """Observes a drive, and changes nothing: each tick that is done, and each event before the tick that it belongs to.
 
 Ticks are numbered over the drive, from 1 on; their arrays are copies. One that has `close` is closed with the drive.

@@ -17,7 +17,7 @@ from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DriverKind, EventKind, xy_of
+from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, xy_of
 from wcsim.drive.page_runner import Does, PageRunner, run_page
 from wcsim.drive.pictures import StreetPictures, moment_of
 from wcsim.drive.recording.open_study import OpenStudy
@@ -28,7 +28,7 @@ from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
-from wcsim.log.records import DriveTick, Note
+from wcsim.log.records import Note
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.types.chair import AT_REST
@@ -234,7 +234,7 @@ class DriveRunner(PageRunner):
         self._unseen = False
         self.clock.drew(time.process_time() - before)
 
-    def _note(self, record: DriveTick | Note) -> None:
+    def _note(self, record: DriveRecord) -> None:
         notice = notice_of(record)
         if notice is not None:
             self._say(notice)
@@ -444,9 +444,9 @@ def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: 
     )
 
 
-def notice_of(record: DriveTick | Note) -> m.Notice | None:
+def notice_of(record: DriveRecord) -> m.Notice | None:
     """What a person wants to hear of a record, if anything; the state says the ticks, and a crash."""
-    if isinstance(record, DriveTick):
+    if not isinstance(record, Note):
         return None
     if record.detail == ELSEWHERE:
         return m.Notice(kind="note", told="No place before the crash is free. You start somewhere else.")

@@ -13,14 +13,14 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.bridge.ego.start_place import bearing_rad
-from wcsim.bridge.replay.drive_inputs import let_wait
+from wcsim.bridge.replay.drive_inputs import set_patience
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
-from wcsim.drive.driven import DriveObserver, DriverKind, EventKind, happened_in
+from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import DriveTick, Note, start_json
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
@@ -192,12 +192,13 @@ class DriveSession(Closing):
         try:
             self.world.admit(0, spec)
         except BaseException:
-            self.world.admit(0, replace(self.place.spec, profile=self.profile))
-            self.say(EventKind.USER, self.profile)
+            before = replace(self.place.spec, profile=self.profile)
+            self.world.admit(0, before)
+            self._send(Admitted(epoch=0, tick=self.ticks, seat=0, spec=before))
             self._next("as before")
             raise
         self.profile = profile
-        self.say(EventKind.USER, profile)
+        self._send(Admitted(epoch=0, tick=self.ticks, seat=0, spec=spec))
         self._next(f"user {profile}")
 
     def again(self) -> None:
@@ -223,7 +224,7 @@ class DriveSession(Closing):
         if self.assistance.failed and not self.assistance.on and answer.sent == answer.chosen:
             self._say_failure()
         user, intent = self.world.seats[0].user, self.world.seats[0].user.intent if by_user else None
-        let_wait(user, patient=not by_user)
+        set_patience(user, patient=not by_user)
         self._move(answer)
         sticks = user.sticks if by_user else _NO_STICKS
         driven = self._driven(stick, intent, sticks, answer, replace(wish, overrule=overrule, help=self._help))
@@ -321,7 +322,7 @@ class DriveSession(Closing):
             self.say(EventKind.STEP_LIMIT)
         self._send(driven)
 
-    def _send(self, record: DriveTick | Note) -> None:
+    def _send(self, record: DriveRecord) -> None:
         for observer in self._observers:
             observer(record)
 
@@ -369,7 +370,7 @@ class DriveSession(Closing):
     def _respawn(self, start: StartSpec | None = None) -> None:
         """Begin the world's next episode, which a recording then does too."""
         self.world.respawn(0, start=start)
-        self.say(EventKind.RESPAWN, "" if start is None else start_json(start))
+        self._send(Respawned(epoch=0, tick=self.ticks, seat=0, start=start))
 
     def _face_way(self) -> None:
         """Turn the chair to its way, here or a little along it, elsewhere if need be; a fixed start stays."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Final
 
 from wcsim.core.reading import escaped
 from wcsim.errors import JournalError
 from wcsim.log.reader import scan_in_memory
-from wcsim.log.records import DriveHeader, DriveTick, Header, Note, Ticked
+from wcsim.log.records import DriveHeader, DriveTick, Ended, Header, Input, Note, Ticked
 from wcsim.log.writer import MOST_RECORDS
 
 _SAME_MOTION: Final = ("0.1.0",)
@@ -34,8 +35,7 @@ class DriveRecording:
 
     name: str  # of the file
     header: Header
-    ticks: tuple[DriveTick, ...]
-    events: tuple[Note, ...]
+    records: tuple[Input | Note, ...]
     torn: bool  # something that is no whole record followed the last one
 
     @property
@@ -46,18 +46,24 @@ class DriveRecording:
         return self.header.drive
 
     @cached_property
+    def ticks(self) -> tuple[DriveTick, ...]:
+        """Its ticks."""
+        return tuple(record for record in self.records if isinstance(record, DriveTick))
+
+    @cached_property
+    def events(self) -> tuple[Note, ...]:
+        """What happened beside them."""
+        return tuple(record for record in self.records if isinstance(record, Note))
+
+    @cached_property
     def episodes(self) -> tuple[tuple[DriveTick, ...], ...]:
         """The ticks of each episode, in order."""
-        found: list[list[DriveTick]] = []
-        for tick in self.ticks:
-            if not found or found[-1][-1].episode != tick.episode:
-                found.append([])
-            found[-1].append(tick)
-        return tuple(tuple(part) for part in found)
+        return tuple(tuple(part) for _, part in groupby(self.ticks, key=lambda tick: tick.episode))
 
-    def tick_of(self, record: Ticked) -> DriveTick:
-        """The tick that a replay of this drive has reached."""
-        return self.ticks[record.tick - self.ticks[0].tick]
+    @property
+    def by_driver(self) -> tuple[DriveTick, ...]:
+        """The ticks of whom the drive is of: at times the simulated user beside a person may have driven."""
+        return tuple(tick for tick in self.ticks if self.about.profile or tick.by_person)
 
     @property
     def knows_intents(self) -> bool:
@@ -72,28 +78,21 @@ def read_drive(path: Path) -> DriveRecording:
         JournalError: The file is none, is of another version, what it says cannot be, or there is damage in it.
     """
     scan = scan_in_memory(path, "drive")
-    ticks: list[DriveTick] = []
-    events: list[Note] = []
+    records: list[Input | Note] = []
+    before: DriveTick | None = None
     for record in scan.records():
-        if isinstance(record, Note):
-            events.append(record)
-        elif not isinstance(record, DriveTick):
+        if isinstance(record, Ticked | Ended) or not isinstance(record, Input | Note):
             raise JournalError(f"{escaped(path)}: has a record that belongs in no drive; record it again")
-        elif ticks and not _follows(ticks[-1], record):
-            raise JournalError(
-                f"{escaped(path)}: tick {record.tick} does not follow tick {ticks[-1].tick}; record it again"
-            )
-        else:
-            ticks.append(record)
-        if len(ticks) + len(events) > MOST_RECORDS:
+        if isinstance(record, DriveTick):
+            if before is not None and not _follows(before, record):
+                raise JournalError(
+                    f"{escaped(path)}: tick {record.tick} does not follow tick {before.tick}; record it again"
+                )
+            before = record
+        records.append(record)
+        if len(records) > MOST_RECORDS:
             raise JournalError(f"{escaped(path)}: more than {MOST_RECORDS} records; expected a drive of a day at most")
-    return DriveRecording(
-        name=str(path),
-        header=scan.header,
-        ticks=tuple(ticks),
-        events=tuple(events),
-        torn=scan.torn_bytes > 0,
-    )
+    return DriveRecording(name=str(path), header=scan.header, records=tuple(records), torn=scan.torn_bytes > 0)
 
 
 def _follows(before: DriveTick, tick: DriveTick) -> bool:

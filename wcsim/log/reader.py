@@ -36,6 +36,7 @@ _MADE_BY: Final = {
     "journal": "a run folder of a server, or its journal",
     "trace": "a file of `wcsim town run`, or the golden trace of a scene",
     "drive": "a file of `wcsim users record` or `wcsim drive`",
+    "ledger": "a ledger of a run of `wcsim train-clients`",
 }
 
 

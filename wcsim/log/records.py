@@ -1,4 +1,4 @@
-"""What a log holds: a header, and records of inputs, of states, of drives and notes; each as a payload, and back.
+"""What a log holds: a header, and records of inputs, states, drives and frames seen; each as a payload, and back.
 
 The header is JSON, a record is MessagePack; every number of both is bounded as it is read.
 """
@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from wcsim.core.reading import MOST_JSON_BYTES, escaped
-from wcsim.errors import JournalError, WcsimError
+from wcsim.core.reading import MOST_JSON_BYTES
+from wcsim.errors import WcsimError
 from wcsim.types import F64, ActorKind, Command, Joystick, SeatSpec, StartSpec
 
 MAGIC: Final = "wcsim-log-1"
@@ -22,15 +22,6 @@ MAX_SEED: Final = (1 << 63) - 1
 MOST_SAMPLES: Final = 480  # of the stick in a tick: as many as the steps that a tick's physics may have
 MOST_DETAIL: Final = 1000  # letters of a note
 NO_ACTION: Final = -1
-PERSON: Final = "person"
-"""The profile of a drive in which somebody drove who is not simulated."""
-RESPAWN: Final = "respawn"
-"""The note of an episode that was cut and begun anew: the replay does the same at that tick.
-
-Its detail is the start as JSON, or "" where that was drawn.
-"""
-USER: Final = "user"
-"""The note of another simulated user beside the person, in a chair made anew; its detail is that profile as JSON."""
 _LARGEST: Final = 1e9
 _ON_STICK: Final = 1.0 + 1e-6  # of an axis, with what rounding adds
 _STATE_BYTES: Final = 32 << 20  # names, bodies and numbers of some 100,000 actors
@@ -38,7 +29,7 @@ _NO_XML: Final = r"\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ufffe\uffff"  # 
 _CONTENT: Final = 1  # version of what the digest is over
 _FIRST: Final = (b'{"magic":"wcsim-', b'{"magic": "wcsim-')  # of a header, and of those of older formats
 
-LogKind = Literal["journal", "trace", "drive"]
+LogKind = Literal["journal", "trace", "drive", "ledger"]
 Count = Annotated[int, Meta(ge=0, le=1 << 62)]
 Seed = Annotated[int, Meta(ge=0, le=MAX_SEED)]
 Seat = Annotated[int, Meta(ge=0, le=MOST_SEATS - 1)]
@@ -49,23 +40,19 @@ Printable = Annotated[str, Meta(max_length=4096, pattern=rf"\A[^{_NO_XML}]*\Z")]
 
 
 class DriveHeader(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the header of a drive says of who drove: enough, with its ticks, to make the same drive again."""
+    """What the header of a drive says of who drove; what was done to its world are its records."""
 
     wcsim: Document  # version
-    profile: Document  # of the simulated user, or `PERSON`
-    user: Document = ""  # JSON of the simulated user's parameters as they were drawn; "" for a person
-    beside: Document = ""  # JSON of the profile of who sat beside a person, and said where the way goes; "" for nobody
+    profile: Document = ""  # of the simulated user; "" where a person drove, beside one who says where the way goes
     policy: Document = ""  # who assisted; "" for nobody
     level: Document = ""  # of the assistance
     episode: Document = ""  # of a suite: its name, block and seat
     scene: Document = ""  # where the street is a generated scene: its family, seed and SHA-256; "" for a town
-    max_steps: Annotated[int, Meta(ge=1, le=1 << 62)] = 10_000
-    start: StartSpec | None = None  # of every episode; None where it was drawn
 
     @property
-    def accompanied(self) -> bool:
-        """Whether a person drove beside somebody who says where the way goes: a profile, or a scene's recorded user."""
-        return bool(self.beside or (self.scene and not self.user))
+    def driver(self) -> str:
+        """Who drove, in a word."""
+        return self.profile or "person"
 
 
 class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="magic", tag=MAGIC):
@@ -87,10 +74,13 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     origin_z_m: Number = 0.0
     chair_box_m: tuple[Number, Number] | None = None  # length of a wheelchair, and its middle ahead of the drive axle
     drive: DriveHeader | None = None  # who drove, where the log is of one chair's ticks
+    client: Document | None = None  # its name, where the log is of the frames that it saw, of whatever world
 
     @property
     def kind(self) -> LogKind:
-        """What the log holds: a drive's ticks, a world's inputs (journal), or its states (trace)."""
+        """What the log holds: a client's frames (ledger), a drive's ticks, a world's inputs (journal) or its states."""
+        if self.client is not None:
+            return "ledger"
         return "drive" if self.drive is not None else "journal" if self.config else "trace"
 
 
@@ -210,6 +200,21 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
     truncated: bool = False
 
     @property
+    def epoch(self) -> int:
+        """Of its world: a drive has one."""
+        return 0
+
+    @property
+    def commands(self) -> tuple[Command, ...]:
+        """What led to it, as of `Ticked`."""
+        return (Command(seat=0, tick=self.tick - 1, joystick=self.commanded),)
+
+    @property
+    def by_person(self) -> bool:
+        """Whether a person drove: what a simulated user wants is always known."""
+        return self.intent is None
+
+    @property
     def ends(self) -> bool:
         """Whether an episode ended with it."""
         return self.crashed or self.truncated
@@ -227,8 +232,18 @@ class Note(_Record, frozen=True, kw_only=True, tag="n"):
     detail: Annotated[str, Meta(max_length=MOST_DETAIL)] = ""
 
 
-Input = EpochBegun | Admitted | Dismissed | Respawned | Ticked | Ended
-LogRecord = Input | WorldState | DriveTick | Note
+class SeenFrame(_Record, frozen=True, kw_only=True, tag="f"):
+    """A client saw the frame of this tick."""
+
+    epoch: Count
+    tick: Count
+    stepped: bool  # it came of the client's own action, not of a join, a respawn or a new epoch
+
+
+WorldTick = Ticked | DriveTick
+"""What carries a world on by a tick."""
+Input = EpochBegun | Admitted | Dismissed | Respawned | WorldTick | Ended
+LogRecord = Input | WorldState | Note | SeenFrame
 S = TypeVar("S", bound=Struct)
 
 
@@ -258,7 +273,7 @@ def header_of(payload: bytes) -> Header:
         header = _HEADERS.decode(payload)
         _require(not header.config or header.seats > 0)
         if header.drive is not None:
-            _require(header.config != "", _is_start(header.drive.start))
+            _require(header.config != "")
     except (msgspec.MsgspecError, UnicodeError, RecursionError, ValueError) as error:
         named = payload[:80].split(b'"')[3].decode("ascii", "replace")
         if named != MAGIC:
@@ -313,24 +328,6 @@ def record_of(payload: bytes) -> LogRecord:
     except (msgspec.MsgspecError, UnicodeError, RecursionError, ValueError) as error:
         raise WcsimError(f"a record does not belong in a log: {error}") from None
     return record
-
-
-def start_json(start: StartSpec) -> str:
-    """A start as the detail of a note `RESPAWN`, every number to the last bit."""
-    return msgspec.json.encode(start).decode()
-
-
-def start_of_json(text: str) -> StartSpec:
-    """What `start_json` wrote. Raises JournalError for anything else."""
-    try:
-        start = msgspec.json.decode(text, type=StartSpec)
-        _require(_is_start(start))
-    except (msgspec.MsgspecError, UnicodeError, RecursionError, ValueError):
-        raise JournalError(
-            f"the drive's respawn at {escaped(text, 80)}: is not a start; expected a place, a heading and a goal: "
-            "record it again"
-        ) from None
-    return start
 
 
 def _require_whole(record: LogRecord) -> None:

@@ -1,4 +1,4 @@
-"""What is cut off the end of a log or a ledger is kept beside it."""
+"""What is cut off the end of a log is kept beside it."""
 
 from __future__ import annotations
 

@@ -21,6 +21,7 @@ from wcsim.log.reader import LogScan
 from wcsim.log.records import (
     ActorBody,
     Header,
+    LogKind,
     LogRecord,
     WorldState,
     changed,
@@ -77,15 +78,15 @@ class LogWriter(Closing):
             raise
 
     @classmethod
-    def append_to(cls, path: Path) -> Self:
+    def append_to(cls, path: Path, expected: LogKind | None = None) -> Self:
         """Go on with a log after its process has died; a torn last record is cut off, and kept beside it.
 
         Raises:
             ConfigError: It cannot be written, or another process is writing it.
-            JournalError: It is no log, or is damaged before its end.
+            JournalError: It is no log, of another kind than expected, or is damaged before its end.
             DiskFullError: There is no room to keep what would be cut off.
         """
-        scan = LogScan(path)
+        scan = LogScan(path, expected)
         try:
             file = FileIO(path, "r+b")
         except OSError as error:

@@ -26,7 +26,7 @@ from wcsim.log.reader import is_log
 from wcsim.log.records import DriveTick
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
-from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, read_profile
+from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, profile_of_json, read_profile
 from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 
@@ -137,13 +137,15 @@ class RecordedUser:
 
 
 def find_user(name: str) -> UserProfile | JoystickRecording:
-    """The profile called `name`, that of a file "FILE.toml", or the recording of "recorded:FILE".
+    """The profile called `name`, that of a file "FILE.toml" or of `profile_json`, or the recording of "recorded:FILE".
 
     Raises:
         ConfigError: There is no such profile (the message names all), or the file cannot be used.
     """
     if name.startswith(RECORDED):
         return read_recording(FilePath(name.removeprefix(RECORDED)))
+    if name.startswith("{"):
+        return profile_of_json(name, "a user's profile as JSON")
     return read_profile(FilePath(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
 
 

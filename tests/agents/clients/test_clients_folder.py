@@ -17,7 +17,8 @@ from wcsim.agents.clients.group_run import (
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.core import files
 from wcsim.errors import PolicyError
-from wcsim.server.ledger import LedgerEntry, LedgerWriter
+from wcsim.log.records import SeenFrame
+from wcsim.server.ledger import open_ledger
 from wcsim.server.specs import RunInfo
 
 
@@ -29,9 +30,9 @@ def folder(tmp_path: Path) -> ClientsFolder:
 
 
 def write(folder: ClientsFolder, name: str, *stepped: bool) -> None:
-    with LedgerWriter(folder.ledger(name)) as ledger:
+    with open_ledger(folder.ledger(name), name) as ledger:
         for tick, own in enumerate(stepped):
-            ledger.add(LedgerEntry(session=b"s" * 16, epoch=0, tick=tick, stepped=own))
+            ledger.append(SeenFrame(epoch=0, tick=tick, stepped=own))
 
 
 def test_a_run_in_which_clients_only_joined_is_fruitless(folder):

@@ -2,7 +2,10 @@ from __future__ import annotations
 
 import io
 import json
+import runpy
+import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +30,8 @@ from wcsim.errors import PolicyError
 
 KEY = SegmentKey(run=1, round=2, index=3)
 TOWN = "0" * 64
-PLANT = (Path(__file__).parents[3] / "examples" / "fwd.toml").read_text()
+EXAMPLES = Path(__file__).parents[3] / "examples"
+PLANT = (EXAMPLES / "fwd.toml").read_text()
 
 
 def a_segment(rows: int = 7, seed: int = 0) -> Segment:
@@ -203,3 +207,23 @@ def test_data_of_before_own_wheelchairs_were_known_is_learned_from(tmp_path: Pat
     del said["plant_sha256"]
     (tmp_path / "data.json").write_text(json.dumps(said))
     require_same_settings(tmp_path, read_manifest(tmp_path), dqn_config())
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_folder_is_a_dataset_of_minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """By the example; `minari.load_dataset` then gives every number back."""
+    minari = pytest.importorskip("minari", reason="minari is not installed: pip install 'minari[hdf5]' pillow")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    ends = np.array([0, 0, 1, 0, 0, 0, 1], np.bool_)
+    segment = replace(a_segment(), ended=ends, crashed=ends & (np.arange(7) < 3))
+    _write_segment(segment_path(tmp_path, KEY), segment)
+    monkeypatch.setattr(sys, "argv", ["to_minari.py", str(tmp_path), "wcsim/street-v0"])
+    runpy.run_path(str(EXAMPLES / "to_minari.py"))
+    episodes = list(minari.load_dataset("wcsim/street-v0").iterate_episodes())
+    rows = (slice(0, 3), slice(3, 7))
+    for episode, part, ended in zip(episodes, rows, ([True, False], [False, True]), strict=True):
+        for name in ("depth", "seg", "imu", "stick"):
+            assert np.array_equal(episode.observations[name][:-1], segment.arrays()[name][part]), name
+        assert episode.actions.tolist() == segment.action[part].tolist()
+        assert np.array_equal(episode.rewards, segment.reward[part])
+        assert [bool(episode.terminations[-1]), bool(episode.truncations[-1])] == ended

@@ -22,10 +22,7 @@ _STARTS: Final = ("run", "Popen", "fork", "ProcessPoolExecutor", "Process", "rem
 _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
 # Where an idea stands that has more than one form: the file that goes with it, or the class in it.
 IDEAS: Final[dict[str, tuple[str, ...]]] = {
-    "formats": (
-        "wcsim/log/records.py",
-        "wcsim/server/ledger.py",
-    ),
+    "formats": ("wcsim/log/records.py",),
     "meters": (
         "wcsim/supervisor/kpi.py:KpiMeter",
         "wcsim/supervisor/kpi.py:KpiTotals",

@@ -19,13 +19,14 @@ from tests.support.framing import chained, pieces, read_whole
 from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.log.framing import MAX_RECORD_BYTES, framed
 from wcsim.log.reader import iter_inputs, log_digest
-from wcsim.log.records import Ended, Input, header_bytes
+from wcsim.log.records import Ended, Input, LogRecord, SeenFrame, header_bytes
 from wcsim.log.writer import LogWriter
 from wcsim.server.launch.event_log import EVENTS, RunLog
-from wcsim.server.ledger import LedgerEntry, LedgerWriter, _read_ledger
+from wcsim.server.ledger import iter_ledger, open_ledger
 
 TICKS = tuple(tick(number, epoch=1) for number in range(1, 240))
 LONG: tuple[Input, ...] = (*RECORDS[:-1], *TICKS, Ended(reason="x"))
+FRAMES = tuple(SeenFrame(epoch=0, tick=number, stepped=number % 30 > 0) for number in range(60))
 DEEP = b"\x94\xa1e" + b"\x91" * 50_000
 Spoil = Callable[[list[bytes], np.random.Generator], bytes]
 """Makes another file of the pieces of a sound one."""
@@ -75,18 +76,28 @@ def a_journal(path: Path) -> list[bytes]:
     return pieces(path)
 
 
-def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
+def a_ledger(path: Path) -> list[bytes]:
+    """The pieces of a sound one."""
+    with open_ledger(path, "c0") as ledger:
+        for frame in FRAMES:
+            ledger.append(frame)
+    return pieces(path)
+
+
+def check_log(path: Path, data: bytes, whole: bytes) -> bool:
     """Reading it, and going on with it; a refusal leaves it as it was."""
     try:
         seen = read_whole(path)
-        digest = log_digest(path)
-        if seen.records != LONG[: len(seen.records)] or tuple(iter_inputs(path)) != seen.records:
+        digest, ledger = log_digest(path), seen.header.kind == "ledger"
+        sound: tuple[LogRecord, ...] = FRAMES if ledger else LONG
+        read: tuple[LogRecord, ...] = tuple(iter_ledger(path) if ledger else iter_inputs(path))
+        if seen.records != sound[: len(seen.records)] or read != seen.records:
             return False
         with LogWriter.append_to(path) as writer:
             cut = writer.cut_bytes
             if log_digest(path) != digest or seen.torn != (cut > 0):
                 return False
-            writer.append(RECORDS[0])
+            writer.append(sound[0])
     except Exception:
         if path.read_bytes() != data or len(list(path.parent.iterdir())) > 1:
             return False
@@ -95,7 +106,7 @@ def check_journal(path: Path, data: bytes, whole: bytes) -> bool:
     rest = path.read_bytes()
     begun = len(data) - cut
     prefix = whole.startswith(data[:begun]) and data[:begun] + kept == data and rest.startswith(data[:begun])
-    return prefix and not _holds_another_record(kept, whole, begun) and read_whole(path).records[-1] == RECORDS[0]
+    return prefix and not _holds_another_record(kept, whole, begun) and read_whole(path).records[-1] == sound[0]
 
 
 def _holds_another_record(kept: bytes, whole: bytes, begun: int) -> bool:
@@ -185,36 +196,6 @@ def another_header(parts: list[bytes], rng: np.random.Generator) -> bytes:
     return b"".join([framed(other), *parts[1:]])
 
 
-# --- ledgers ---
-
-
-def a_ledger(path: Path) -> list[bytes]:
-    """The entries of a sound one, as bytes."""
-    with LedgerWriter(path) as ledger:
-        for number in range(60):
-            session, stepped = b"session number %d" % (number // 30), number % 30 > 0
-            ledger.add(LedgerEntry(session=session, epoch=0, tick=number, stepped=stepped))
-    data = path.read_bytes()
-    return [data[at : at + 32] for at in range(0, len(data), 32)]
-
-
-def check_ledger(path: Path, data: bytes, whole: bytes) -> bool:
-    """As for a journal; the last entry may be damaged, it is kept then."""
-    try:
-        seen = _read_ledger(path)
-        with LedgerWriter(path) as ledger:
-            cut = ledger.cut_bytes
-            ledger.add(LedgerEntry(session=b"t" * 16, epoch=1, tick=0, stepped=False))
-    except Exception:
-        if path.read_bytes() != data or len(list(path.parent.iterdir())) > 1:
-            return False
-        raise
-    kept = path.with_name("x.torn").read_bytes() if path.with_name("x.torn").exists() else bytes(cut)
-    begun = len(data) - cut
-    right = whole.startswith(data[:begun]) and data[:begun] + kept == data and len(seen) == begun // 32
-    return right and (cut < 64 or not any(kept)) and len(_read_ledger(path)) == len(seen) + 1
-
-
 # --- metrics and events ---
 
 
@@ -283,5 +264,5 @@ SPOILS: dict[str, tuple[Spoil, ...]] = {
     "events": (any_damage, any_damage, doubled, a_bomb),
 }  # fmt: skip
 CHECKS: dict[str, Callable[[Path, bytes, bytes], bool]] = {
-    "journals": check_journal, "ledgers": check_ledger, "metrics": check_metrics, "events": check_events,
+    "journals": check_log, "ledgers": check_log, "metrics": check_metrics, "events": check_events,
 }  # fmt: skip

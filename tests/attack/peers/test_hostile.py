@@ -13,7 +13,7 @@ from tests.attack.peers import hostile
 from tests.server.servers import Server, stand_in_order
 from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
-from wcsim.server.ledger import _read_ledger, audit
+from wcsim.server.ledger import audit, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.keys import make_keys
 
@@ -42,7 +42,7 @@ def besieged(folder: Path, town: str, rounds: int, phase_s: float) -> dict[str, 
             hostile.end(client)
         server.process.terminate()
         server.wait()
-    ledgers = [(seat, _read_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
+    ledgers = [(seat, iter_ledger(folder / f"{name}.ledger")) for seat, name in enumerate(NAMES)]
     found = audit(iter_inputs(folder / "run" / JOURNAL), ledgers)
     sights = hostile.sights_of(folder, "a")
     floods, burns = ([phase for phase in told if phase.what == what] for what in ("flood", "burn"))

@@ -18,19 +18,19 @@ from wcsim.bridge.drives.record_user import (
     record_user,
 )
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-from wcsim.bridge.replay.drive_inputs import write_user
+from wcsim.bridge.replay.drive_inputs import first_inputs
 from wcsim.bridge.replay.verify import verify
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.log.drive import read_drive
-from wcsim.log.records import RESPAWN, Note, changed
+from wcsim.log.records import Admitted, DriveTick, Respawned, changed
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
-from wcsim.users.profiles import profile, profile_json, profile_names, profile_of_json, read_profile, sample
-from wcsim.users.recorded import _write_recording
+from wcsim.users.profiles import profile, profile_json, profile_names, profile_text, read_profile, sample
+from wcsim.users.recorded import _write_recording, find_user
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,8 @@ def test_a_drive_says_what_it_was_and_is_made_again_to_the_last_bit(corner, driv
     drive = read_drive(driven)
     assert (drive.about.profile, drive.about.policy, len(drive.ticks)) == ("tremor", "follow", 60)
     assert drive.header.town_sha256 == content_hash(find_town(str(corner)))
-    assert profile_of_json(drive.about.user, "") == drawn_user(profile("tremor"), 5)
+    (sat,) = (record for record in drive.records if isinstance(record, Admitted))
+    assert find_user(sat.spec.profile) == drawn_user(profile("tremor"), 5)
     assert drive.knows_intents
     assert all(tick.sticks.shape == (24, 2) for tick in drive.ticks)
     assert all(
@@ -63,7 +64,8 @@ def test_a_user_drawn_of_a_wide_profile_can_be_recorded(tmp_path, own):
     base = read_profile(tmp_path / "me.toml")
     for seed in range(60):
         user = drawn_user(base, seed)
-        assert read_profile(Path(write_user(tmp_path, user))) == profile_of_json(profile_json(user), "") == user
+        (tmp_path / "drawn.toml").write_text(profile_text(user, {}))
+        assert read_profile(tmp_path / "drawn.toml") == find_user(profile_json(user)) == user
 
 
 def test_a_user_drawn_of_a_usual_profile_is_the_one_of_the_episodes():
@@ -104,14 +106,16 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     sticks = np.clip(np.c_[rng.normal(0.0, 0.2, 40), rng.uniform(0.3, 0.8, 40)], -0.7, 0.7)
     _write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
-    header = drive_header(town, config, 6, spec, None, policy="dwa", level="1", episode="dev 1.0")
+    header = drive_header(town, config, 6, policy="dwa", level="1", episode="dev 1.0")
     with (
         World(town, config, (spec,), 6) as world,
         LogWriter(path, header) as recorder,
     ):
+        for record in first_inputs(spec, 6):
+            recorder.append(record)
         for number in range(30):
             if number == 12:
-                recorder.append(Note(tick=12, time_s=1.2, kind=RESPAWN))
+                recorder.append(Respawned(epoch=0, tick=12, seat=0))
                 world.respawn(0)
             before = world.snapshot.clients[0].first or world.snapshot.clients[0]
             step = next(rollout(world))
@@ -119,15 +123,16 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
             given = Given(commanded=command.joystick, chosen=command.joystick, action=-1)
             recorder.append(_seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
     drive = read_drive(path)
-    assert (drive.about.profile, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
+    assert (drive.about.driver, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents
     found = verify(drive)
     assert (found.ticks, found.mismatches) == (30, 0)
 
 
 def replace_ticks(drive, others):
-    ticks = tuple(others.get(number, tick) for number, tick in enumerate(drive.ticks))
-    return replace(drive, ticks=ticks)
+    by_tick = {tick.tick: tick for tick in others.values()}
+    records = (by_tick.get(one.tick, one) if isinstance(one, DriveTick) else one for one in drive.records)
+    return replace(drive, records=tuple(records))
 
 
 def replace_header(drive, **changes):
@@ -141,7 +146,7 @@ def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corne
     order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=120, seed=4)
     record_user(order, tmp_path / "a.drive")
     drive = read_drive(tmp_path / "a.drive")
-    hidden = replace(drive, ticks=tuple(changed(tick, intent=None) for tick in drive.ticks))
+    hidden = replace_ticks(drive, {tick.tick: changed(tick, intent=None) for tick in drive.ticks})
     seen = seen_drive(hidden)
     assert len(seen.views) == 120
     made = with_shadow(seen, user)

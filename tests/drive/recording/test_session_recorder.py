@@ -12,7 +12,7 @@ import pytest
 
 from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.ego import ego
-from wcsim.bridge.replay import drive_inputs
+from wcsim.bridge.replay import replayed
 from wcsim.bridge.replay.made_scene import made_scene_of, town_of_scene
 from wcsim.bridge.replay.verify import verify
 from wcsim.core.files import check_new_file, numbered_names
@@ -23,10 +23,10 @@ from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart, check_recordable
 from wcsim.errors import ConfigError, DiskFullError, TownError
 from wcsim.log.drive import DriveRecording, read_drive
-from wcsim.log.records import changed
+from wcsim.log.records import Admitted, Dismissed, Respawned, changed
 from wcsim.log.writer import LogWriter
 from wcsim.types import Joystick
-from wcsim.users.profiles import profile, profile_of_json
+from wcsim.users.profiles import profile
 from wcsim.users.recorded import find_user
 
 TIGHT_BLOCK = 25  # of dev: a generated scene
@@ -55,6 +55,11 @@ def kept(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
     drive = Kept(DriveStart(town=str(corner), seed=4), tmp_path / "a.drive")
     yield drive
     drive.session.close()
+
+
+def users_of(drive: DriveRecording) -> list[object]:
+    """Who sat in it, one after the other."""
+    return [find_user(record.spec.profile) for record in drive.records if isinstance(record, Admitted)]
 
 
 def same_again(path: Path) -> DriveRecording:
@@ -101,8 +106,8 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     drive = same_again(first)
     assert drive.ticks[crashed - 1].crashed
     assert math.dist(drive.ticks[crashed].p_WB_m, drive.ticks[0].p_WB_m) < 0.3, "it goes on where it began, so near"
-    assert (len(drive.ticks), drive.about.profile, drive.about.policy) == (crashed + 98, "person", "dwa")
-    assert profile_of_json(drive.about.beside, "") == profile("competent")
+    assert (len(drive.ticks), drive.about.driver, drive.about.policy) == (crashed + 98, "person", "dwa")
+    assert [user.name for user in users_of(drive)] == ["competent", "slow", "slow"]
     flags = [(tick.overruled, tick.helped) for tick in drive.ticks]
     assert flags.count((True, True)) == 3 and flags.count((False, False)) == crashed + 95
     assert sum(tick.truncated for tick in drive.ticks) == 1
@@ -110,12 +115,11 @@ def test_a_drive_with_everything_in_it_is_made_again_to_the_last_bit(kept: Kept,
     assert all(tick.intent is not None and tick.sticks.shape == (24, 2) for tick in users)
     assert all(tick.intent is None and tick.sticks.shape == (0, 2) for tick in drive.ticks[: crashed + 15])
     assert np.allclose(users[3].sticks[-1], (users[4].stick.x, users[4].stick.y), atol=1e-6)
-    kinds = [event.kind for event in drive.events]
-    assert kinds.count("respawn") > 4, "three were asked for, one is that after the crash, and some turn to their way"
-    assert kinds.count("user") == 2
+    respawned = [record for record in drive.records if isinstance(record, Respawned)]
+    assert len(respawned) > 4, "three were asked for, one is that after the crash, and some turn to their way"
     again = same_again(second)
     assert (len(again.ticks), again.ticks[0].tick) == (20, 1)
-    assert profile_of_json(again.about.beside, "") == profile("slow"), "the street begins with who sits there now"
+    assert users_of(again) == [profile("slow")], "the street begins with who sits there now"
     assert not kept.news[-1].on and "20 ticks" in kept.news[-1].log
 
 
@@ -127,7 +131,11 @@ def test_a_change_that_is_left_out_is_noticed(kept: Kept, tmp_path: Path) -> Non
     kept.session.close()
     drive = read_drive(tmp_path / "a.drive")
     assert verify(drive).mismatches == 0
-    assert verify(replace(drive, events=())).mismatches > 5
+    kept_records = tuple(record for record in drive.records if not isinstance(record, Respawned | Dismissed))
+    first, *others = (record for record in kept_records if isinstance(record, Admitted))
+    assert others and first != others[0]
+    left_out = replace(drive, records=tuple(record for record in kept_records if record not in others))
+    assert verify(left_out).mismatches > 5
 
 
 def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +149,8 @@ def test_ways_end_as_they_did(corner: Path, tmp_path: Path, monkeypatch: pytest.
     made = same_again(tmp_path / "a.drive")
     assert sum(tick.arrived for tick in made.ticks) >= 2 and not any(tick.intent for tick in made.ticks)
     late = [changed(tick, arrived=False) for tick in made.ticks]
-    assert verify(replace(made, ticks=tuple(late))).mismatches >= 2, "an end that differs is noticed"
+    firsts = made.records[:2]
+    assert verify(replace(made, records=(*firsts, *late))).mismatches >= 2, "an end that differs is noticed"
 
 
 def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,7 +166,7 @@ def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, mon
     made = same_again(tmp_path / "a.drive")
     gave_up = [number for number, tick in enumerate(made.ticks) if tick.gave_up]
     assert gave_up and gave_up[0] >= 90, "who stood for 9 s was a person"
-    monkeypatch.setattr(drive_inputs, "let_wait", lambda *_, **__: None)
+    monkeypatch.setattr(replayed, "let_wait", lambda *_: None)
     assert verify(made).mismatches > 10
 
 
@@ -248,8 +257,9 @@ def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str
     drive.session.close()
     made = same_again(tmp_path / "a.drive")
     family, seed, _ = made.about.scene.split()
-    assert made.header.town_name == f"{family}-{seed}" and made.about.accompanied
-    assert bool(made.about.beside) is bool(profile)
+    assert made.header.town_name == f"{family}-{seed}" and not made.about.profile
+    (sat,) = (record for record in made.records if isinstance(record, Admitted))
+    assert bool(sat.spec.profile) is bool(profile)
 
 
 def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
@@ -281,6 +291,7 @@ def test_an_episode_of_a_suite_with_a_handover_is_made_again(tmp_path: Path) -> 
     drive.drive(60)
     drive.session.close()
     made = same_again(tmp_path / "a.drive")
-    assert made.about.episode == "dev 16.0" and made.about.start is not None
+    (sat,) = (record for record in made.records if isinstance(record, Admitted))
+    assert made.about.episode == "dev 16.0" and sat.spec.start is not None
     drivers = [tick.intent is not None for tick in made.ticks]
     assert drivers == [number < 25 for number in range(60)], "the user drives until the handover"

@@ -24,7 +24,7 @@ from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
 from wcsim.server.host.made_world import epoch_seed
 from wcsim.server.host.recovery import open_server
 from wcsim.server.launch.states import WorldExit
-from wcsim.server.ledger import _read_ledger
+from wcsim.server.ledger import iter_ledger
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
@@ -81,7 +81,7 @@ def test_an_epoch_ends_at_its_cap_and_all_go_on_in_the_next_one(first):
     records, found = audited(folder)
     assert (found.lost, found.doubled, found.phantom) == (0, 0, 0)
     for name in "ab":  # the last frame of an epoch was seen before its world went
-        seen = {(entry.epoch, entry.tick) for entry in _read_ledger(folder / name) if entry.stepped}
+        seen = {(entry.epoch, entry.tick) for entry in iter_ledger(folder / name) if entry.stepped}
         assert {(epoch, tick) for epoch in (0, 1) for tick in range(1, CAP + 1)} <= seen
     parts = part_files(folder / "run" / JOURNAL)
     assert [part.name for part in parts] == ["journal.00001", "journal.00002", "journal"]

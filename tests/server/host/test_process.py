@@ -22,7 +22,7 @@ from wcsim.log.writer import JOURNAL
 from wcsim.server.host.process import main
 from wcsim.server.host.recovery import ALIVE_EVERY
 from wcsim.server.launch.states import WorldExit
-from wcsim.server.ledger import _read_ledger, audit
+from wcsim.server.ledger import audit, iter_ledger
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
@@ -38,7 +38,7 @@ def two_seats(server, folder):
 
 def audited(folder):
     records = read_whole(folder / "run" / JOURNAL).records
-    return records, audit(records, [(0, _read_ledger(folder / "a")), (1, _read_ledger(folder / "b"))])
+    return records, audit(records, [(0, iter_ledger(folder / "a")), (1, iter_ledger(folder / "b"))])
 
 
 def drive_through(link, ticks=30):

@@ -12,7 +12,7 @@ from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchState
-from wcsim.server.ledger import _read_ledger, audit, ledger_facts
+from wcsim.server.ledger import audit, iter_ledger, ledger_facts
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
@@ -57,7 +57,7 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
         outcome = Launcher(order, plans, tmp_path, place, show=states.append, spawner=worlds).run()
     assert outcome.code == 0, outcome.message
-    ledgers = [(seat, _read_ledger(tmp_path / f"c{seat}.ledger")) for seat in range(6)]
+    ledgers = [(seat, tuple(iter_ledger(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
     for _, entries in ledgers:
         facts = ledger_facts(entries)
         assert (facts.first_tick, facts.last_tick, facts.ticks) == (0, STEPS, STEPS)

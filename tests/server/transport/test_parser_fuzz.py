@@ -19,7 +19,7 @@ from tests.server.protocol.test_messages import REPLIES, REQUESTS
 from tests.server.servers import AHEAD, Server, stand_in_order
 from tests.support.worlds import quick_config
 from wcsim.errors import OverloadedError, ProtocolError
-from wcsim.server.ledger import _read_ledger, ledger_facts
+from wcsim.server.ledger import iter_ledger, ledger_facts
 from wcsim.server.links.socket import open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
@@ -166,7 +166,7 @@ def test_a_good_client_loses_nothing_whatever_others_send(tmp_path):
             vandal.join(60.0)
         assert "ProtocolError" in vandal.told
         assert server.status(lambda s: s.tick == frame.tick).members == ("a",)
-    facts = ledger_facts(_read_ledger(tmp_path / "a"))
+    facts = ledger_facts(iter_ledger(tmp_path / "a"))
     assert (facts.ticks, facts.missing, facts.doubled) == (frame.tick, 0, 0)
 
 

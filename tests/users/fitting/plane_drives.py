@@ -30,14 +30,14 @@ def plane_drive(user: UserProfile, seconds: float, seed: int) -> DriveRecording:
             break
     kept = tuple(ticks[: round(seconds / TICK_S)])
     header = drive_header()
-    return DriveRecording(name="plane", header=header, ticks=kept, events=(), torn=False)
+    return DriveRecording(name="plane", header=header, records=kept, torn=False)
 
 
 def thinned(drive: DriveRecording, samples: int) -> DriveRecording:
     """The same, with the stick so many times a tick; with 0 only at its beginning."""
     every = SUBSTEPS // samples if samples else 1
     ticks = (changed(t, sticks=t.sticks[every - 1 :: every] if samples else np.zeros((0, 2))) for t in drive.ticks)
-    return replace(drive, ticks=tuple(ticks))
+    return replace(drive, records=tuple(ticks))
 
 
 def _way(user: UserProfile, chance, rng: np.random.Generator, before: int, episode: int) -> list[DriveTick]:

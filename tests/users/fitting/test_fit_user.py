@@ -100,9 +100,9 @@ def test_intents_of_the_model_say_nothing_of_looks_elsewhere(shaking):
 def test_drives_that_say_too_little_are_refused(shaking):
     drive = shaking[1]
     with pytest.raises(ConfigError, match="no episode of 5 s"):
-        fit_user([replace(drive, ticks=drive.ticks[:30])], BASE)
+        fit_user([replace(drive, records=drive.ticks[:30])], BASE)
     with pytest.raises(ConfigError, match="ticks without an intent"):
-        fit_user([replace(drive, ticks=(changed(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
+        fit_user([replace(drive, records=(changed(drive.ticks[0], intent=None), *drive.ticks[1:]))], BASE)
 
 
 def test_drives_of_other_ticks_or_of_a_chair_that_takes_a_stick_otherwise_are_refused(shaking):
@@ -120,7 +120,7 @@ def at_positions(drive, positions):
     """The same by somebody who only ever takes the nearest of these, as keys do, once a tick."""
     near = [Joystick(*min(positions, key=lambda p: math.dist(p, (tick.stick.x, tick.stick.y)))) for tick in drive.ticks]
     ticks = (changed(tick, stick=at, sticks=np.zeros((0, 2))) for tick, at in zip(drive.ticks, near, strict=True))
-    return replace(drive, ticks=tuple(ticks))
+    return replace(drive, records=tuple(ticks))
 
 
 EIGHTHS = [(math.sin(turn * math.pi / 4), math.cos(turn * math.pi / 4)) for turn in range(8)]

@@ -15,9 +15,8 @@ from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
-from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
-from wcsim.log.records import Dismissed, Header, Input, Respawned, Ticked
+from wcsim.log.records import Dismissed, DriveTick, Header, Input, Respawned, WorldTick
 from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
@@ -80,7 +79,7 @@ class _SeatWatch:
 
     def look(self, world: World | None, record: Input) -> None:
         """Is shown the world before each record."""
-        if world is None or not isinstance(record, Ticked):
+        if world is None or not isinstance(record, WorldTick):
             self.over = self.over or (bool(self.actions) and self._leaves(record))
             return
         given = next((each.joystick for each in record.commands if each.seat == self._seat), None)
@@ -95,12 +94,11 @@ class _SeatWatch:
     def _leaves(self, record: Input) -> bool:
         return isinstance(record, Respawned | Dismissed) and record.seat == self._seat
 
-    def _keep(self, client: ClientSnapshot, given: Joystick, record: Ticked) -> None:
+    def _keep(self, client: ClientSnapshot, given: Joystick, record: WorldTick) -> None:
         seen, action = observation_of(client, self._config), self._points.nearest((given.x, given.y))
-        if isinstance(self.log, DriveRecording):
-            tick = self.log.tick_of(record)
-            seen = {**seen, JOYSTICK_KEY: np.array([tick.stick.x, tick.stick.y], np.float32)}
-            action = tick.action
+        if isinstance(record, DriveTick):
+            seen = {**seen, JOYSTICK_KEY: np.array([record.stick.x, record.stick.y], np.float32)}
+            action = record.action
         self.seen.append(seen)
         self.actions.append(action)
         self.delays.append(delay_ticks(self._config, client.drawn))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wcsim.bridge.drives.drive_header import drive_header
-from wcsim.bridge.replay.drive_inputs import write_user
+from wcsim.bridge.replay.drive_inputs import first_inputs
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
@@ -21,7 +20,7 @@ from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ClientSnapshot, Joystick, SeatSpec
-from wcsim.users.profiles import UserProfile, sample
+from wcsim.users.profiles import UserProfile, profile_json, sample
 
 FOLLOW = "follow"
 ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
@@ -61,17 +60,18 @@ def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], obje
         TownError: The town cannot be run.
     """
     crashes = 0
-    with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
-        spec = SeatSpec(profile=write_user(Path(work), order.user), max_steps=ENDLESS)
-        header = drive_header(order.town, order.config, order.seed, spec, order.user, policy=FOLLOW)
-        with LogWriter(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
-            world.go_blind()
-            follower = _Follower(world, action_set(order.config.env.actions))
-            for number, step in enumerate(islice(rollout(world, {0: follower}), order.ticks), start=1):
-                tick = follower.driven(step.after.clients[0])
-                recorder.append(tick)
-                crashes += tick.crashed
-                progress(number)
+    spec = SeatSpec(profile=profile_json(order.user), max_steps=ENDLESS)
+    header = drive_header(order.town, order.config, order.seed, profile=order.user.name, policy=FOLLOW)
+    with LogWriter(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
+        for record in first_inputs(spec, order.seed):
+            recorder.append(record)
+        world.go_blind()
+        follower = _Follower(world, action_set(order.config.env.actions))
+        for number, step in enumerate(islice(rollout(world, {0: follower}), order.ticks), start=1):
+            tick = follower.driven(step.after.clients[0])
+            recorder.append(tick)
+            crashes += tick.crashed
+            progress(number)
     return crashes
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-from wcsim.bridge.replay.drive_inputs import by_person
 from wcsim.bridge.replay.replayed import config_of, replayed
 from wcsim.bridge.world import World
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording
-from wcsim.log.records import DriveTick, EpochBegun, Input, Ticked, changed
+from wcsim.log.records import DriveTick, EpochBegun, Input, changed
 from wcsim.types import Joystick, Outline, Street, UserView
 from wcsim.users.profiles import UserProfile
 from wcsim.users.user import SimulatedUser
@@ -36,7 +35,7 @@ def seen_drive(drive: DriveRecording) -> _SeenDrive:
     held: list[tuple[Street, Outline]] = []
 
     def look(world: World | None, record: Input) -> None:
-        if world is not None and isinstance(record, Ticked):
+        if world is not None and isinstance(record, DriveTick):
             views.append(world.view_of(0))
 
     with closing(replayed(drive, before=look)) as steps:
@@ -64,16 +63,16 @@ def with_shadow(seen: _SeenDrive, user: UserProfile) -> DriveRecording:
         wishes.append(shadow.intent)
         before = (tick.episode, view.route)
     ticks = tuple(changed(tick, intent=wish) for tick, wish in zip(seen.drive.ticks, wishes, strict=True))
-    return replace(seen.drive, ticks=_persons(seen.drive, ticks))
+    return replace(seen.drive, records=_persons(seen.drive, ticks))
 
 
 def _persons(drive: DriveRecording, ticks: tuple[DriveTick, ...]) -> tuple[DriveTick, ...]:
     """The ticks that the person drove, each stretch an episode: at times the simulated user beside may have."""
-    if not drive.about.accompanied:
+    if drive.about.profile:
         return ticks
     kept, episode, before = list[DriveTick](), -1, (-1, False)
     for was, tick in zip(drive.ticks, ticks, strict=True):
-        now = (was.episode, by_person(was))
+        now = (was.episode, was.by_person)
         if now[1]:
             episode += now != before
             kept.append(changed(tick, episode=episode))

@@ -1,4 +1,4 @@
-"""What was done to the world of a recorded drive, as the inputs that a journal would hold.
+"""What was done in a recorded drive, where it was driven, and who sits in it.
 
 The world asks its seat's user about the way, whoever drives. So a person's drive is the same again only with the same
 user beside: another one would arrive elsewhere, and press other buttons.
@@ -6,85 +6,48 @@ user beside: another one would arrive elsewhere, and press other buttons.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 from wcsim.bridge.replay.made_scene import made_scene_of, town_of_scene, user_of_scene
 from wcsim.bridge.world import World
-from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped
 from wcsim.errors import TownError
 from wcsim.log.drive import DriveRecording
-from wcsim.log.records import (
-    RESPAWN,
-    USER,
-    Admitted,
-    Dismissed,
-    DriveTick,
-    EpochBegun,
-    Header,
-    Input,
-    Note,
-    Respawned,
-    Ticked,
-    start_of_json,
-    ticked,
-)
+from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, changed
 from wcsim.towns.scenario.town import Town, content_hash, find_town
-from wcsim.types import Command, SeatSpec
-from wcsim.users.profiles import UserProfile, profile_of_json, profile_text
+from wcsim.types import SeatSpec
 from wcsim.users.recorded import RecordedUser
 from wcsim.users.user import SimulatedUser
 
 
-def drive_inputs(drive: DriveRecording, work: Path) -> Iterator[Input]:
-    """What was done in a drive, all in epoch 0 and on seat 0; whoever sits there is written into the folder `work`.
+def first_inputs(spec: SeatSpec, seed: int) -> tuple[Input, ...]:
+    """What the log of a drive begins with: the chair comes before the world, which begins with it."""
+    return Admitted(epoch=0, tick=0, seat=0, spec=spec), EpochBegun(epoch=0, seed=seed)
 
-    Raises ConfigError for a user that cannot be used here, JournalError for a start that is none.
+
+def drive_inputs(drive: DriveRecording) -> Iterator[Input]:
+    """What was done; the user of a generated scene, which its log does not name, sits where the scene was made again.
+
+    Raises TownError for a scene that cannot be made here.
     """
-    about = drive.about
-    spec = SeatSpec(profile=_user_of(drive, work), max_steps=about.max_steps, start=about.start)
-    yield Admitted(epoch=0, tick=0, seat=0, spec=spec)  # before the world, which begins with the chair in it
-    yield EpochBegun(epoch=0, seed=drive.header.seed)
-    asked = deque(event for event in drive.events if event.kind in (RESPAWN, USER))
-    for tick in drive.ticks:
-        now = tick.tick - 1
-        while asked and asked[0].tick <= now:
-            yield from _asked(asked.popleft(), now, spec, work)
-        yield ticked(0, tick.tick, (Command(seat=0, tick=now, joystick=tick.commanded),), "")
+    for record in drive.records:
+        if isinstance(record, Admitted) and not record.spec.profile:
+            yield changed(record, spec=replace(record.spec, profile=user_of_scene(made_scene_of(drive.about.scene))))
+        elif not isinstance(record, Note):
+            yield record
 
 
-def before_drive(
-    drive: DriveRecording, before: Callable[[World | None, Input], object]
-) -> Callable[[World | None, Input], object]:
-    """Before each tick who sits beside a person has the patience of then; then `before` is asked."""
-
-    def look(world: World | None, record: Input) -> None:
-        if world is not None and drive.about.accompanied and isinstance(record, Ticked):
-            let_wait(world.seats[0].user, patient=by_person(drive.tick_of(record)))
-        before(world, record)
-
-    return look
+def let_wait(world: World, drive: DriveRecording, record: Input) -> None:
+    """Before a tick who sits beside a person gets the patience of then."""
+    if isinstance(record, DriveTick) and not drive.about.profile:
+        set_patience(world.seats[0].user, patient=record.by_person)
 
 
-def let_wait(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
+def set_patience(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
     """A person has all the time in the world; a simulated user who drives gives up as its profile says."""
     if isinstance(user, SimulatedUser):
         user.patient = patient
-
-
-def by_person(tick: DriveTick) -> bool:
-    """Whether a person drove in a tick: what a simulated user wants is always known."""
-    return tick.intent is None
-
-
-def write_user(folder: Path, user: UserProfile) -> str:
-    """The file of a profile, as a seat names it."""
-    path = folder / f"{user.name}.toml"
-    path.write_text(profile_text(user, {}), encoding="utf-8")
-    return str(path)
 
 
 def town_of_drive(header: Header) -> Town:
@@ -113,23 +76,3 @@ def town_of_drive(header: Header) -> Town:
 
 def _made(scene: str) -> Town:
     return town_of_scene(made_scene_of(scene))
-
-
-def _user_of(drive: DriveRecording, work: Path) -> str:
-    there = drive.about.user or drive.about.beside
-    if not there and drive.about.scene:
-        return user_of_scene(made_scene_of(drive.about.scene))
-    if not there:
-        return f"{RECORDED}{drive.name}"
-    return write_user(work, profile_of_json(there, "the user in the drive"))
-
-
-def _asked(event: Note, now: int, spec: SeatSpec, work: Path) -> Iterator[Input]:
-    """What the person asked for between two ticks."""
-    if event.kind == RESPAWN:
-        start = start_of_json(event.detail) if event.detail else None
-        yield Respawned(epoch=0, tick=now, seat=0, start=start)
-        return
-    user = write_user(work, profile_of_json(event.detail, "a change of user in the drive"))
-    yield Dismissed(epoch=0, tick=now, seat=0)
-    yield Admitted(epoch=0, tick=now, seat=0, spec=replace(spec, profile=user))

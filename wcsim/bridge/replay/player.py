@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 from wcsim.bridge.replay.seat_world import MakesEpoch, SeatWorld, Specs
 from wcsim.errors import ReplayMismatchError, WcsimError
-from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Input, Respawned, Ticked
+from wcsim.log.records import Admitted, Dismissed, DriveTick, Ended, EpochBegun, Input, Respawned, Ticked, WorldTick
 
 W = TypeVar("W", bound=SeatWorld)
 
@@ -29,7 +29,7 @@ class Seats:
                 self.taken.pop(record.seat, None)
             case Respawned():
                 self.lives[record.seat] += 1
-            case Ticked():
+            case Ticked() | DriveTick():
                 self.lives.clear()
             case EpochBegun():
                 self.lives.clear()
@@ -80,8 +80,8 @@ class LogPlayer(Generic[W]):
         return self._world
 
 
-def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> None:
-    if isinstance(record, Ticked):
+def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | WorldTick) -> None:
+    if isinstance(record, WorldTick):
         world.tick(record.commands)
     elif isinstance(record, Admitted):
         world.admit(record.seat, record.spec)
@@ -91,8 +91,8 @@ def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> 
         world.respawn(record.seat, start=record.start)
 
 
-def _require_now(world: SeatWorld, record: Admitted | Dismissed | Respawned | Ticked) -> None:
-    here, ticks = world.snapshot, isinstance(record, Ticked)
+def _require_now(world: SeatWorld, record: Admitted | Dismissed | Respawned | WorldTick) -> None:
+    here, ticks = world.snapshot, isinstance(record, WorldTick)
     if (record.epoch, record.tick - ticks) != (here.epoch, here.tick):
         raise WcsimError(
             f"{type(record).__name__} of epoch {record.epoch}, tick {record.tick} follows epoch {here.epoch}, tick "

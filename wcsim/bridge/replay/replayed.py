@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
-from wcsim.bridge.replay.drive_inputs import before_drive, drive_inputs, town_of_drive
+from wcsim.bridge.replay.drive_inputs import drive_inputs, let_wait, town_of_drive
 from wcsim.bridge.replay.player import LogPlayer
 from wcsim.bridge.replay.seat_world import MakesEpoch
 from wcsim.bridge.sumo.run_place import RunPlace
@@ -16,7 +15,7 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError, WcsimError
 from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import iter_inputs, read_header
-from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked
+from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked, WorldTick
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, towns_hash
 
@@ -29,8 +28,11 @@ Before = Callable[[World | None, Input], object]
 
 
 def log_of(path: Path) -> Log:
-    """A file as what can be made again of it. Raises JournalError when it is no log, or a drive that is damaged."""
-    return read_drive(path) if read_header(path).kind == "drive" else path
+    """A file as what can be made again of it. Raises JournalError when it is none, or damaged."""
+    if read_header(path).kind == "drive":
+        return read_drive(path)
+    read_header(path, "journal")
+    return path
 
 
 def replayed(
@@ -56,15 +58,17 @@ def replayed(
     """
     header = read_header(log, "journal") if isinstance(log, Path) else log.header
     player = LogPlayer(worlds_of(header, hook), header.seats)
-    with tempfile.TemporaryDirectory(prefix="wcsim-user-") as work:
-        if isinstance(log, Path):
-            inputs, look = iter_inputs(log), before
-        else:
-            inputs, look = drive_inputs(log, Path(work)), before_drive(log, before)
-        try:
-            known = yield from _played(player, inputs, epoch, until_tick, look)
-        finally:
-            player.close()
+    inputs = iter_inputs(log) if isinstance(log, Path) else drive_inputs(log)
+
+    def look(world: World | None, record: Input) -> None:
+        if world is not None and isinstance(log, DriveRecording):
+            let_wait(world, log, record)
+        before(world, record)
+
+    try:
+        known = yield from _played(player, inputs, epoch, until_tick, look)
+    finally:
+        player.close()
     _require_epoch(log if isinstance(log, Path) else Path(log.name), epoch, known)
 
 
@@ -79,7 +83,7 @@ def _played(
         begins, wanted = isinstance(record, EpochBegun), epoch in (None, record.epoch)
         if begins:
             known.add(record.epoch)
-        late = isinstance(record, Ticked) and until_tick is not None and record.tick > until_tick
+        late = isinstance(record, WorldTick) and until_tick is not None and record.tick > until_tick
         if late or not wanted:
             player.close()
         if player.plays or (begins and wanted):

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wcsim.bridge.replay.drive_inputs import by_person
 from wcsim.bridge.replay.replayed import Log, replayed
 from wcsim.bridge.world import World
 from wcsim.log.drive import DriveRecording
-from wcsim.log.records import DriveTick, EpochBegun, Input, Ticked
+from wcsim.log.records import DriveTick, EpochBegun, Input, WorldTick
 from wcsim.types import ClientSnapshot, Joystick
 
 
@@ -23,7 +22,7 @@ class Verified:
 
     ticks: int = 0  # compared
     mismatches: int = 0
-    first: Ticked | None = None  # the first record that differs
+    first: WorldTick | None = None  # the first record that differs
     farthest_m: float = 0.0  # of a drive: between the two places of a tick
 
 
@@ -41,6 +40,7 @@ def verify(
     `progress` hears the number of ticks so far.
     """
     result, asked = Verified(), list[Joystick]()
+    of_person = isinstance(log, DriveRecording) and not log.about.profile
 
     def before(world: World | None, _: Input) -> None:
         if world is not None:
@@ -50,12 +50,12 @@ def verify(
         for world, record in steps:
             if isinstance(record, EpochBegun) and isinstance(log, DriveRecording):
                 world.go_blind()
-            if not isinstance(record, Ticked) or record.tick < first_tick:
+            if not isinstance(record, WorldTick) or record.tick < first_tick:
                 continue
-            if isinstance(log, DriveRecording):
-                tick, client = log.tick_of(record), world.snapshot.clients[0]
-                same = _is_same(log, tick, asked[0], client)
-                gap_m = math.dist(client.plant.p_WB_m.tolist(), tick.p_WB_m.tolist())
+            if isinstance(record, DriveTick):
+                client = world.snapshot.clients[0]
+                same = _is_same(record, client, None if of_person and record.by_person else asked[0])
+                gap_m = math.dist(client.plant.p_WB_m.tolist(), record.p_WB_m.tolist())
             else:
                 same, gap_m = record.state_hash == world.snapshot.state_hash, 0.0
             result = replace(
@@ -69,12 +69,13 @@ def verify(
     return result
 
 
-def _is_same(drive: DriveRecording, tick: DriveTick, asked: Joystick, client: ClientSnapshot) -> bool:
-    """Whether a drive's tick, which answered a stick, left the seat as it is recorded."""
-    about, plant, events = drive.about, client.plant, client.events
-    same = (about.accompanied and by_person(tick)) or asked == tick.stick
-    if about.user or about.accompanied:
-        ends = (events.arrived, events.gave_up, events.crashed, events.truncated)
-        same = same and ends == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
-    same = same and np.array_equal(plant.p_WB_m, tick.p_WB_m)
-    return same and (plant.yaw_rad, float(plant.v_B_mps[0])) == (tick.yaw_rad, tick.speed_mps)
+def _is_same(tick: DriveTick, client: ClientSnapshot, asked: Joystick | None) -> bool:
+    """Whether a drive's tick left the seat as it is recorded; `asked` is the stick of who was simulated."""
+    plant, events = client.plant, client.events
+    ends = (events.arrived, events.gave_up, events.crashed, events.truncated)
+    return (
+        asked in (None, tick.stick)
+        and ends == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
+        and np.array_equal(plant.p_WB_m, tick.p_WB_m)
+        and (plant.yaw_rad, float(plant.v_B_mps[0])) == (tick.yaw_rad, tick.speed_mps)
+    )

@@ -86,12 +86,12 @@ def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
     from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-    from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
+    from wcsim.bridge.replay.drive_inputs import town_of_drive
     from wcsim.users.fitting.fit_user import fit_user
     from wcsim.users.fitting.hand_series import check_stick
 
     for drive in drives:
-        check_stick(drive.name, [tick for tick in drive.ticks if by_person(tick) or not drive.about.accompanied])
+        check_stick(drive.name, drive.by_driver)
         town_of_drive(drive.header)
     print("replaying the drives, to see the street as their driver did", file=sys.stderr)
     seen = [seen_drive(drive) for drive in drives if drive.ticks]

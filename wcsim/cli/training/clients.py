@@ -40,7 +40,7 @@ from wcsim.log.writer import JOURNAL, LogWriter
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.ledger import LedgerWriter
+from wcsim.server.ledger import iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import Recovery
 from wcsim.server.transport.world_folder import workplace
@@ -165,19 +165,12 @@ def _mend(folder: ClientsFolder) -> None:
     """Cut off what was torn when a process died, and say so. Raises JournalError when something else is damaged."""
     path = folder.path / JOURNAL
     ledgers = [file for file in map(folder.ledger, folder.clients) if file.is_file()]
-    if not part_files(path) and any(file.stat().st_size for file in ledgers):
+    if not part_files(path) and any(True for file in ledgers for _ in iter_ledger(file)):
         raise JournalError(f"{path}: is missing, but the ledgers contain ticks; restore it, or start a new run")
-    if path.exists():
-        with LogWriter.append_to(path) as journal:
-            _say_torn(path, journal.cut_bytes)
-    for path in ledgers:
-        with LedgerWriter(path) as ledger:
-            _say_torn(path, ledger.cut_bytes)
-
-
-def _say_torn(path: Path, cut_bytes: int) -> None:
-    if cut_bytes:
-        print(f"wcsim: {told_torn(path, cut_bytes)}", file=sys.stderr)
+    for log in ([path] if path.exists() else []) + ledgers:
+        with LogWriter.append_to(log) as writer:
+            if writer.cut_bytes:
+                print(f"wcsim: {told_torn(log, writer.cut_bytes)}", file=sys.stderr)
 
 
 def _told(

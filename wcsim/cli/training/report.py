@@ -16,9 +16,10 @@ from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.errors import PolicyError, WcsimError
 from wcsim.log.parts import part_files
 from wcsim.log.reader import iter_inputs, log_digest
+from wcsim.log.records import SeenFrame
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import LaunchState
-from wcsim.server.ledger import Audit, LedgerEntry, audits, iter_ledger, ledger_facts
+from wcsim.server.ledger import Audit, audits, iter_ledger, ledger_facts
 from wcsim.view.report.learning_curve import crossing, read_training
 
 
@@ -100,7 +101,7 @@ def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes
     )
 
 
-def _entries(ledger: Path) -> Iterable[LedgerEntry]:
+def _entries(ledger: Path) -> Iterable[SeenFrame]:
     return iter_ledger(ledger) if ledger.is_file() else ()
 
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from msgspec.structs import replace
-
 from wcsim.bridge.drives.drive_header import drive_header
+from wcsim.bridge.replay.drive_inputs import first_inputs
 from wcsim.core.reading import escaped
-from wcsim.drive.driven import DriverKind, EventKind
+from wcsim.drive.driven import DriveRecord, DriverKind, EventKind
 from wcsim.drive.session import DriveSession
 from wcsim.errors import WcsimError
-from wcsim.log.records import MOST_DETAIL, DriveTick, Header, Note
+from wcsim.log.records import MOST_DETAIL, Admitted, Dismissed, DriveTick, Header, Input, Note, changed
 from wcsim.log.writer import LogWriter
 from wcsim.users.profiles import profile_json
 
@@ -45,20 +44,18 @@ class SessionRecorder:
         self._recorder: LogWriter | None = None
         self._header: Header | None = None  # of the world that is driven; None where nothing is kept of it
         self._file = ""
-        self._waiting: list[Note] = []  # from before the first tick, when there is no file yet
+        self._waiting: list[Input | Note] = []  # from before the first tick, when there is no file yet
         self._before, self._kept = session.ticks, 0
         self._begin()
 
-    def __call__(self, record: DriveTick | Note) -> None:
+    def __call__(self, record: DriveRecord) -> None:
         """Write it; a world's end is a file's end."""
-        if isinstance(record, DriveTick):
-            self._tick(record)
-        elif record.kind == EventKind.REBUILT:
+        if isinstance(record, Note) and record.kind == EventKind.REBUILT:
             self._end()
             self._before = record.tick
             self._begin()
         elif self._header is not None:
-            self._note(record)
+            self._keep(record)
 
     def close(self) -> None:
         """The file is whole; a second call does nothing."""
@@ -78,14 +75,13 @@ class SessionRecorder:
             session.place.town,
             session.place.config,
             session.place.seed,
-            session.place.spec,
-            None,
             policy=session.assistance.name,
             level="" if session.assistance.level is None else f"{session.assistance.level:g}",
             episode=session.place.episode,
-            beside="" if beside is None else profile_json(beside),
             scene=session.place.scene,
         )
+        sits = "" if beside is None else profile_json(beside)  # "": who sits in the scene, which is made again
+        self._waiting += first_inputs(replace(session.place.spec, profile=sits), session.place.seed)
         if not session.assistance.on:  # of what was switched before this world, its file would not know
             self._note_first(EventKind.ASSISTANCE, "off")
         if session.driver is DriverKind.SIMULATED:
@@ -110,37 +106,33 @@ class SessionRecorder:
         )
         return self._recorder
 
-    def _tick(self, driven: DriveTick) -> None:
-        if self._header is None:
-            return
-        try:
-            recorder = self._recorder or self._open(self._header)
-            recorder.append(replace(driven, **self._place(driven.tick)))
-            self._kept += 1
-        except WcsimError as error:
-            self._stop(str(error))
-
-    def _note(self, event: Note) -> None:
-        told = event.detail
-        if event.kind == EventKind.USER:
+    def _keep(self, record: DriveRecord) -> None:
+        if isinstance(record, Admitted):
             user = self._session.world.seats[0].profile
             if user is None:
                 self._stop(_RECORDED)
                 return
-            told = profile_json(user)
-        noted = replace(event, **self._place(event.tick), detail=told[:MOST_DETAIL])
-        if self._recorder is None:
-            self._waiting.append(noted)
+            self._write(Dismissed(epoch=0, tick=record.tick, seat=0))
+            record = changed(record, spec=replace(record.spec, profile=profile_json(user)))
+        elif isinstance(record, Note):
+            record = changed(record, detail=record.detail[:MOST_DETAIL])
+        self._write(record)
+
+    def _write(self, record: DriveRecord | Dismissed) -> None:
+        """Write it, with number and time in the file's world; what comes before the first tick waits for that."""
+        place: dict[str, float] = {"tick": record.tick - self._before}
+        if isinstance(record, DriveTick | Note):
+            place["time_s"] = place["tick"] * self._session.tick_s
+        record = changed(record, **place)
+        if self._recorder is None and not isinstance(record, DriveTick):
+            self._waiting.append(record)
             return
         try:
-            self._recorder.append(noted)
+            if self._header is not None:
+                (self._recorder or self._open(self._header)).append(record)
+                self._kept += isinstance(record, DriveTick)
         except WcsimError as error:
             self._stop(str(error))
-
-    def _place(self, tick: int) -> dict[str, float]:
-        """Number and time in the file's world of a tick of the drive, by their fields."""
-        tick -= self._before
-        return {"tick": tick, "time_s": tick * self._session.tick_s}
 
     def _note_first(self, kind: EventKind, told: str) -> None:
         self._waiting.append(Note(tick=0, time_s=0.0, kind=kind, detail=told))

@@ -15,8 +15,9 @@ from functools import partial
 
 from wcsim.core.closing import Closing
 from wcsim.errors import LinkClosedError, ProtocolError, ServerGoneError, WcsimError
+from wcsim.log.records import SeenFrame
+from wcsim.log.writer import LogWriter
 from wcsim.server.launch.awake_clock import AwakeClock
-from wcsim.server.ledger import LedgerEntry, LedgerWriter
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import ClientCore, Failed, FrameSeen, Outcome, Say, Welcomed
 from wcsim.types import ClientSnapshot, Joystick
@@ -151,7 +152,7 @@ class SeatGroup(Closing):
 class WorldLink(Seat):
     """One seat of a world elsewhere: a client core, driven by calls that wait; a transport carries its messages."""
 
-    def __init__(self, core: ClientCore, ledger: LedgerWriter | None = None) -> None:
+    def __init__(self, core: ClientCore, ledger: LogWriter | None = None) -> None:
         self.core = core
         self._ledger = ledger
         self._frame: ClientSnapshot | None = None
@@ -299,8 +300,7 @@ class WorldLink(Seat):
 
     def _see(self, seen: FrameSeen) -> None:
         if self._ledger is not None:
-            session = self.core.session
-            self._ledger.add(LedgerEntry(session=session, epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
+            self._ledger.append(SeenFrame(epoch=seen.epoch, tick=seen.tick, stepped=seen.stepped))
         self._steps += seen.stepped
         self._frame = self._open_frame(seen)
 

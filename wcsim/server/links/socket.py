@@ -20,7 +20,7 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from wcsim.errors import AccessError, ConfigError, ProtocolError
-from wcsim.server.ledger import LedgerWriter
+from wcsim.server.ledger import open_ledger
 from wcsim.server.links.base import WorldLink, new_session
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, ClientPhase, FrameSeen
@@ -68,7 +68,8 @@ class SocketSeat(WorldLink):
         try:
             self._socket = _connected(self._context, order)
             self._monitor = self._socket.get_monitor_socket(_REFUSED)
-            super().__init__(ClientCore(ask, order.patience, new_session), _ledger(order.ledger))
+            ledger = open_ledger(Path(order.ledger), order.name) if order.ledger else None
+            super().__init__(ClientCore(ask, order.patience, new_session), ledger)
         except BaseException:
             self._let_go()
             raise
@@ -193,10 +194,3 @@ def _connected(context: zmq.Context[zmq.Socket[bytes]], order: SeatRequest) -> z
             f"endpoint {order.endpoint!r}: {error.strerror}; expected ipc://FILE or tcp://HOST:PORT"
         ) from None
     return socket
-
-
-def _ledger(path: str) -> LedgerWriter | None:
-    try:
-        return LedgerWriter(Path(path)) if path else None
-    except OSError as error:
-        raise ConfigError(f"{path}: the ledger cannot be written ({error.strerror}); choose another place") from None

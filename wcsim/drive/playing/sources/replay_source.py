@@ -8,15 +8,17 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.bridge.replay.drive_inputs import by_person, town_of_drive
+from wcsim.bridge.replay.drive_inputs import town_of_drive
 from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
 from wcsim.bridge.world import World
 from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FrameMaker, Said, TickSays
 from wcsim.log.drive import DriveRecording
 from wcsim.log.reader import read_header
-from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked
+from wcsim.log.records import Admitted, DriveTick, EpochBegun, Header, Input, Note, Ticked, WorldTick
 from wcsim.server.specs import town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.types import Command, Joystick
@@ -36,7 +38,7 @@ def replay_about(header: Header, ticks: int, *, epoch: int | None = None, live: 
     about, maps, config = header.drive, list[str](), config_of(header)
     if about is not None:
         town = town_of_drive(header).address
-        title = f"drive in {header.town_name}: {about.profile}"
+        title = f"drive in {header.town_name}: {about.driver}"
         title += f", assisted by {about.policy}" if about.policy else ""
     else:
         town = header.town
@@ -87,12 +89,12 @@ class RecordScene:
                 if self._drive is None:
                     yield FilmLine(kind="mark", told=f"World {record.epoch} starts.")
                 else:
-                    yield FilmNames(names={0: self._drive.about.profile})
+                    yield FilmNames(names={0: self._drive.about.driver})
             case Admitted() if self._drive is None:
                 if self._names.get(record.seat) != record.name:
                     self._names[record.seat] = record.name
                     yield FilmNames(names=dict(self._names))
-            case Ticked():
+            case Ticked() | DriveTick():
                 yield self._frame(world, record)
         self._maker.begin(world)
         self._asked = {client.seat: (client.first or client).user for client in world.snapshot.clients}
@@ -103,16 +105,15 @@ class RecordScene:
             return told
         return f"{told} {self.differs} ticks differ: it was made with other versions or on another machine."
 
-    def _frame(self, world: World, record: Ticked) -> FilmFrame:
+    def _frame(self, world: World, record: WorldTick) -> FilmFrame:
         now = world.snapshot
         self._maker.look(world)
-        if self._drive is not None and self._decides is not None:
-            tick = self._drive.tick_of(record)
-            self.differs += tuple(now.clients[0].plant.p_WB_m.tolist()) != tuple(tick.p_WB_m.tolist())
-            return self._maker.frame(now, {0: self._decides.says(tick)})
+        if isinstance(record, DriveTick):
+            self.differs += not np.array_equal(now.clients[0].plant.p_WB_m, record.p_WB_m)
+            said = TickSays() if self._decides is None else self._decides.says(record)
+            return self._maker.frame(now, {0: said})
         self.differs += record.state_hash != now.state_hash
-        said = {command.seat: self._says(command) for command in record.commands}
-        return self._maker.frame(now, said)
+        return self._maker.frame(now, {command.seat: self._says(command) for command in record.commands})
 
     def _says(self, command: Command) -> TickSays:
         asked, given = self._asked.get(command.seat), command.joystick
@@ -128,7 +129,7 @@ class _WhoDecides:
 
     def __init__(self, drive: DriveRecording) -> None:
         about = drive.about
-        self._events, self._hands_over = deque(drive.events), about.accompanied and bool(about.episode)
+        self._events, self._hands_over = deque(drive.events), not about.profile and bool(about.episode)
         self._assisted, self._simulated = True, False
         self._can_assist = about.policy not in ("", UNAIDED)
 
@@ -146,7 +147,7 @@ class _WhoDecides:
             intervening=tick.intervening,
             overruled=tick.overruled,
             helped=tick.helped,
-            alone=self._hands_over and not self._simulated and not by_person(tick),
+            alone=self._hands_over and not self._simulated and not tick.by_person,
             unaided=not (self._can_assist and self._assisted),
         )
 
