@@ -17,7 +17,7 @@ from wcsim.core.files import numbered_names
 from wcsim.core.frames import deg
 from wcsim.core.reading import counted
 from wcsim.drive import messages as m
-from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, xy_of
+from wcsim.drive.driven import DriveRecord, DriverKind, EventKind, xy_of
 from wcsim.drive.page_runner import Does, PageRunner, run_page
 from wcsim.drive.pictures import StreetPictures, moment_of
 from wcsim.drive.recording.open_study import OpenStudy
@@ -28,7 +28,7 @@ from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
 from wcsim.errors import WcsimError
-from wcsim.log.records import Note
+from wcsim.log.records import DriveTick, Note
 from wcsim.towns.scenario.town import list_towns
 from wcsim.types import Joystick
 from wcsim.types.chair import AT_REST
