@@ -13,7 +13,6 @@ from tests.cli.conftest import QUICK, Result, files_in
 from tests.cli.towns import FAULTS, TINY_BBOX, broken, tiny_osm
 
 SHORT_TRAINING = (*QUICK, "--set", "learn.total_steps=8", "--set", "learn.phase1_steps=4")
-BELOW_A_FILE = "file/x"
 """A place that cannot be written: below a file. (A folder without write permission stops nobody who is root.)"""
 
 

@@ -32,7 +32,6 @@ IDEAS: Final[dict[str, tuple[str, ...]]] = {
         "wcsim/agents/danger/learner.py",
     ),
 }
-_WITH_RECORDINGS: Final = ("bridge.recording", "bridge.town_run", "bridge.drives")
 # The importing modules, what they should not import, and what is left out of the first, by the beginning of names.
 BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]]] = {
     "world -> recordings": (

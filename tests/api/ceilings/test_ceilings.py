@@ -8,6 +8,9 @@ import pytest
 
 from tests.api.ceilings import measures, table
 
+# Pages are templates and no code; one example writes a dataset of the field; what only measures left the package.
+RAISED = ("templates: lines", "examples: code lines", "benchmarks: code lines")
+
 
 @pytest.fixture(scope="module")
 def now() -> dict[str, float]:
@@ -25,7 +28,7 @@ def test_a_number_that_grows_or_falls_is_noticed(row: table.Row, now: dict[str, 
     grown, fallen = table.faults(now, (low, high))
     assert grown.startswith(f"{row.name}: ") and "expected at most" in grown
     assert fallen.startswith(f"{row.name}: ") and "lower it" in fallen
-    assert row.ceiling <= row.first
+    assert row.ceiling <= row.first or row.name in RAISED
 
 
 def test_tokens_are_counted_and_neither_docstrings_nor_joined_lines_matter() -> None:

@@ -10,11 +10,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from wcsim.bridge.world_rollout import rollout
 from wcsim.errors import LinkClosedError, ProtocolError, TickTimeoutError
 from wcsim.server.host.made_world import made_world
 from wcsim.server.links.base import INTERRUPTED, Seat, SeatGroup, Waits
 from wcsim.server.specs import WorldOrder
-from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
+from wcsim.types import ClientSnapshot, Joystick, SeatSpec
 
 
 class LocalWorld:
@@ -22,7 +23,7 @@ class LocalWorld:
 
     def __init__(self, order: WorldOrder) -> None:
         self.world = made_world(order)
-        self.commands: dict[int, Command] = {}  # of the tick to come, by seat
+        self.sticks: dict[int, Joystick] = {}  # of the tick to come, by seat
         self.torn = False  # an interrupt or an error came while the world changed
         self.waits = Waits()
 
@@ -39,7 +40,7 @@ class LocalWorld:
 
     def tick(self) -> None:
         """Carry the world on. Raises TickTimeoutError when a seat has not said what it does."""
-        late = [str(seat.index) for seat in self.world.seats if seat.index not in self.commands]
+        late = [str(seat.index) for seat in self.world.seats if seat.index not in self.sticks]
         if late:
             raise TickTimeoutError(
                 f"the tick waits for seat {', '.join(late)}; in one process no other seat can act meanwhile: send for "
@@ -47,10 +48,13 @@ class LocalWorld:
             )
         begun_s = time.perf_counter()
         with self.changing():
-            self.world.tick([self.commands[seat] for seat in sorted(self.commands)])
-        self.commands.clear()
+            next(rollout(self.world, dict.fromkeys(self.sticks, self._said)))
+        self.sticks.clear()
         took_s = time.perf_counter() - begun_s + self.waits.link_s
         self.waits = Waits(steps=self.waits.steps + 1, simulation_s=took_s, link_s=took_s)
+
+    def _said(self, now: ClientSnapshot) -> Joystick:
+        return self.sticks[now.seat]
 
 
 class LocalSeat(Seat):
@@ -74,16 +78,16 @@ class LocalSeat(Seat):
 
     def send(self, tick: int, joystick: Joystick) -> None:
         """See `Seat`."""
-        commands, now = self._open().commands, self._home.world.snapshot.tick
+        sticks, now = self._open().sticks, self._home.world.snapshot.tick
         if self.interrupted:
             raise ProtocolError(INTERRUPTED)
         if tick != now:
             raise ProtocolError(f"an action for tick {tick}; the seat is at tick {now}")
-        commands[self.seat] = Command(seat=self.seat, tick=tick, joystick=joystick)
+        sticks[self.seat] = joystick
 
     def receive(self) -> ClientSnapshot:
         """See `Seat`."""
-        if self.seat in self._open().commands:
+        if self.seat in self._open().sticks:
             self._home.tick()
         frame = self._home.frame(self.seat)
         if frame is None:
@@ -104,7 +108,7 @@ class LocalSeat(Seat):
     @property
     def interrupted(self) -> bool:
         """See `Seat`."""
-        return self._home.torn or self.seat in self._home.commands
+        return self._home.torn or self.seat in self._home.sticks
 
     @property
     def epoch(self) -> int:
@@ -119,7 +123,7 @@ class LocalSeat(Seat):
     def close(self) -> None:
         """Take the chair out of the street; a second call does nothing."""
         if not self._closed and self._home.frame(self.seat) is not None:
-            self._home.commands.pop(self.seat, None)
+            self._home.sticks.pop(self.seat, None)
             self._home.world.dismiss(self.seat)
         self._closed = True
 
