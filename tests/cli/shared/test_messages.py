@@ -124,7 +124,8 @@ def test_an_item_that_a_list_has_not_is_named_with_those_it_has(wcsim, folder):
 
 def test_a_drive_that_cannot_be_kept_is_refused_before_anything_is_loaded(wcsim, folder):
     Path("file").write_text("a file, not a folder")
-    refused(wcsim("drive", "--record", "file/a.drive"), f"{folder / 'file'} cannot be written to", "with --record")
+    told = f"{folder / 'file'} is not a folder that can be written to"
+    refused(wcsim("drive", "--record", "file/a.drive"), told, "with --record")
     refused(wcsim("drive", "--record", "file"), "--record file exists; expected the name of a new file")
 
 
