@@ -15,8 +15,7 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, _teacher_actions, aid_loss, relabelled
 from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
-from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.safe_actions import AdviceBatch
+from wcsim.agents.replay.buffer import AdviceBatch, FrameReplay
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set

@@ -32,13 +32,13 @@ IDEAS: Final[dict[str, tuple[str, ...]]] = {
         "wcsim/agents/danger/learner.py",
     ),
 }
-_WITH_RECORDINGS: Final = ("bridge.recording", "bridge.town_run", "bridge.drives")
+_WITH_RECORDINGS: Final = ("bridge.recording", "bridge.town_run", "bridge.user_drives")
 # The importing modules, what they should not import, and what is left out of the first, by the beginning of names.
 BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]]] = {
     "world -> recordings": (
         ("bridge",),
         ("bridge.recording",),
-        ("bridge.recording", "bridge.town_run", "bridge.drives"),
+        ("bridge.recording", "bridge.town_run", "bridge.user_drives"),
     ),
     "world -> a user's recordings": (("bridge.ego", "bridge.world"), ("users.recorded", "log.drive"), ()),
     "users -> recordings": (("users",), ("log",), ("users.fitting",)),

@@ -36,9 +36,8 @@ from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, aid_loss, relabelle
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
-from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.replay.buffer import AdviceBatch, FrameReplay
 from wcsim.agents.replay.groups import SequenceBatch
-from wcsim.agents.replay.safe_actions import AdviceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError

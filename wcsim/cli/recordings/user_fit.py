@@ -85,8 +85,8 @@ def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
 
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
-    from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-    from wcsim.bridge.replay.drive_inputs import town_of_drive
+    from wcsim.bridge.replay.replayed import town_of_drive
+    from wcsim.bridge.user_drives import seen_drive, with_shadow
     from wcsim.users.fitting.fit_user import fit_user
     from wcsim.users.fitting.hand_series import check_stick
 

@@ -50,7 +50,7 @@ def run(options: UserRecordOptions) -> int:
     config = resolve("quick", (*SMALL_CAMERA, *options.set))
     town = find_town(options.town)
 
-    from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user  # loads the simulators
+    from wcsim.bridge.user_drives import UserDriveOrder, drawn_user, record_user  # loads the simulators
 
     user, ticks = drawn_user(base, options.seed), max(2, round(60.0 * options.minutes / config.world.tick_s))
 

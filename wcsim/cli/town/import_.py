@@ -20,8 +20,7 @@ from wcsim.cli.town.stage_costs import StageClock
 from wcsim.cli.town.town_check import checked, told_report
 from wcsim.errors import ConfigError
 from wcsim.towns.importing.adopt import adopt_scenario
-from wcsim.towns.osm.area import Box
-from wcsim.towns.osm.read import download
+from wcsim.towns.osm.read import Box, download
 from wcsim.towns.scenario.town import Town
 from wcsim.types import Street
 

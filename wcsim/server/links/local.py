@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from wcsim.errors import LinkClosedError, ProtocolError, TickTimeoutError
-from wcsim.server.host.made_world import made_world
+from wcsim.server.host.recovery import made_world
 from wcsim.server.links.base import INTERRUPTED, Seat, SeatGroup, Waits
 from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
