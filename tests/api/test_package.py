@@ -244,7 +244,6 @@ SAME_FILE_NAME = {
     "camera": "the sensor, and the script of its benchmark",
     "chair": "its section of a run file, what crosses borders of it, and its command",
     "checkpoint": "of any run, and what a Q-learner puts into it",
-    "command": "the commands of a group",
     "drive": "a block of a suite, a recording, and the command on whose page a person drives",
     "drives": "of the users' benchmark, and of the crashes'",
     "files": "written whole, and of a scenario",
@@ -264,6 +263,7 @@ SAME_FILE_NAME = {
     "street": "what crosses borders of it, and how it is built",
     "table": "of users, and of chairs",
     "train": "the loop, and the command",
+    "users": "their commands, and the script of their benchmark",
     "watch": "who notes crashes, and the command",
     "world": "its section of a run file, and the world",
 }

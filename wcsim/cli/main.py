@@ -129,7 +129,7 @@ SUBCOMMANDS = (
     Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
     Subcommand("scene", "scene", "towns", "run short street scenes with a fixed seed"),
     Subcommand("drive", "drive", "people", "drive a wheelchair yourself in your browser"),
-    Subcommand("users", "recordings.command", "people", "record a simulated user, fit a user to recordings"),
+    Subcommand("users", "recordings.users", "people", "record a simulated user, fit a user to recordings"),
     Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
     Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
     Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),

@@ -20,7 +20,7 @@ from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.rounds import recorded_ride
 from wcsim.agents.rounds.recorded_ride import RecordedRide
-from wcsim.cli.recordings.user_record import SMALL_CAMERA
+from wcsim.cli.recordings.users import SMALL_CAMERA
 from wcsim.cli.training import export
 from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule

@@ -43,7 +43,7 @@ from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, InterruptedRunError
 from wcsim.server.workers.crew import WorkerNow
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.list_file import Suite
     from wcsim.agents.evaluation.suite.records import EpisodeRecord
     from wcsim.agents.evaluation.suite.result_files import TestResult
