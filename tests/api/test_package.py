@@ -247,7 +247,6 @@ SAME_FILE_NAME = {
     "drive": "a block of a suite, a recording, and the command on whose page a person drives",
     "drives": "of the users' benchmark, and of the crashes'",
     "files": "written whole, and of a scenario",
-    "make": "a list of a suite, and the command of a town",
     "messages": "between clients and a server, and between a page and its drive",
     "overrides": "of a scenario's options, and of a run's settings",
     "parts": "of a message, and of the barrier's benchmark",

@@ -31,7 +31,7 @@ _PATHS: Final = frozenset(
 )
 _NOTHING: Final = Path(os.devnull)
 _LEAST_COLUMNS: Final = 40
-_PACKAGE: Final = Path(__file__).parents[2]
+_PACKAGE: Final = Path(__file__).parents[1]
 
 
 def require_streams() -> None:
