@@ -218,7 +218,7 @@ def main() -> None:
     parser.add_argument("--town", default="helsinki", help="of the reference steps")
     asked = parser.parse_args()
     from wcsim.agents.evaluation.suite.named_policy import open_named  # these load the simulators
-    from wcsim.agents.rounds.reference_ride import reference_ride
+    from wcsim.agents.rounds.recorded_ride import reference_ride
 
     run = open_run(asked.run)
     ride = reference_ride(asked.town, run.config, 200, open_named(str(asked.run), run.config, 0))

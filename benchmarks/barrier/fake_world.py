@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wcsim.bridge.replay.seat_world import Specs
+from wcsim.bridge.replay.player import Specs
 from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.errors import ProtocolError
 from wcsim.physics.buffers import ImageSink, SeatBuffers, new_images

@@ -18,7 +18,7 @@ import msgspec
 import zmq
 
 from benchmarks.barrier.fake_world import FakeWorld
-from wcsim.bridge.replay.seat_world import Specs
+from wcsim.bridge.replay.player import Specs
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.socket import open_seat

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from benchmarks.crashes.records import Crash, Episode, LostControl
 from benchmarks.crashes.watch import SeatWatch
-from wcsim.agents.evaluation.intervals import garwood
+from wcsim.agents.evaluation.suite.rows import garwood
 from wcsim.agents.policy_api import SeesTruth
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig

@@ -12,7 +12,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.cli.shared.common import (
     MAX_SEED,
     Keys,

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
 
-from wcsim.agents.envs.frame_window import FrameWindow, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
 from wcsim.agents.learning.callbacks import TrainingLogs
 from wcsim.agents.learning.checkpoint import restoring
 from wcsim.agents.learning.metrics import STEP_COLUMNS, MetricsFile

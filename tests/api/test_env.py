@@ -307,7 +307,7 @@ def test_so_it_is_where_the_world_is_a_process_of_its_own(corner, monkeypatch):
         first.reset(seed=2)
         env = other.unwrapped
         env.reset()
-        with interrupted(monkeypatch, "wcsim.server.links.child_world.ChildSeat._pump"):
+        with interrupted(monkeypatch, "wcsim.server.links.socket.ChildSeat._pump"):
             env.step(40)
         env.reset()
         env.step(40)

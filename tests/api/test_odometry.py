@@ -14,7 +14,7 @@ from wcsim.agents.envs.episode_view import Chair
 from wcsim.agents.envs.parallel_env import StreetParallelEnv
 from wcsim.agents.envs.vec_env import StreetVecEnv
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
-from wcsim.bridge.replay.verify import verify
+from wcsim.bridge.replay.replayed import verify
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ConfigMismatchError
 from wcsim.server.links.base import WorldLink

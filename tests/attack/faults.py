@@ -21,7 +21,7 @@ from tests.attack.files.damage import flipped, pick
 from wcsim.agents.clients.group_run import open_clients_folder
 from wcsim.agents.clients.paid_times import PaidTimes
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.training.report import TickRate, report_of
+from wcsim.cli.training.clients import TickRate, report_of
 from wcsim.errors import WcsimError
 from wcsim.log.reader import iter_inputs
 from wcsim.log.records import Ticked

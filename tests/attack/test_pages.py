@@ -22,7 +22,7 @@ from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.drive.playing.play_messages import FailedLine, film_about
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.demo_page import DemoShown, write_demo_page
+from wcsim.view.report.suite_page import DemoShown, write_demo_page
 
 pytestmark = [
     pytest.mark.browser,

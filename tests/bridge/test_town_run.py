@@ -8,8 +8,8 @@ import pytest
 from tests.support.worlds import quick_config
 from tests.towns.made import hostile
 from wcsim.bridge.reaction.articulated import Articulation
-from wcsim.bridge.recording.fcd import write_fcd
 from wcsim.bridge.recording.states import state_of
+from wcsim.bridge.replay.convert import write_fcd
 from wcsim.bridge.town_run import TRACE, RecordOrder, _check_mirrored, as_recorded, record_town
 from wcsim.bridge.world import World
 from wcsim.errors import SumoError, TownError

@@ -15,8 +15,7 @@ from tests.drive.lookers import Breaks, BreaksAtOnce, Noted, as_said
 from wcsim.drive import messages as m
 from wcsim.drive import runner as runner_module
 from wcsim.drive.driven import EventKind
-from wcsim.drive.page_runner import DONE, JSON, LINE, PICTURES
-from wcsim.drive.runner import DriveRunner, drive_about, drive_state
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveRunner, drive_about, drive_state
 from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.types import ClassId, Joystick

@@ -8,11 +8,11 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from wcsim.bridge.replay.seat_world import SeatWorld
+from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import TickTimeoutError
 from wcsim.server.host.world_host import WorldHost
 from wcsim.server.links.base import WorldLink, new_session
-from wcsim.server.links.child_world import private_rules
+from wcsim.server.links.socket import private_rules
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received

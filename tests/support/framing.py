@@ -8,8 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from wcsim.log.framing import crc_of, framed, whole_records
-from wcsim.log.parts import part_files
-from wcsim.log.reader import LogScan
+from wcsim.log.reader import LogScan, part_files
 from wcsim.log.records import Header, LogRecord
 
 

@@ -10,8 +10,8 @@ from wcsim.agents.evaluation.suite.playback import PlayedStep
 from wcsim.supervisor.observation import encode_depth
 from wcsim.supervisor.palette import COLOURS
 from wcsim.types import ClassId, Joystick
+from wcsim.view.filming import around_picture, film_steps, seen_picture
 from wcsim.view.map import MapView
-from wcsim.view.moments import around_picture, film_steps, seen_picture
 from wcsim.view.pictures import depth_colours
 
 

@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tools.pages import table
-from wcsim.agents.evaluation.intervals import bootstrapped, garwood
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import ResultRow
+from wcsim.agents.evaluation.suite.rows import ResultRow, bootstrapped, garwood
 from wcsim.core import seeding
 from wcsim.users.profiles import HELD_OUT
 

@@ -36,7 +36,7 @@ UPPER_BOUNDS: Final = (VISIBLE_BOUND, UPPER_BOUND)
 
 LEVELLED: Final = "dwa"
 VETO: Final = "veto:"
-"""Before a policy's name: `dwa` forbids what it holds for unsafe, see `policies/veto.py`."""
+"""Before a policy's name: `dwa` forbids what it holds for unsafe, see `policies/dwa.py`."""
 SERVED: Final = "tcp:"
 """Before the address of a process that serves a policy, see `policies/served_policy.py`."""
 MODEL_FILE: Final = "policy.onnx"

@@ -17,8 +17,7 @@ import numpy as np
 
 from wcsim.bridge import mirror
 from wcsim.bridge.ego.contact_ahead import meets_body
-from wcsim.bridge.ego.ego import XY, Ego
-from wcsim.bridge.ego.ego_slots import EgoSlots, hook_chair
+from wcsim.bridge.ego.ego import XY, Ego, EgoSlots, hook_chair
 from wcsim.bridge.epoch import Epoch, new_epoch
 from wcsim.bridge.reaction.commands import in_street
 from wcsim.bridge.recording.states import state_hash

@@ -9,8 +9,7 @@ import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
 from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, SomeTown, parse, says
-from wcsim.cli.shared.named_policies import require_driver
-from wcsim.cli.shared.run_config import require_user
+from wcsim.cli.shared.run_config import require_driver, require_user
 from wcsim.core.files import check_new_file
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town

@@ -20,8 +20,7 @@ from wcsim.cli.shared.common import (
     result_file,
     tell_made,
 )
-from wcsim.cli.shared.named_policies import require_driver
-from wcsim.cli.shared.run_config import require_user
+from wcsim.cli.shared.run_config import require_driver, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town

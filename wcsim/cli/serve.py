@@ -18,10 +18,9 @@ from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
-from wcsim.log.parts import part_files
+from wcsim.log.reader import part_files
 from wcsim.log.records import MOST_SEATS
-from wcsim.log.torn import told_torn
-from wcsim.log.writer import JOURNAL, LogWriter
+from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
 from wcsim.server.protocol.events import Rules, rejoin_within

@@ -8,11 +8,8 @@ from __future__ import annotations
 from wcsim.config.base import Finite, Model, NotNegative, Share, Text
 from wcsim.config.chair import PROFILE_SPEED_MPS, ChairConfig
 from wcsim.config.env import LEAST_WINDOW, EnvConfig, JoystickDistance, RewardConfig, Window
-from wcsim.config.learning.collect import CollectConfig
-from wcsim.config.learning.danger import DangerConfig
-from wcsim.config.learning.learn import LearnConfig
+from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
 from wcsim.config.load import CONFIG_FILE, parse, parse_json, read_toml, resolve
-from wcsim.config.randomization import VaryConfig
 from wcsim.config.run import MAX_SEEN_PX, RunConfig
 from wcsim.config.scene import TownFile
 from wcsim.config.sensors import (
@@ -25,7 +22,7 @@ from wcsim.config.sensors import (
     SensorConfig,
     SensorsConfig,
 )
-from wcsim.config.world import STREETS, WorldConfig
+from wcsim.config.world import STREETS, VaryConfig, WorldConfig
 
 __all__ = (
     "CONFIG_FILE",

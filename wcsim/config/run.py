@@ -10,16 +10,13 @@ from pydantic import Field, model_validator
 from wcsim.config.base import Model
 from wcsim.config.chair import ChairConfig
 from wcsim.config.env import EnvConfig, RewardConfig
-from wcsim.config.learning.collect import CollectConfig
-from wcsim.config.learning.danger import DangerConfig
-from wcsim.config.learning.learn import LearnConfig
-from wcsim.config.randomization import VaryConfig
+from wcsim.config.learn import CollectConfig, DangerConfig, LearnConfig
 from wcsim.config.sensors import (
     CameraConfig,
     ImuConfig,
     SensorsConfig,
 )
-from wcsim.config.world import EPOCH_TICKS, WorldConfig
+from wcsim.config.world import EPOCH_TICKS, VaryConfig, WorldConfig
 
 _EPOCH_EPISODES = 10  # of the longest kind, in the life of a shared world
 

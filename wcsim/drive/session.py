@@ -13,7 +13,7 @@ import numpy as np
 
 from wcsim.agents.envs.episode_view import Chair
 from wcsim.bridge.ego.start_place import bearing_rad
-from wcsim.bridge.replay.drive_inputs import set_patience
+from wcsim.bridge.replay.replayed import set_patience
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.closing import Closing

@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.drive import BlockOrder, in_scene, open_tight
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
-from wcsim.bridge.replay.made_scene import MadeScene
+from wcsim.bridge.replay.replayed import MadeScene
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding

@@ -1,8 +1,14 @@
-"""Reading logs, which somebody else may have written: record by record, checked, up to the last whole one."""
+"""Reading logs, which somebody else may have written: record by record, checked, up to the last whole one.
+
+A journal of a long run lies in parts: what ended as planned is put aside, so that the file in use stays short.
+`journal` is the part that is being written, `journal.00001`, `journal.00002`, ... are those before it.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import os
+import re
 import struct
 from collections.abc import Iterator
 from itertools import chain
@@ -12,7 +18,6 @@ from typing import BinaryIO, Final
 from wcsim.core.reading import FileKind, escaped, opened
 from wcsim.errors import FileError, JournalError, WcsimError
 from wcsim.log.framing import torn_bytes, whole_records
-from wcsim.log.parts import part_files
 from wcsim.log.records import (
     ActorBody,
     Header,
@@ -29,6 +34,36 @@ from wcsim.log.records import (
     record_of,
     told_apart,
 )
+
+_DIGITS = 5
+
+
+def part_files(path: Path) -> tuple[Path, ...]:
+    """The parts of a journal that are there, the oldest first and the one in use last.
+
+    >>> part_files(Path("nowhere/journal"))
+    ()
+    """
+    aside = re.compile(rf"{re.escape(path.name)}\.[0-9]{{{_DIGITS},}}")
+    try:
+        before = sorted((part for part in path.parent.iterdir() if aside.fullmatch(part.name)), key=_number)
+    except OSError:
+        before = []
+    return (*before, path) if os.path.lexists(path) else tuple(before)
+
+
+def put_aside(path: Path) -> Path:
+    """Give the part in use the next number; returns its new name. Nobody may have it open for writing."""
+    before = [part for part in part_files(path) if part != path]
+    number = 1 + (_number(before[-1]) if before else 0)
+    aside = path.with_name(f"{path.name}.{number:0{_DIGITS}d}")
+    path.rename(aside)
+    return aside
+
+
+def _number(part: Path) -> int:
+    return int(part.name.rpartition(".")[2])
+
 
 LOG_FILE: Final = FileKind(what="a log written by wcsim", limit_bytes=1 << 62, error=JournalError)
 _IN_MEMORY_BYTES: Final = 4 << 30  # of a file whose states or ticks are read at once
@@ -143,7 +178,7 @@ def iter_inputs(path: Path, ticks: bool = True) -> Iterator[Input]:
 
 
 def inputs_of_part(path: Path, ticks: bool = True) -> Iterator[Input]:
-    """As `iter_inputs`, of one part of a journal alone (`log/parts.py`)."""
+    """As `iter_inputs`, of one part of a journal alone (`log/reader.py`)."""
     return (record for record in LogScan(path, "journal").records(ticks) if isinstance(record, Input))
 
 

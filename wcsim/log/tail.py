@@ -11,8 +11,7 @@ from typing import BinaryIO, Final
 from wcsim.core.closing import Closing
 from wcsim.core.reading import opened
 from wcsim.log.framing import torn_bytes, whole_records
-from wcsim.log.parts import part_files
-from wcsim.log.reader import LOG_FILE, damaged, read_first, read_record
+from wcsim.log.reader import LOG_FILE, damaged, part_files, read_first, read_record
 from wcsim.log.records import Header, Input
 
 _LOCKS: Final = Path("/proc/locks")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from wcsim.agents.danger.rule import RECENT_TICKS, choose, next_recent, within
+from wcsim.agents.danger.policy import RECENT_TICKS, choose, next_recent, within
 from wcsim.config.run_file import DangerRule
 from wcsim.supervisor.actions import action_set
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from tests.support.worlds import quick_config
 from wcsim.agents.collecting.data_folder import SAFE, Segment
-from wcsim.agents.danger.rule import choose
+from wcsim.agents.danger.policy import choose
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.policies.depth_check import viewing_rays
 from wcsim.agents.policies.dynamic_window.arcs import advance

@@ -2,7 +2,7 @@
 
 import pytest
 
-from wcsim.agents.evaluation.intervals import FEWEST, at_most, bootstrapped, garwood, mcnemar, wilson
+from wcsim.agents.evaluation.suite.rows import FEWEST, at_most, bootstrapped, garwood, mcnemar, wilson
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ import torch
 
 from wcsim.agents.danger.dataset import to_tensors
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.rule import choose, next_recent, within
+from wcsim.agents.danger.policy import DangerPolicy, choose, next_recent, within
 from wcsim.agents.danger.street_map import FeatureExtractor
 from wcsim.agents.export.policy_graphs import DangerGraph, Drive
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve

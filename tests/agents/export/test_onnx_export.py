@@ -12,7 +12,7 @@ import pytest
 
 from tests.agents.export.test_danger_graph import CONFIG, network, ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
-from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.guard import MEANING, GuardedPolicy, guard_of

@@ -16,7 +16,7 @@ from torch import nn
 from tests.agents.export.test_danger_graph import ride
 from tests.agents.export.test_guarded_policy import EXAMPLE
 from tests.agents.toy import ToyStreet, WindowedStreet, toy_camera
-from wcsim.agents.envs.frame_window import FrameWindow
+from wcsim.agents.envs.episode_view import FrameWindow
 from wcsim.agents.evaluation.suite.named_policy import open_named
 from wcsim.agents.export import onnx_export
 from wcsim.agents.export.export_folder import WRITTEN

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.agents.toy import ToyStreet, a_run, toy_camera
-from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.learning.saved_policy import load_policy

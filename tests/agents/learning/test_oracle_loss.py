@@ -13,10 +13,15 @@ import wcsim.agents.learning.seqdqn as seqdqn
 from tests.agents.toy import ToyStreet, memory_of, toy_camera
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
-from wcsim.agents.learning.oracle_loss import MARGIN_OFFSET, _teacher_actions, aid_loss, relabelled
-from wcsim.agents.learning.seqdqn import _mirror_advice, _mirror_batch
-from wcsim.agents.replay.buffer import FrameReplay
-from wcsim.agents.replay.safe_actions import AdviceBatch
+from wcsim.agents.learning.seqdqn import (
+    MARGIN_OFFSET,
+    _mirror_advice,
+    _mirror_batch,
+    _teacher_actions,
+    aid_loss,
+    relabelled,
+)
+from wcsim.agents.replay.buffer import AdviceBatch, FrameReplay
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set

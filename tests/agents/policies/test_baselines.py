@@ -9,7 +9,7 @@ from tests.support.samples import USUAL_OUTLINE
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import CorridorWatch, _in_corridor, viewing_rays
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUND, VISIBLE_BOUND, SeesTruth
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set

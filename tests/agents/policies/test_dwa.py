@@ -16,7 +16,7 @@ from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touche
 from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S, StepMap
 from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CameraConfig, ChairConfig, RunConfig, resolve
 from wcsim.core.joystick import limits_of
 from wcsim.errors import PolicyError

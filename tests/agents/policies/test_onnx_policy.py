@@ -15,7 +15,7 @@ from onnx import TensorProto, helper
 from wcsim.agents.policies import onnx_policy
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policy_api import MODEL_FILE
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.errors import PolicyError
 
 ACTIONS = 9

@@ -9,10 +9,10 @@ from tests.agents.danger.sights import observation
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named
 from wcsim.agents.policies.baselines import baseline
-from wcsim.agents.policies.veto import Veto
+from wcsim.agents.policies.dwa import Veto
 from wcsim.agents.policy_api import HearsSent, Levelled, NeedsSenses, TellsUnsafe, Warns
-from wcsim.agents.runs.parcels import policy_at
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.run_folder import policy_at
 from wcsim.config import CameraConfig, RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set

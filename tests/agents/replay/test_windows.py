@@ -17,7 +17,7 @@ import wcsim
 from tests.agents.driven import driven
 from tests.agents.policies.test_baselines import box, ground, looking_at
 from tests.agents.toy import ToyStreet, WindowedStreet, a_run, load_checkpoint, memory_of, same_from_here_on, toy_camera
-from wcsim.agents.envs.frame_window import FrameWindow, newest, windowed_space
+from wcsim.agents.envs.episode_view import FrameWindow, newest, windowed_space
 from wcsim.agents.evaluation.open_policy import open_policy, window_of
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.learning.build import build_model, network_settings

@@ -12,7 +12,7 @@ from tests.agents.danger.sights import a_segment, small_config
 from wcsim.agents.collecting.data_folder import _write_segment, read_manifest, segment_path
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
-from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.rounds.collect_data import DataOrder, collect_data
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule

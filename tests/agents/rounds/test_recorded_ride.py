@@ -11,8 +11,7 @@ import pytest
 from tests.agents.export.test_danger_graph import network
 from tests.support.journals import JournaledWorld
 from tests.support.worlds import quick_config
-from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.saved import load_net, save_danger
+from wcsim.agents.danger.policy import DangerPolicy, load_net, save_danger
 from wcsim.agents.policy_api import tell_delay
 from wcsim.agents.rounds.recorded_ride import RecordedRide, recorded_ride
 from wcsim.bridge.replay.replayed import config_of

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.support.worlds import quick_config
 from wcsim.agents.policy_api import Observation
-from wcsim.agents.rounds.reference_ride import TRIES, reference_ride
+from wcsim.agents.rounds.recorded_ride import TRIES, reference_ride
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
 

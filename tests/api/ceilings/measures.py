@@ -37,7 +37,7 @@ BORDERS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]
     "world -> recordings": (
         ("bridge",),
         ("bridge.recording",),
-        ("bridge.recording", "bridge.town_run", "bridge.drives"),
+        ("bridge.recording", "bridge.town_run", "bridge.user_drives"),
     ),
     "world -> a user's recordings": (("bridge.ego", "bridge.world"), ("users.recorded", "log.drive"), ()),
     "users -> recordings": (("users",), ("log",), ("users.fitting",)),

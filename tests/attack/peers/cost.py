@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 
 from tests.attack.peers.peers import a_join
+from wcsim.server.host.process import PeerLimits, at_the_door
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.admission import admission
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import Roster
-from wcsim.server.transport.entry import PeerLimits, at_the_door
+from wcsim.server.protocol.server_core import admission
 
 SESSION = b"s" * m.SESSION_BYTES
 TIMES = 20_000

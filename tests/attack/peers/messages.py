@@ -15,7 +15,7 @@ from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.support.worlds import quick_config
-from wcsim.server.host.process import _Hosted, _ServerLoop
+from wcsim.server.host.process import PeerLimits, _Hosted, _ServerLoop
 from wcsim.server.host.status import Reporter
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol import messages as m
@@ -23,7 +23,6 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import REMEMBERED
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec
-from wcsim.server.transport.entry import PeerLimits
 from wcsim.server.transport.shared_images import RingSink, pictures_of
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard
 from wcsim.types import SeatSpec

@@ -12,7 +12,7 @@ from tests.server.servers import AHEAD, Server, stand_in_order
 from wcsim.agents.clients.client import learn
 from wcsim.agents.runs import own_code
 from wcsim.agents.runs.run_folder import MANIFEST, create_run, make_manifest, open_run, read_json
-from wcsim.bridge.replay.verify import verify
+from wcsim.bridge.replay.replayed import verify
 from wcsim.cli.main import main, printable
 from wcsim.core.files import locked, write_json
 from wcsim.core.plugins import find_class

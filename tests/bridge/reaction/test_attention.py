@@ -16,7 +16,7 @@ from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
 from wcsim.config import STREETS, WorldConfig, resolve
-from wcsim.config.randomization import VaryConfig
+from wcsim.config.world import VaryConfig
 from wcsim.errors import ConfigError
 from wcsim.types import ActorKind, Drawn
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from tests.support.worlds import open_world, quick_config
-from wcsim.bridge.drives.drive_header import drive_header
-from wcsim.bridge.drives.record_user import (
+from wcsim.bridge.replay.replayed import first_inputs, verify
+from wcsim.bridge.user_drives import (
     Given,
     UserDriveOrder,
     _seat_tick,
     drawn_user,
+    drive_header,
     record_user,
+    seen_drive,
+    with_shadow,
 )
-from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-from wcsim.bridge.replay.drive_inputs import first_inputs
-from wcsim.bridge.replay.verify import verify
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator

@@ -7,11 +7,9 @@ import pytest
 
 from tests.support.framing import read_whole
 from tests.support.journals import SPEC, JournaledWorld, eventful_run, nudged, rewritten
-from wcsim.bridge.recording.fcd import write_fcd
-from wcsim.bridge.replay.convert import convert_to_fcd
+from wcsim.bridge.replay.convert import convert_to_fcd, write_fcd
 from wcsim.bridge.replay.player import Seats
-from wcsim.bridge.replay.replayed import replayed, worlds_of
-from wcsim.bridge.replay.verify import verify
+from wcsim.bridge.replay.replayed import replayed, verify, worlds_of
 from wcsim.bridge.sumo.session import world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.drive.playing.sources.replay_source import replay_about

@@ -19,7 +19,7 @@ from wcsim.bridge.sumo.step_hook import HookChair
 from wcsim.bridge.world import World
 from wcsim.core.frames import sumo_from_yaw
 from wcsim.errors import HookError
-from wcsim.server.links.child_world import ProcessGroup
+from wcsim.server.links.socket import ProcessGroup
 from wcsim.server.specs import WorldOrder
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.sumo.net import LaneKind, read_net

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.cli.evaluation.list_maker import PartTimes, make_list
+from wcsim.cli.evaluation.judged_suite import PartTimes, make_list
 from wcsim.errors import ConfigError
 
 

@@ -12,8 +12,8 @@ import pytest
 
 import wcsim
 from wcsim.cli import main as cli
+from wcsim.cli.main import told_cause
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.told_cause import told_cause
 
 
 def _run(words: str, folder: Path, **more: str) -> tuple[int, str]:

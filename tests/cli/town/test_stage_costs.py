@@ -9,7 +9,7 @@ import sys
 import pytest
 from rich.console import Console
 
-from wcsim.cli.town.stage_costs import (
+from wcsim.cli.town.town_check import (
     StageClock,
     StageCost,
     _cpu_time,

@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.agents.export.test_danger_graph import CONFIG, network
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
-from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.danger.policy import save_danger
 from wcsim.config.run_file import DangerRule
 
 

@@ -16,11 +16,11 @@ from tests.agents.export.test_value_graph import Plain, config_of, saved
 from tests.cli.conftest import files_in
 from tests.cli.test_bad_input import refused
 from tests.log.drives import tick, write_drive
-from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.export.export_folder import WRITTEN
 from wcsim.agents.rounds import recorded_ride
 from wcsim.agents.rounds.recorded_ride import RecordedRide
-from wcsim.cli.recordings.user_record import SMALL_CAMERA
+from wcsim.cli.recordings.users import SMALL_CAMERA
 from wcsim.cli.training import export
 from wcsim.config import resolve
 from wcsim.config.run_file import DangerRule

@@ -16,10 +16,10 @@ import pytest
 
 from tests.drive.lookers import as_said
 from tests.support.journals import eventful_run
-from wcsim.drive.page_runner import DONE
 from wcsim.drive.playing import play_runner
 from wcsim.drive.playing.play_runner import PlayRunner, PlayStart
 from wcsim.drive.playing.sources.source_process import FilmSource
+from wcsim.drive.runner import DONE
 
 PATIENCE_S = 400.0  # on a busy machine; nothing is asserted of how long it takes
 

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wcsim.bridge.drives.shadow import seen_drive, with_shadow
 from wcsim.bridge.ego import ego
 from wcsim.bridge.replay import replayed
-from wcsim.bridge.replay.made_scene import made_scene_of, town_of_scene
-from wcsim.bridge.replay.verify import verify
+from wcsim.bridge.replay.replayed import made_scene_of, town_of_scene, verify
+from wcsim.bridge.user_drives import seen_drive, with_shadow
 from wcsim.core.files import check_new_file, numbered_names
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind

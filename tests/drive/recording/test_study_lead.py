@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.drive.recording.studies import STUDY, Participant, write_study
-from wcsim.bridge.replay.verify import verify
+from wcsim.bridge.replay.replayed import verify
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
 from wcsim.drive.recording import study_lead

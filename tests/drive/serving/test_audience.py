@@ -4,7 +4,7 @@ import asyncio
 from typing import Any
 
 from wcsim.drive import messages as m
-from wcsim.drive.serving.audience import Audience, PageLine
+from wcsim.drive.serving.server import Audience, PageLine
 
 NOTICE = m.spoken(m.Notice(kind="note", told="read me"))
 

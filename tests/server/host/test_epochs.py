@@ -16,13 +16,11 @@ from tests.server.servers import AHEAD, Server, stand_in_order, together
 from tests.server.servers import driven as driven_through
 from tests.support.worlds import quick_config
 from wcsim.config import resolve
-from wcsim.log.parts import part_files, put_aside
-from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, read_header
+from wcsim.log.reader import inputs_of_part, iter_inputs, log_digest, part_files, put_aside, read_header
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
-from wcsim.server.host.made_world import epoch_seed
-from wcsim.server.host.recovery import open_server
+from wcsim.server.host.recovery import epoch_seed, open_server
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import iter_ledger
 from wcsim.server.links.socket import open_seat

@@ -15,7 +15,7 @@ import pytest
 
 from tests.server.servers import AHEAD, WAIT_S, Server, driven, joined, stand_in_order, stub_client, together
 from tests.support.framing import read_whole
-from wcsim.bridge.replay.verify import verify
+from wcsim.bridge.replay.replayed import verify
 from wcsim.errors import AccessError, DiskFullError, LinkError, WorldRestartedError
 from wcsim.log.records import Ended, EpochBegun, Ticked
 from wcsim.log.writer import JOURNAL

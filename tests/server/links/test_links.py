@@ -33,9 +33,8 @@ from wcsim.errors import (
 )
 from wcsim.server.links import base
 from wcsim.server.links.base import Seat, WorldLink
-from wcsim.server.links.child_world import ProcessGroup
 from wcsim.server.links.local import LocalGroup
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import ProcessGroup, open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Rules

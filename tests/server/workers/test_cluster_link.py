@@ -61,7 +61,7 @@ def test_commands_refuse_it_with_code_2_and_leave_nothing(words, tmp_path, monke
 
 
 def test_what_lies_on_this_machine_alone_is_refused():
-    from wcsim.agents.runs.parcels import require_travels
+    from wcsim.agents.runs.run_folder import require_travels
 
     config = resolve("quick")
     require_travels(config, ("env.profile=slow",), ("patch",))

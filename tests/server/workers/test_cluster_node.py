@@ -16,7 +16,7 @@ from tests.support.cluster.workpieces import blunder, read_parcel, refuse
 from wcsim.errors import ConfigError, TownError, WorkersError
 from wcsim.server.workers import cluster_node
 from wcsim.server.workers.cluster_node import Fetch, SentParcel, do_work
-from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import Parcel, Work, WorkEnd
 
 
 @pytest.fixture

@@ -18,8 +18,7 @@ import pytest
 from tests.support.cluster.workpieces import always_die, blunder, die_once, echo, hang_once, leave_and_die_once, refuse
 from wcsim.errors import DiskFullError, TownError, WorkersError
 from wcsim.server.workers.crew import MOST_DEATHS, Crew, _Task
-from wcsim.server.workers.machines import _ProcessWorkers
-from wcsim.server.workers.worker_api import Work, WorkEnd
+from wcsim.server.workers.machines import Work, WorkEnd, _ProcessWorkers
 
 
 def work(key: str, call: Callable[..., bytes] = echo, piece: Any = "") -> Work:
@@ -264,7 +263,7 @@ import time
 from tests.support.cluster.workpieces import tell_pid
 from wcsim.server.workers.crew import Crew
 from wcsim.server.workers.machines import _ProcessWorkers
-from wcsim.server.workers.worker_api import Work
+from wcsim.server.workers.machines import Work
 with Crew(_ProcessWorkers(1), lambda key, data: print(data.decode(), flush=True)) as crew:
     crew.ask([Work(key="a", call=tell_pid, piece="")])
     time.sleep(600.0)

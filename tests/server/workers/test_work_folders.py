@@ -15,8 +15,7 @@ from pytest import MonkeyPatch
 from tests.support.cluster.workpieces import echo, hang_once, tell_cache, tell_pid
 from wcsim.server.workers import cluster_node
 from wcsim.server.workers.cluster_node import SentParcel, do_work
-from wcsim.server.workers.machines import _born, work_folder
-from wcsim.server.workers.worker_api import Call, Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import Call, Parcel, Work, WorkEnd, _born, work_folder
 
 
 def work(folder: str, call: Call, piece: str) -> WorkEnd:

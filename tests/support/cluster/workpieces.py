@@ -11,7 +11,7 @@ from typing import Any
 
 from wcsim.core.files import user_cache
 from wcsim.errors import TownError
-from wcsim.server.workers.worker_api import At
+from wcsim.server.workers.machines import At
 
 
 def echo(piece: Any, at: At) -> bytes:

@@ -17,8 +17,7 @@ from wcsim.towns.checks.check import Overlap, TownReport, _demand_classes, _find
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
 from wcsim.towns.osm.read import read_extract
-from wcsim.towns.scenario.manifest import chair_ways
-from wcsim.towns.scenario.town import Town, open_town
+from wcsim.towns.scenario.town import Town, chair_ways, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 from wcsim.towns.walking.islands import islands_by_links, largest_share, walkable_parts

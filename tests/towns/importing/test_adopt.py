@@ -8,8 +8,7 @@ from tests.towns.made import hostile
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import check_town
 from wcsim.towns.importing.adopt import adopt_scenario
-from wcsim.towns.scenario.manifest import find_changes, own_work
-from wcsim.towns.scenario.town import Town, find_town, net_middle, open_town
+from wcsim.towns.scenario.town import Town, find_changes, find_town, net_middle, open_town, own_work
 
 
 def contents(folder: Path) -> dict[str, bytes]:

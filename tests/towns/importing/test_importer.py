@@ -22,8 +22,7 @@ from wcsim.towns.importing import demand
 from wcsim.towns.importing.elevation import Heights
 from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.osm.clean import filter_osm
-from wcsim.towns.scenario.manifest import own_work
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, own_work
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, read_root

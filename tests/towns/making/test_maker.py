@@ -23,8 +23,7 @@ from wcsim.towns.importing.demand import CLASSES
 from wcsim.towns.making import maker
 from wcsim.towns.making.asked_town import KINDS, MOST_SEED, Wishes
 from wcsim.towns.making.maker import make_town
-from wcsim.towns.scenario.manifest import own_work
-from wcsim.towns.scenario.town import Town, content_hash, streets_hash
+from wcsim.towns.scenario.town import Town, content_hash, own_work, streets_hash
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
 

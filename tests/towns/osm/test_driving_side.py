@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.towns.osm.area import side_at
+from wcsim.towns.osm.read import side_at
 
 LEFT = {
     "Leeds": (-1.53, 53.80),

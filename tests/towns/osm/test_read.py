@@ -10,8 +10,7 @@ import pytest
 from tests.cli.towns import tiny_osm
 from wcsim.errors import TownError
 from wcsim.towns.osm import read
-from wcsim.towns.osm.area import size_m
-from wcsim.towns.osm.read import read_extract
+from wcsim.towns.osm.read import read_extract, size_m
 
 BOX = (24.999, 59.9995, 25.0046, 60.0023)
 

@@ -13,7 +13,7 @@ import sumolib
 from tests.support.typed import printed
 from tests.towns.made.unpaved import BEGIN_S, write_unpaved
 from wcsim.cli.shared.common import parse
-from wcsim.cli.town.pave import PaveOptions
+from wcsim.cli.town.import_ import PaveOptions
 from wcsim.errors import TownError
 from wcsim.towns.pave.elements import _padded, _SignalLinks, _VehicleLink
 from wcsim.towns.pave.pavements import Paved, _edited, pave_town

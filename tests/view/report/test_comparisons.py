@@ -7,7 +7,7 @@ import pytest
 from tests.view.report.results import POLICIES, SCRIPT, record, records_of, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.view.report.comparisons import WEIGHTINGS, compared, paired, verdicts, weighted
-from wcsim.view.report.tables import comparison_table
+from wcsim.view.report.suite_page import comparison_table
 
 
 @pytest.fixture

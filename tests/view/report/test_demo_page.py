@@ -7,7 +7,7 @@ import pytest
 from tests.drive.page.test_page import CHROMIUM, FLAGS
 from tests.view.report.results import record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.demo_page import DemoShown, write_demo_page
+from wcsim.view.report.suite_page import DemoShown, write_demo_page
 
 
 @pytest.mark.browser

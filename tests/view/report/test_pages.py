@@ -3,8 +3,8 @@
 import jinja2
 import pytest
 
-from wcsim.view.report.demo_page import DemoShown
 from wcsim.view.report.pages import Exhibit, Figure, Section, ShownTable, page
+from wcsim.view.report.suite_page import DemoShown
 
 EVIL = '"><script>alert(1)</script>'
 

@@ -36,8 +36,7 @@ from wcsim.config.load import Layer
 from wcsim.core import files, seeding
 from wcsim.core.reading import FileKind, read_text
 from wcsim.errors import ConfigError, PolicyError, WcsimError
-from wcsim.log.parts import part_files
-from wcsim.log.reader import iter_inputs
+from wcsim.log.reader import iter_inputs, part_files
 from wcsim.log.records import Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.states import ClientPlan

@@ -1,22 +1,101 @@
-"""A danger network as a policy: it sees, says how bad each joystick position is, and answers the user's stick."""
+"""A danger network as a policy: what it sees, the rule that answers the user's stick, and its folder on disk.
+
+The rule takes the user's own position whenever it is safe enough, or is not for a single tick; among the others the
+choice is calm, so
+that the chair does not waver between two ways round. The threshold is the assistance level, and can be set at run time.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 import torch
 
 from wcsim.agents.danger.dataset import to_tensors
-from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LEVELS, choose, next_recent, within
+from wcsim.agents.danger.network import DangerNet, channels_last
 from wcsim.agents.danger.street_map import FeatureExtractor, Features
+from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.policies.alarm import Alarm, next_alarm
 from wcsim.agents.policy_api import JOYSTICK_KEY, MOTION_SENSES, HearsSent, NotFinite, Observation, require_level
+from wcsim.agents.runs.policy_file import SIGHT_KEYS, read_danger_file
+from wcsim.agents.runs.weights import load_network, write_policy
 from wcsim.config import RunConfig
 from wcsim.config.run_file import DangerRule
-from wcsim.supervisor.actions import action_set
+from wcsim.core.reading import escaped
+from wcsim.errors import PolicyError
+from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.types import F64, Bool
+
+LESS_M = 0.02  # danger that a joystick distance of 1 is worth where nothing is safe
+LEVELS: Final = (0.95, 0.02)  # thresholds that may be set while driving: with the first it assists least
+RECENT_TICKS: Final = 5  # for so long after it was taken away, the user's own is again as soon as it is unsafe
+
+
+def within(danger: F64, rule: DangerRule, last: int = -1) -> Bool:
+    """(A,) which actions are safe enough; the arguments are those of `choose`."""
+    limit = np.full(len(danger), rule.threshold)
+    if last >= 0:
+        # Near the threshold the last action would be allowed in one tick and not in the next.
+        limit[last] *= rule.hysteresis_factor
+    allowed: Bool = danger < limit
+    return allowed
+
+
+def next_recent(before: int, unsafe: bool, danger: float, rule: DangerRule) -> int:
+    """For how many ticks more the user's own action is taken away as soon as it is unsafe.
+
+    Args:
+        before: What it was a tick ago; 0 at the start.
+        unsafe: Whether the user's own action is unsafe in this tick.
+        danger: Of it.
+        rule: See there.
+
+    >>> rule, ticks, found = DangerRule(at_once=0.6), 0, []
+    >>> for danger in (0.3, 0.0, 0.3, 0.3, 0.0):
+    ...     ticks = next_recent(ticks, danger >= rule.threshold, danger, rule)
+    ...     found.append(ticks)
+    >>> found
+    [1, 0, 1, 5, 4]
+    """
+    if not unsafe:
+        return max(before - 1, 0)
+    return RECENT_TICKS if before > 0 or danger >= rule.at_once else 1
+
+
+def choose(
+    danger: F64,
+    stick: F64,
+    actions: ActionSet,
+    rule: DangerRule,
+    last: int = -1,
+    recent: bool = True,
+) -> int:
+    """The action. Where none is safe enough, it is the least dangerous.
+
+    Args:
+        danger: (A,) in 0..1.
+        stick: (2,) the user's.
+        actions: The joystick positions.
+        rule: See there.
+        last: The action before, -1 for none.
+        recent: Whether the user's own was unsafe a short time ago, see `next_recent`.
+    """
+    distance = actions.distances(stick[None])[0]
+    cost = distance + rule.danger_cost * danger / rule.threshold
+    # Noise moves dangers by more than neighbours differ: without it the chair would waver between two ways round.
+    if last >= 0:
+        cost[last] -= rule.hysteresis
+    allowed = within(danger, rule, last)
+    own = int(np.argmin(distance))
+    if allowed[own] or (not recent and danger[own] < rule.at_once):
+        return own
+    if allowed.any():
+        return int(np.argmin(np.where(allowed, cost, np.inf)))
+    # All are bad: safety decides, and the stick only where dangers tie, as they do at 1.
+    return int(np.argmin(danger + LESS_M * distance))
+
 
 _SURE: Final = 60.0  # a logit beyond it says no more
 
@@ -108,3 +187,69 @@ class DangerPolicy(HearsSent):
         # In float64 and clipped, so that exp never overflows and equal logits stay equal dangers.
         danger: F64 = 1.0 / (1.0 + np.exp(-logits.astype(np.float64).clip(-_SURE, _SURE)))
         return danger
+
+
+def save_danger(folder: Path, net: DangerNet, rule: DangerRule, config: RunConfig, manifest_sha256: str = "") -> Path:
+    """See `write_policy`."""
+    said = {
+        "algorithm": "danger",
+        "net": net.spec.net.model_dump(),
+        "rule": rule.model_dump(),
+        "camera": config.cameras[0].model_dump(mode="json"),
+        "classes": config.env.classes,
+        "chair": config.chair.model_dump(mode="json"),
+        "manifest_sha256": manifest_sha256,
+    }
+    return write_policy(folder, net, said)
+
+
+def load_net(folder: Path, network: str | None = None) -> tuple[DangerNet, DangerRule]:
+    """The network of a policy folder, and its rule.
+
+    Args:
+        folder: Of the policy.
+        network: Somebody's own class that may be loaded to look at pictures, `module:Class`.
+
+    Raises:
+        PolicyError: A file is missing, damaged or unfit, or the policy has a class of its own that was not named.
+    """
+    file = read_danger_file(folder)
+    if file.net.eye != "map" and file.net.network not in NETWORK_NAMES:
+        require_named(escaped(folder), file.net.network, network)
+    net = load_network(folder, file.weights_sha256, lambda: DangerNet(file))
+    net.train(False)
+    return channels_last(net), file.rule
+
+
+def load_danger(
+    folder: Path, name: str, config: RunConfig, level: float | None = None, network: str | None = None
+) -> DangerPolicy:
+    """A policy for one chair.
+
+    Args:
+        folder: Of the policy.
+        name: How tables call it.
+        config: Of the run in which it drives.
+        level: Of assistance, a threshold of danger; None for the policy's own.
+        network: See `load_net`.
+
+    Raises:
+        PolicyError: It cannot be loaded, or was trained with another camera, class form or action set.
+    """
+    require_same_senses(folder, name, config)
+    net, rule = load_net(folder, network)
+    return DangerPolicy(name, net, config, rule if level is None else rule.model_copy(update={"threshold": level}))
+
+
+def require_same_senses(folder: Path, name: str, config: RunConfig) -> None:
+    """Refuse a policy that was trained with another camera, class form or action set. Raises PolicyError."""
+    file = read_danger_file(folder)
+    camera = config.cameras[0]
+    other = [key for key in ("width_px", "height_px", *SIGHT_KEYS) if getattr(file.camera, key) != getattr(camera, key)]
+    other += [key for key in ("actions",) if file.net.actions != config.env.actions]
+    other += [key for key in ("classes",) if file.classes != config.env.classes]
+    if other:
+        raise PolicyError(
+            f"policy {name!r} was trained with another camera, class form or action set ({', '.join(other)} differ): "
+            "set these as in its training, or test it on its own"
+        )

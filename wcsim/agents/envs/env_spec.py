@@ -16,8 +16,7 @@ from typing import Any, TypedDict
 import gymnasium
 import numpy as np
 
-from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info
-from wcsim.agents.envs.frame_window import windowed_space
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep, Info, windowed_space
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import MAX_INTEGER, escaped_value
 from wcsim.errors import ConfigError, ProtocolError, meant

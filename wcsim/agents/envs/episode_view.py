@@ -1,4 +1,4 @@
-"""One wheelchair as an agent meets it: its frames become observations, rewards, flags and info.
+"""One wheelchair as an agent meets it: its frames, of the last ticks too, become observations, rewards and info.
 
 All faces are made of this one piece, so what an agent sees and is paid does not depend on the face.
 """
@@ -6,22 +6,83 @@ All faces are made of this one piece, so what an agent sees and is paid does not
 from __future__ import annotations
 
 import operator
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from wcsim.agents.envs.frame_window import FrameWindow
+from wcsim.agents import policy_api
+from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, RGB_KEY
 from wcsim.config import RunConfig
 from wcsim.core.reading import escaped_value
-from wcsim.errors import BadActionError, ConfigMismatchError, ProtocolError
+from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import judge, observation_of
 from wcsim.supervisor.observation import Observation
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm
 from wcsim.types import ClientSnapshot, Command, Drawn, Joystick, RewardTerms
+
+IMAGE_KEYS = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
+
+
+class FrameWindow:
+    """Puts the last `frames` images of an episode into its observations, the newest last.
+
+    The first image of an episode fills the window. IMU and joystick stay those of now. With one frame, observations of
+    any form go through as they are.
+    """
+
+    def __init__(self, frames: int) -> None:
+        self._frames = frames
+        self._kept: deque[Observation] = deque(maxlen=frames)
+
+    def reset(self) -> None:
+        """Forget everything: the next observation begins an episode."""
+        self._kept.clear()
+
+    def add(self, observation: Observation) -> Observation:
+        """The observation with its window, (frames, H, W) in fresh arrays, from one with (1, H, W); colours thrice."""
+        if self._frames == 1:
+            return observation
+        missing = max(self._frames - len(self._kept), 1)  # all of them once, then one each time
+        self._kept.extend([observation] * missing)
+        images = {key: np.concatenate([old[key] for old in self._kept]) for key in IMAGE_KEYS if key in observation}
+        return {**observation, **images}
+
+
+def windowed_space(space: gymnasium.spaces.Dict, frames: int) -> gymnasium.spaces.Dict:
+    """The space of the observations that `FrameWindow` makes of the compact ones in `space`."""
+    if frames == 1:
+        return space
+    parts = dict(space.spaces)
+    for key in parts.keys() & set(IMAGE_KEYS):
+        planes, *size = space[key].shape or ()
+        shape = (frames * planes, *size)
+        parts[key] = gymnasium.spaces.Box(0, 255, shape, np.uint8)
+    return gymnasium.spaces.Dict(parts)
+
+
+def newest(observation: policy_api.Observation, frames: int) -> policy_api.Observation:
+    """The observation with the newest `frames` images of its window, as views.
+
+    Raises PolicyError when the window holds fewer.
+    """
+    held = len(observation[DEPTH_KEY])
+    if held < frames:
+        raise PolicyError(
+            f"an observation holds {held} images, this policy was trained on {frames}; expected at least as many: "
+            f"set env.window={frames}"
+        )
+    if held == frames:
+        return observation
+    # An image may have several planes: colours have three for each moment.
+    planes = {key: len(observation[key]) // held for key in IMAGE_KEYS if key in observation}
+    return {key: value[-frames * planes[key] :] if key in planes else value for key, value in observation.items()}
+
 
 Info = dict[str, Any]
 WORLD_RESTARTED = "world_restarted"

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from wcsim.agents.danger.saved import load_danger
+from wcsim.agents.danger.policy import load_danger
 from wcsim.agents.learning.saved_policy import JOYSTICK_SIZE, NetPolicy, load_policy
 from wcsim.agents.policies import baselines
-from wcsim.agents.policies.veto import Veto
+from wcsim.agents.policies.dwa import Veto
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import SIGHT_KEYS, is_danger, policy_name
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.config import RunConfig
 from wcsim.errors import PolicyError

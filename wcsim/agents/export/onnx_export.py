@@ -13,9 +13,8 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.saved import load_net
-from wcsim.agents.envs.frame_window import FrameWindow, newest
+from wcsim.agents.danger.policy import DangerPolicy, load_net
+from wcsim.agents.envs.episode_view import FrameWindow, newest
 from wcsim.agents.export.export_folder import LOOP, REFERENCE, as_words, loop_place, settings_apart
 from wcsim.agents.export.footprint import PERIOD_S, SHARE, Footprint, footprint, steps_of
 from wcsim.agents.export.guard import MEANING

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from wcsim.agents.danger.network import DangerNet
-from wcsim.agents.danger.rule import LESS_M, RECENT_TICKS
+from wcsim.agents.danger.policy import LESS_M, RECENT_TICKS
 from wcsim.agents.danger.street_map import (
     BEHIND_M,
     CELL_M,

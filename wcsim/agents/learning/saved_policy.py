@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from gymnasium import spaces
 
-from wcsim.agents.envs.frame_window import newest, windowed_space
+from wcsim.agents.envs.episode_view import newest, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import image_size, observation_form, vector_keys, vector_size, window_size

@@ -26,16 +26,14 @@ from wcsim.agents.collecting.data_folder import (
 )
 from wcsim.agents.collecting.drive_segment import MakeLearned, collect
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
-from wcsim.agents.danger.policy import DangerPolicy
-from wcsim.agents.danger.saved import load_net, require_same_senses
-from wcsim.agents.runs.parcels import folder_parcel, plant_at, plant_parcels, require_travels, town_parcel
+from wcsim.agents.danger.policy import DangerPolicy, load_net, require_same_senses
+from wcsim.agents.runs.run_folder import folder_parcel, plant_at, plant_parcels, require_travels, town_parcel
 from wcsim.config import RunConfig, resolve
 from wcsim.core.files import is_begun, locked, sha256, sha256_text, write_bytes, write_json
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import PolicyError
 from wcsim.server.workers.crew import LEAST_LATE_S, Crew, WorkerNow
-from wcsim.server.workers.machines import HERE, LOGS, Machines
-from wcsim.server.workers.worker_api import At, Parcel, Work
+from wcsim.server.workers.machines import HERE, LOGS, At, Machines, Parcel, Work
 from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_hash
 
 _LOOK_S = 1.0

@@ -1,18 +1,23 @@
-"""A recorded drive, or one seat of a journal, as observations: the world is made again, with the cameras it had."""
+"""One drive as observations, for policies to be compared on: a short new one, or a recorded one made again."""
 
 from __future__ import annotations
 
+import math
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
-from wcsim.agents.envs.episode_view import delay_ticks
-from wcsim.agents.policy_api import JOYSTICK_KEY, Observation
+from wcsim.agents.envs.episode_view import Info, delay_ticks
+from wcsim.agents.envs.seat_driver import SeatDriver
+from wcsim.agents.policy_api import JOYSTICK_KEY, Observation, Policy, sense_settings, senses_of
 from wcsim.bridge.replay.replayed import Log, config_of, log_of, replayed
 from wcsim.bridge.world import World
-from wcsim.config import RunConfig
+from wcsim.bridge.world_rollout import rollout
+from wcsim.config import RunConfig, resolve
+from wcsim.core import seeding
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError
 from wcsim.log.reader import read_header
@@ -20,7 +25,68 @@ from wcsim.log.records import Dismissed, DriveTick, Header, Input, Respawned, Wo
 from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import observation_of
-from wcsim.types import ClientSnapshot, Joystick
+from wcsim.towns.scenario.town import find_town
+from wcsim.types import F32, ClientSnapshot, Joystick, SeatSpec
+
+PUSH_TICKS: Final = 20  # so long the stick is held somewhere, and so long the user has it again
+TRIES: Final = 5  # episodes, until one is long enough
+_WIDEST_RAD: Final = 2.0  # of a push, from ahead
+
+
+def reference_ride(town: str, config: RunConfig, steps: int, policy: Policy, seed: int = 0) -> list[Observation]:
+    """Observations of so many successive ticks of one chair that a policy drives, all of one episode.
+
+    By turns the stick is the simulated user's, and pushed to its end in one direction, towards whatever is there: a
+    user who never errs would give a policy nothing to do, and a blind one would do as well. Where the episode ends it
+    begins anew; where each one ends it is the longest, with fewer steps. Raises TownError.
+    """
+    sensing = resolve(config, sense_settings(config, senses_of(policy)))
+    spec = SeatSpec(profile=config.env.profile, max_steps=steps + 1)
+    pushes, longest = _pushed_sticks(steps, seed), list[Observation]()
+    with World(find_town(town), sensing, (spec,), seed) as world:
+        policy.begin()
+        agent, tries = _Pushed(policy, pushes), 0
+        driver = SeatDriver(sensing, agent, world.snapshot.clients[0])
+        for step in rollout(world, {0: driver.choose}):
+            (client,) = step.after.clients
+            driver.take(client)
+            if client.first is None and len(agent.seen) < steps:
+                continue
+            longest, tries = max(longest, agent.seen, key=len), tries + 1
+            if len(longest) == steps or tries == TRIES:
+                break
+    return longest
+
+
+class _Pushed:
+    """Around a policy: the stick is pushed where it is not the user's own; `seen` is what it saw in this episode."""
+
+    def __init__(self, policy: Policy, pushes: F32) -> None:
+        self.seen: list[Observation] = []
+        self._policy, self._pushes = policy, pushes
+
+    def reset(self, info: Info) -> None:
+        """Begin an episode; the policy reckons with the configured delay, as its export does."""
+        self.seen = []
+        self._policy.reset()
+
+    def act(self, observation: Observation, info: Info) -> int:
+        """Ask the policy."""
+        push = self._pushes[len(self.seen)]
+        self.seen.append(observation if np.isnan(push).any() else {**observation, JOYSTICK_KEY: push})
+        return self._policy.act(self.seen[-1])
+
+
+def _pushed_sticks(steps: int, seed: int) -> F32:
+    """The stick at each step, (steps, 2) in -1..1; NaN where it is the user's own."""
+    angles_rad = seeding.generator(seed, "pushes").uniform(-_WIDEST_RAD, _WIDEST_RAD, steps // PUSH_TICKS + 1)
+    rows = [
+        (math.sin(angles_rad[step // PUSH_TICKS]), math.cos(angles_rad[step // PUSH_TICKS]))
+        if step // PUSH_TICKS % 2
+        else (math.nan, math.nan)
+        for step in range(steps)
+    ]
+    return np.array(rows, np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

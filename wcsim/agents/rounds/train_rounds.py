@@ -30,7 +30,7 @@ from wcsim.agents.collecting.data_folder import (
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
 from wcsim.agents.danger.dataset import Dataset, labelled_steps
 from wcsim.agents.danger.learner import DangerLearner
-from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.networks.device import torch_settings
 from wcsim.agents.rounds.collect_data import SegmentCrew
 from wcsim.agents.rounds.round_log import note_round

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from wcsim.config import CameraConfig, RunConfig, SensorConfig, SensorsConfig, parse
-from wcsim.config.randomization import VaryConfig
+from wcsim.config.world import VaryConfig
 from wcsim.core import frames, seeding
 from wcsim.errors import ConfigError
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec, refuse_cameras_inside, varied

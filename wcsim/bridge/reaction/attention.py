@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from wcsim.config import STREETS, WorldConfig
-from wcsim.config.randomization import EVERYBODY
+from wcsim.config.world import EVERYBODY
 from wcsim.core import seeding
 from wcsim.types import ActorKind, ActorState, Drawn
 

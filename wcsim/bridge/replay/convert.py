@@ -1,13 +1,21 @@
-"""Logs as files of others: SUMO's floating car data, and ROS 2 messages in MCAP. A journal's world is made again."""
+"""Logs as files of others: SUMO's floating car data, and ROS 2 messages in MCAP. A journal's world is made again.
+
+Floating car data has net coordinates, front bumpers, headings in degrees clockwise from north, as in SUMO's own
+`--fcd-output`. People are where the bridge showed them to the wheelchair, stepped aside where they did.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import TextIO
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
 
 from wcsim.bridge.ego.randomization import moved
-from wcsim.bridge.recording.fcd import write_fcd, write_steps
 from wcsim.bridge.recording.ros_bag import RosBag
 from wcsim.bridge.recording.ros_chairs import RosChair, drive_bag, trace_bag
 from wcsim.bridge.recording.states import chair_box_m, state_of
@@ -15,12 +23,101 @@ from wcsim.bridge.replay.player import require_equal
 from wcsim.bridge.replay.replayed import replayed, require_hook
 from wcsim.bridge.town_run import as_recorded
 from wcsim.bridge.world import World
+from wcsim.core import frames
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_states
 from wcsim.log.records import Header, Input, Ticked, WorldState
-from wcsim.types import ClientSnapshot, Drawn
+from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
+
+_CHAIR_TYPE = ActorKind.WHEELCHAIR.value
+_SCHEMA = "http://sumo.dlr.de/xsd/fcd_file.xsd"
+_HEAD = f"""<?xml version="1.0" encoding="UTF-8"?>
+
+<fcd-export xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="{_SCHEMA}">
+"""
+
+
+def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
+    """Write one epoch of a trace as an FCD file; returns the number of its time steps.
+
+    Raises:
+        WcsimError: it is no trace, has no such epoch, or was recorded before traces knew sizes.
+    """
+    header, records = read_states(trace)
+    chosen = [record for record in records if record.epoch == epoch]
+    if not records:
+        raise WcsimError(
+            f"{trace}: has no complete tick: it was truncated, or its run ended before the first one; expected a "
+            "complete trace: copy it again, or record it again"
+        )
+    if not chosen:
+        epochs = ", ".join(str(number) for number in sorted({record.epoch for record in records}))
+        raise WcsimError(f"{trace}: has no tick of epoch {epoch}; expected --epoch with one of: {epochs}")
+    sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
+    if not sized or any(record.actor_ids and not record.bodies for record in chosen):
+        raise WcsimError(f"{trace}: is of an older version without the sizes of actors and chairs; record it again")
+    return write_steps(header, chosen, out)
+
+
+def write_steps(header: Header, records: Iterable[WorldState], out: Path) -> int:
+    """Write ticks of one epoch as an FCD file; returns their number."""
+    steps = 0
+    with out.open("w", encoding="utf-8") as file:
+        file.write(_HEAD)
+        for record in records:
+            _write_step(file, header, record)
+            steps += 1
+        file.write("</fcd-export>\n")
+    return steps
+
+
+def _write_step(file: TextIO, header: Header, record: WorldState) -> None:
+    """One time step: SUMO's schema wants all vehicles, the chairs among them, before all persons."""
+    begun_s = record.time_s - header.tick_s  # SUMO calls a step by the time at which it begins
+    file.write(f'    <timestep time="{max(0.0, begun_s):.2f}">\n')
+    lines = list(_actor_lines(header, record))
+    lines += [("vehicle", text) for text in _chair_lines(header, record)]
+    for wanted in ("vehicle", "person"):
+        for tag, text in lines:
+            if tag == wanted:
+                file.write(f"        <{tag} {text}/>\n")
+    file.write("    </timestep>\n")
+
+
+def _actor_lines(header: Header, record: WorldState) -> Iterator[tuple[str, str]]:
+    for body, row in zip(record.bodies, record.actors, strict=True):
+        if body.piece:
+            continue  # what is articulated is one vehicle to SUMO, whose front is that of its first piece
+        domain, _, name = body.id.partition(":")
+        speed_mps = float(np.linalg.norm(row[5:8]))
+        text = _line(
+            name, body.kind.value, row[:3], float(row[3]), float(row[4]), body.size_lwh_m[0], speed_mps, header
+        )
+        yield "person" if domain == "p" else "vehicle", text
+
+
+def _chair_lines(header: Header, record: WorldState) -> Iterator[str]:
+    length_m, middle_m = header.chair_box_m or (0.0, 0.0)
+    for seat, row in zip(record.seats or range(len(record.plants)), record.plants, strict=True):
+        x, y, z, w = row[3:7]
+        yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        middle_W_m = row[:3] + middle_m * frames.forward(yaw_rad, 0.0)
+        speed_mps = float(np.hypot(row[7], row[8]))
+        name = f"{_CHAIR_TYPE}.{seat}"
+        yield _line(name, _CHAIR_TYPE, middle_W_m, yaw_rad, 0.0, length_m, speed_mps, header)
+
+
+def _line(
+    name: str, kind: str, p_W_m: F64, yaw_rad: float, pitch_rad: float, length_m: float, speed: float, head: Header
+) -> str:
+    front_m = frames.net_from_world(frames.front_from_centre(p_W_m, yaw_rad, pitch_rad, length_m), head.origin_m)
+    return (
+        f'id={quoteattr(name)} x="{front_m[0]:.2f}" y="{front_m[1]:.2f}" z="{front_m[2] + head.origin_z_m:.2f}" '
+        f'angle="{frames.sumo_from_yaw(yaw_rad):.2f}" type="{kind}" speed="{speed:.2f}" '
+        f'slope="{frames.deg(pitch_rad):.2f}"'
+    )
 
 
 def convert_to_fcd(log: Path, out: Path, epoch: int = 0, hook: str = "") -> int:

@@ -1,13 +1,47 @@
-"""Does to a world what its log says was done, record by record."""
+"""Does to a world what its log says was done, record by record; and what such a world with seats must offer."""
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import Generic, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Generic, Protocol, TypeVar
 
-from wcsim.bridge.replay.seat_world import MakesEpoch, SeatWorld, Specs
 from wcsim.errors import ReplayMismatchError, WcsimError
 from wcsim.log.records import Admitted, Dismissed, DriveTick, Ended, EpochBegun, Input, Respawned, Ticked, WorldTick
+from wcsim.physics.buffers import ImageSink
+from wcsim.types import ClientSnapshot, Command, SeatSpec, Snapshot, StartSpec
+
+
+class SeatWorld(Protocol):
+    """A world with seats."""
+
+    snapshot: Snapshot
+
+    def tick(self, commands: Sequence[Command], out: ImageSink | None = None) -> Snapshot:
+        """Carry the world from tick n to n + 1."""
+
+    def admit(self, seat: int, spec: SeatSpec, out: ImageSink | None = None) -> ClientSnapshot:
+        """Put a chair into the street for a free seat."""
+
+    def dismiss(self, seat: int) -> None:
+        """Take a seat's chair out of the street."""
+
+    def respawn(self, seat: int, out: ImageSink | None = None, start: StartSpec | None = None) -> ClientSnapshot:
+        """Begin a seat's next episode, at a start of its own where one is given."""
+
+    def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
+        """A new epoch."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+W_co = TypeVar("W_co", bound=SeatWorld, covariant=True)
+Specs = tuple[SeatSpec | None, ...]
+"""Of each seat; None for one that is free."""
+MakesEpoch = Callable[[Specs, int, int], W_co]
+"""Makes the world of an epoch: given who sits there, its seed and its number."""
+
 
 W = TypeVar("W", bound=SeatWorld)
 

@@ -1,23 +1,176 @@
-"""The world of a log made again, epoch by epoch: of a journal, or of a recorded drive."""
+"""The world of a log made again, epoch by epoch, of a journal or of a recorded drive; and compared with its log.
+
+The world asks its seat's user about the way, whoever drives. So a person's drive is the same again only with the same
+user beside: another one would arrive elsewhere, and press other buttons.
+"""
 
 from __future__ import annotations
 
+import math
+import re
+import tempfile
 from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
-from wcsim.bridge.replay.drive_inputs import drive_inputs, let_wait, town_of_drive
-from wcsim.bridge.replay.player import LogPlayer
-from wcsim.bridge.replay.seat_world import MakesEpoch
+import numpy as np
+
+from wcsim.bridge.replay.player import LogPlayer, MakesEpoch
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig, parse_json
+from wcsim.core.constants import RECORDED
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError, WcsimError
 from wcsim.log.drive import DriveRecording, read_drive
 from wcsim.log.reader import iter_inputs, read_header
-from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked, WorldTick
+from wcsim.log.records import Admitted, DriveTick, Ended, EpochBegun, Header, Input, Note, Ticked, WorldTick, changed
+from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.making.asked_town import asked_town
-from wcsim.towns.scenario.town import Town, towns_hash
+from wcsim.towns.scenario.town import Town, content_hash, find_town, towns_hash
+from wcsim.towns.scene_folders.build import build_scene, scene_digest
+from wcsim.towns.scene_folders.families import FAMILIES, write_scene
+from wcsim.types import ClientSnapshot, Joystick, SeatSpec
+from wcsim.users.recorded import RecordedUser
+from wcsim.users.user import SimulatedUser
+
+_NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")
+_SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MadeScene:
+    """What a drive's header says of it."""
+
+    family: str
+    seed: int
+    sha256: str  # over the scene's files
+
+    def told(self) -> str:
+        """As the header has it.
+
+        >>> made_scene_of(MadeScene(family="car-door", seed=7, sha256="0" * 64).told()).seed
+        7
+        """
+        return f"{self.family} {self.seed} {self.sha256}"
+
+
+def made_scene_of(text: str) -> MadeScene:
+    """The scene that a header names. Raises TownError when it names none that this wcsim knows."""
+    found = _NAME.fullmatch(text)
+    if found is None or found[1] not in FAMILIES:
+        raise TownError(
+            f"the drive was in the scene {escaped(text, 80)}, which this wcsim does not know; expected one of "
+            f"{', '.join(FAMILIES)}, with seed and hash: use the wcsim that recorded it"
+        )
+    return MadeScene(family=found[1], seed=int(found[2]), sha256=found[3])
+
+
+def town_of_scene(scene: MadeScene) -> Town:
+    """Its street. Raises TownError when this wcsim draws another scene of that seed."""
+    return find_town(str(_folder_of(scene) / _TOWN))
+
+
+def user_of_scene(scene: MadeScene) -> str:
+    """The recorded joystick that sits in it, as a seat names it. Raises what `town_of_scene` does."""
+    return f"{RECORDED}{_folder_of(scene) / _SCENE / _STICK}"
+
+
+def _folder_of(scene: MadeScene) -> Path:
+    """The scene and its street in the cache, made where they are not there yet."""
+    held = cache_folder() / "drive-scenes"
+    folder = held / f"{scene.family}-{scene.seed}-{scene.sha256[:16]}"
+    if folder.is_dir():
+        return folder
+    try:
+        held.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=held, prefix=".") as work:
+            made = Path(work) / "made"
+            _make(scene, made)
+            _put(made, folder)
+    except OSError as error:
+        told = f"{escaped(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
+        raise TownError(told) from None
+    return folder
+
+
+def _make(scene: MadeScene, folder: Path) -> None:
+    got = scene_digest(write_scene(scene.family, scene.seed, folder / _SCENE))
+    if got != scene.sha256:
+        raise TownError(
+            f"the drive was in the scene {scene.family} {scene.seed} ({scene.sha256[:12]}), this wcsim generates "
+            f"another one ({got[:12]}); expected the same: use the wcsim that recorded it"
+        )
+    build_scene(folder / _SCENE, folder / _TOWN)
+
+
+def _put(made: Path, folder: Path) -> None:
+    """Into its place, unless somebody else was there first."""
+    try:
+        made.rename(folder)
+    except OSError:
+        if not folder.is_dir():
+            raise
+
+
+def first_inputs(spec: SeatSpec, seed: int) -> tuple[Input, ...]:
+    """What the log of a drive begins with: the chair comes before the world, which begins with it."""
+    return Admitted(epoch=0, tick=0, seat=0, spec=spec), EpochBegun(epoch=0, seed=seed)
+
+
+def drive_inputs(drive: DriveRecording) -> Iterator[Input]:
+    """What was done; the user of a generated scene, which its log does not name, sits where the scene was made again.
+
+    Raises TownError for a scene that cannot be made here.
+    """
+    for record in drive.records:
+        if isinstance(record, Admitted) and not record.spec.profile:
+            yield changed(record, spec=replace(record.spec, profile=user_of_scene(made_scene_of(drive.about.scene))))
+        elif not isinstance(record, Note):
+            yield record
+
+
+def let_wait(world: World, drive: DriveRecording, record: Input) -> None:
+    """Before a tick who sits beside a person gets the patience of then."""
+    if isinstance(record, DriveTick) and not drive.about.profile:
+        set_patience(world.seats[0].user, patient=record.by_person)
+
+
+def set_patience(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
+    """A person has all the time in the world; a simulated user who drives gives up as its profile says."""
+    if isinstance(user, SimulatedUser):
+        user.patient = patient
+
+
+def town_of_drive(header: Header) -> Town:
+    """The town of a drive, by its name or where it lay, or made again where it is a scene.
+
+    Raises TownError when it is gone, or is not what it was.
+    """
+    refused: TownError | None = None
+    scene = "" if header.drive is None else header.drive.scene
+    find, places = (_made, (scene,)) if scene else (find_town, (header.town_name, header.town))
+    for place in places:
+        try:
+            town = find(place)
+        except TownError as error:
+            refused = refused or error
+            continue
+        here = content_hash(town)
+        if here == header.town_sha256:
+            return town
+        refused = TownError(
+            f"the drive was in {escaped(header.town_name, 80)} ({header.town_sha256[:12]}), this is {town.name} "
+            f"({here[:12]}); expected the same town: restore its files"
+        )
+    raise refused or TownError("the drive names no town; record it again")
+
+
+def _made(scene: str) -> Town:
+    return town_of_scene(made_scene_of(scene))
+
 
 Log = Path | DriveRecording
 """What can be made again: the file of a journal, or a drive."""
@@ -140,3 +293,68 @@ def count_ticks(log: Log, epoch: int | None = None) -> int:
     if isinstance(log, DriveRecording):
         return len(log.ticks)
     return sum(isinstance(record, Ticked) and epoch in (None, record.epoch) for record in iter_inputs(log))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verified:
+    """How a comparison of all ticks ended."""
+
+    ticks: int = 0  # compared
+    mismatches: int = 0
+    first: WorldTick | None = None  # the first record that differs
+    farthest_m: float = 0.0  # of a drive: between the two places of a tick
+
+
+def verify(
+    log: Log,
+    epoch: int | None = None,
+    first_tick: int = 0,
+    last_tick: int | None = None,
+    progress: Callable[[int], object] = lambda ticks: None,
+    hook: str = "",
+) -> Verified:
+    """Compare the ticks from `first_tick` to `last_tick` of one or all epochs; raises what `replayed` raises.
+
+    Of a journal their hashes; of a drive place, heading, speed and ends, and the stick of who was simulated.
+    `progress` hears the number of ticks so far.
+    """
+    result, asked = Verified(), list[Joystick]()
+    of_person = isinstance(log, DriveRecording) and not log.about.profile
+
+    def before(world: World | None, _: Input) -> None:
+        if world is not None:
+            asked[:] = [(client.first or client).user for client in world.snapshot.clients]
+
+    with closing(replayed(log, epoch, last_tick, hook, before)) as steps:
+        for world, record in steps:
+            if isinstance(record, EpochBegun) and isinstance(log, DriveRecording):
+                world.go_blind()
+            if not isinstance(record, WorldTick) or record.tick < first_tick:
+                continue
+            if isinstance(record, DriveTick):
+                client = world.snapshot.clients[0]
+                same = _is_same(record, client, None if of_person and record.by_person else asked[0])
+                gap_m = math.dist(client.plant.p_WB_m.tolist(), record.p_WB_m.tolist())
+            else:
+                same, gap_m = record.state_hash == world.snapshot.state_hash, 0.0
+            result = replace(
+                result,
+                ticks=result.ticks + 1,
+                mismatches=result.mismatches + (not same),
+                first=record if result.first is None and not same else result.first,
+                farthest_m=max(result.farthest_m, gap_m),
+            )
+            progress(result.ticks)
+    return result
+
+
+def _is_same(tick: DriveTick, client: ClientSnapshot, asked: Joystick | None) -> bool:
+    """Whether a drive's tick left the seat as it is recorded; `asked` is the stick of who was simulated."""
+    plant, events = client.plant, client.events
+    ends = (events.arrived, events.gave_up, events.crashed, events.truncated)
+    return (
+        asked in (None, tick.stick)
+        and ends == (tick.arrived, tick.gave_up, tick.crashed, tick.truncated)
+        and np.array_equal(plant.p_WB_m, tick.p_WB_m)
+        and (plant.yaw_rad, float(plant.v_B_mps[0])) == (tick.yaw_rad, tick.speed_mps)
+    )

@@ -56,7 +56,7 @@ def refuse_second_world() -> None:
     if world_in_this_process():
         raise WorldInUseError(
             "this process already has a SUMO world, and libsumo allows one per process; "
-            "close it first, or open this world in a process of its own (wcsim.server.links.child_world)"
+            "close it first, or open this world in a process of its own (wcsim.server.links.socket)"
         )
 
 

@@ -54,8 +54,8 @@ def play_episode(order: SuiteOrder, policies: Sequence[str], place: str) -> int:
     from wcsim.agents.evaluation.suite.playback import play, require_same
     from wcsim.agents.evaluation.suite.result_files import EPISODES, read_episodes
     from wcsim.agents.evaluation.suite.run import piece_of, require_usable, town_addresses
+    from wcsim.view.filming import film_steps
     from wcsim.view.map import MapView
-    from wcsim.view.moments import film_steps
 
     require_usable(order, policies)
     piece = piece_of(order, index, policies[0], town_addresses(order), judged=False)
@@ -93,7 +93,7 @@ def _tell(console: Console, played: Played, tick_s: float) -> None:
 
 
 def _row_of(step: PlayedStep, before_s: float) -> tuple[str, ...]:
-    from wcsim.view.moments import sticks
+    from wcsim.view.filming import sticks
 
     gaps = sorted((float(np.hypot(*(actor.p_W_m - step.p_W_m)[:2])), actor.kind.value) for actor in step.actors)
     nearest = f"{gaps[0][1]} {gaps[0][0]:.1f} m" if gaps else "-"

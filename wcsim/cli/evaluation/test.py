@@ -12,15 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import run_of
-from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, order_of, run_suites
-from wcsim.cli.evaluation.list_maker import make_list
+from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, make_list, order_of, run_suites
 from wcsim.cli.shared.common import Bounds, Keys, Repeated, check_folder, parse, says, some_words
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.shared.named_policies import require_policy
 from wcsim.cli.shared.overrides import Verbose, print_overrides
-from wcsim.cli.shared.run_config import overrides_of, require_known, require_user
+from wcsim.cli.shared.run_config import overrides_of, require_known, require_policy, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.checks.validate import validate_net

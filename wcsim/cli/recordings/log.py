@@ -124,8 +124,7 @@ def _verify(options: _VerifyOptions) -> int:
     in_bounds("--from", options.first, 0, last)
     path = _log_in(options.log)
     header = read_header(path)
-    from wcsim.bridge.replay.replayed import log_of
-    from wcsim.bridge.replay.verify import verify
+    from wcsim.bridge.replay.replayed import log_of, verify
 
     _note_versions(header.kind, header.fingerprint)
     begun_s = time.perf_counter()

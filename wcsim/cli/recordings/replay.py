@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import tyro
 
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import Bounds, parse
-from wcsim.cli.shared.named_policies import require_policy
+from wcsim.cli.shared.run_config import require_policy
 from wcsim.core.reading import escaped, is_file
 from wcsim.errors import ConfigError
 

@@ -48,8 +48,7 @@ def _check(options: Options) -> None:
     if not is_folder(options.run):
         raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
     from wcsim.bridge.replay.replayed import worlds_of
-    from wcsim.log.parts import part_files
-    from wcsim.log.reader import read_header
+    from wcsim.log.reader import part_files, read_header
     from wcsim.log.writer import JOURNAL
 
     if part_files(options.run / JOURNAL):

@@ -1,4 +1,4 @@
-"""How the commands that train make the configuration of a run from their options."""
+"""How commands make the configuration of a run from their options, and check the policies that they are given."""
 
 from __future__ import annotations
 
@@ -8,21 +8,73 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wcsim.agents.networks.names import check_network, is_own
-from wcsim.agents.runs.run_folder import ResolvedRun, whole_data
+from wcsim.agents.networks.names import check_network, is_own, require_named
+from wcsim.agents.policy_api import VETO
+from wcsim.agents.runs.policy_file import is_danger, policy_name, read_danger_file, read_policy_file
+from wcsim.agents.runs.run_folder import ResolvedRun, policy_path, whole_data
 from wcsim.bridge.sumo.step_hook import find_hook
 from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, resolve
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
+from wcsim.core.plugins import find_class
 from wcsim.core.reading import counted, escaped
-from wcsim.errors import ConfigError
+from wcsim.errors import ConfigError, PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
 from wcsim.users.profiles import HELD_OUT, PROFILE_SUFFIX, is_of_file, profile, read_profile
+
+
+def require_policy(name: str, network: str) -> None:
+    """Refuse what names no policy, and one with a network of somebody's own that was not named.
+
+    Args:
+        name: The policy; one that is module:Class is imported.
+        network: The own network that was named, "" for none.
+
+    Raises:
+        PolicyError: There is no such policy or class, or its network was not named.
+    """
+    named = policy_name(name)
+    if named.kind == "class":
+        find_class(named.inner, "policy")
+    elif named.is_network:
+        used = _network_of(name)
+        if is_own(used):
+            require_named(escaped(name), used, network)
+
+
+def require_driver(name: str, network: str) -> None:
+    """The same for a command with a single policy, which also has to use the network that was named.
+
+    Raises:
+        PolicyError: As `require_policy`, or there is no such network, or another one.
+    """
+    require_policy(name, network)
+    if not network:
+        return
+    check_network(network)
+    if not policy_name(name).is_network or _network_of(name) != network:
+        raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
+
+
+def require_without_veto(name: str, does: str) -> None:
+    """Refuse a policy behind a veto, where only its network is used. Raises PolicyError."""
+    named = policy_name(name)
+    if named.veto:
+        raise PolicyError(
+            f"{escaped(name)}: {does} uses the network alone; expected {escaped(named.inner)}, without {VETO}"
+        )
+
+
+def _network_of(name: str) -> str:
+    """What a run's policy looks at pictures with. Raises PolicyError when there is no such run."""
+    path = policy_path(name)
+    return (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
+
 
 QUICK = "quick"
 """The preset of `wcsim train` and `wcsim demo`."""

@@ -8,7 +8,7 @@ from rich.table import Column, Table
 
 from wcsim.cli.shared.common import Parts, run_part, says
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.town import import_, make, pave, town_check
+from wcsim.cli.town import import_, town_check
 from wcsim.cli.town import run as traffic
 from wcsim.towns.scenario.town import list_towns
 
@@ -22,10 +22,10 @@ def run(words: list[str]) -> int:
     """Run one of the subcommands."""
     parts: Parts = {
         "import": (import_.AdoptOptions if says(words, "--sumocfg") else import_.ImportOptions, import_.run),
-        "make": (make.TownMakeOptions, make.run),
+        "make": (import_.TownMakeOptions, import_.make),
         "list": (ListOptions, _list),
         "check": (town_check.CheckOptions, town_check.run),
-        "pave": (pave.PaveOptions, pave.run),
+        "pave": (import_.PaveOptions, import_.pave),
         "run": (traffic.RunOptions, lambda options: traffic.run(options, words)),
     }
     return run_part(words, "town", parts)

@@ -1,8 +1,9 @@
-"""`wcsim town import`: from a map, from the internet, or from a SUMO scenario."""
+"""Towns made: `wcsim town import`, of a map or a scenario; `make`, from a seed; `pave`, of one without pavements."""
 
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import shutil
 import tempfile
@@ -14,20 +15,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, check_folder, fresh_folders, words_of
+from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, TownWord, check_folder, fresh_folders, words_of
 from wcsim.cli.shared.consoles import say
-from wcsim.cli.town.stage_costs import StageClock
-from wcsim.cli.town.town_check import checked, told_report
+from wcsim.cli.town.town_check import StageClock, checked, told_report, try_town
+from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
+from wcsim.towns.checks.cures import FASTEST_MPS
 from wcsim.towns.importing.adopt import adopt_scenario
-from wcsim.towns.osm.area import Box
-from wcsim.towns.osm.read import download
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.importing.folder_texts import check_words
+from wcsim.towns.making.asked_town import Wishes, check_wishes
+from wcsim.towns.osm.read import Box, download
+from wcsim.towns.scenario.town import Town, find_town, open_town
 from wcsim.types import Street
 
 if TYPE_CHECKING:  # loads what builds streets, which --help must not
     from wcsim.towns.checks.check import TownReport
     from wcsim.towns.importing.importer import ImportOrder
+    from wcsim.towns.pave.pavements import Paved
+
 
 _LAND, _SIDE = tyro.conf.create_mutex_group(required=False), tyro.conf.create_mutex_group(required=False)
 Stage = Callable[[str], None]  # what begins now, in words
@@ -205,3 +210,118 @@ def _bbox(text: str) -> Box:
     if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
         raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
     return west, south, east, north
+
+
+@dataclass
+class TownMakeOptions:
+    """Generate a town from a seed, without a map."""
+
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+    """The town's name."""
+    seed: int = 0
+    """Seed of the whole town; the same seed and name give the same bytes."""
+    size: float = 700.0
+    """Approximate width in metres."""
+    kind: Literal["any", "grid", "spider", "random"] = "any"
+    """Kind of street network; any: chosen by the seed."""
+    split: Literal["train", "test"] = "train"
+    """Use it for training, or only for tests."""
+    out: OutFolder = None
+    """Folder to create; default ./scenarios/sumo/NAME."""
+    traffic: float = 1.0
+    """Factor for all traffic; 0 for none."""
+    parked: float = 0.7
+    """Share of the parking spaces with a parked car."""
+    hill: float | None = None
+    """Height of its hills in metres, 0 for a level town; default: chosen by the seed."""
+    replace: Flag = False
+    """Also replace an imported or edited town; it is lost."""
+    json: OutFile = None
+    """Write the result of the check to this file."""
+
+
+def make(options: TownMakeOptions) -> int:
+    """Generate, check, and print the result; 0 when the town has no faults, else 1."""
+    started_s = time.monotonic()
+    out = options.out or Path("scenarios/sumo") / options.name
+    wishes = Wishes(
+        size_m=options.size,
+        kind="" if options.kind == "any" else options.kind,
+        split=options.split,
+        traffic=options.traffic,
+        parked=options.parked,
+        hill_m=options.hill,
+    )
+    check_words(options.name, options.split)
+    check_wishes(options.seed, wishes)
+    check_folder("--out", out)
+    result = options.json and options.json.resolve()  # this folder itself may be made anew
+
+    from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
+
+    clock = StageClock(say)
+    town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
+    print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
+    return told_report(checked(town, told=clock.begin), started_s, result, clock)
+
+
+TOLD = 5
+
+
+@dataclass
+class PaveOptions:
+    """Copy a scenario into a folder and add pavements and crossings."""
+
+    town: TownWord
+    """A town's name, its folder, or a .sumocfg file; it is not changed."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """New folder for the copy."""
+    max_speed: Annotated[float, Bounds(1.0, 100.0)] = FASTEST_MPS
+    """Streets faster than this, in m/s, get no pavement."""
+    allow_outside: Flag = False
+    """Also copy files that a .sumocfg names outside of its folder."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def pave(options: PaveOptions) -> int:
+    """Pave, let SUMO try the copy, check it, and say what was done; 0 when the copy has no faults, else 1."""
+    started_s = time.monotonic()
+    check_folder("--out", options.out)
+    bare = find_town(options.town, outside=options.allow_outside)
+
+    from wcsim.towns.checks.check import check_town  # loads what builds streets, which --help must not
+    from wcsim.towns.pave.pavements import pave_town
+
+    say(f"adding pavements in {options.out}")
+    paved = pave_town(bare, options.out, options.max_speed)
+    town = _copy_of(bare, paved.sumocfg, outside=options.allow_outside)
+    say("testing the first steps in SUMO")
+    try_town(town)
+    say("checking the copy")
+    report = check_town(town)
+    _print(paved)
+    return told_report(report, started_s, options.json, paved={**asdict(paved), "sumocfg": str(paved.sumocfg)})
+
+
+def _copy_of(bare: Town, sumocfg: Path, *, outside: bool) -> Town:
+    """The copy, opened as the scenario was: by the folder whose town.toml says where it lies, or as it is."""
+    deep = len(Path(os.path.relpath(bare.sumocfg, bare.folder)).parts)
+    return open_town(sumocfg if deep == 1 else sumocfg.parents[deep - 1], outside=outside)
+
+
+def _print(paved: Paved) -> None:
+    print(f"wrote {paved.sumocfg}; open it with: sumo-gui -c {shlex.quote(str(paved.sumocfg))}")
+    streets = [f"{counted(paved.streets, 'street')} got a pavement"] if paved.streets or not paved.had else []
+    streets += [f"{counted(paved.had, 'street')} already had one"] if paved.had else []
+    print(
+        f"{', '.join(streets)}; added {counted(paved.crossings, 'crossing')} and "
+        f"{counted(paved.walkingareas, 'walking area')}; checked {counted(paved.placed, 'element')} on lanes (stops, "
+        f"detectors, ...) and {counted(paved.programs, 'signal program')}"
+    )
+    if paved.moved_m:
+        print(f"{counted(len(paved.moved_m), 'position')} moved off junctions that grew; the farthest, in m:")
+        for name, along_m in paved.moved_m[:TOLD]:
+            print(f"  {name}: {along_m:.2f}")
+    for note in paved.notes:
+        print(f"note: {note}")

@@ -22,8 +22,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.named_policies import require_policy, require_without_veto
-from wcsim.cli.shared.run_config import require_known, require_users
+from wcsim.cli.shared.run_config import require_known, require_policy, require_users, require_without_veto
 from wcsim.cli.training.train import checked_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted

@@ -159,7 +159,7 @@ def _film(demo: _Demo) -> Path:
 
 
 def _page(demo: _Demo, config: RunConfig, result: TestResult, still: Path) -> Path:
-    from wcsim.view.report.demo_page import DemoShown, write_demo_page
+    from wcsim.view.report.suite_page import DemoShown, write_demo_page
 
     shown = DemoShown(
         learned=how_it_learns(config),

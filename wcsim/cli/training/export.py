@@ -13,12 +13,11 @@ import tyro
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
 from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation
-from wcsim.agents.runs.policy_file import SHIPPED, is_danger, read_danger_file
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.named_policies import require_driver, require_without_veto
+from wcsim.cli.shared.run_config import require_driver, require_without_veto
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted, escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError, meant
@@ -164,8 +163,7 @@ class _ReferenceRide:
 
 def _ride(options: Options) -> _ReferenceRide:
     from wcsim.agents.export.export_folder import require_shown
-    from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride
-    from wcsim.agents.rounds.reference_ride import reference_ride
+    from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of
 
     preset = "laptop" if is_danger(policy_path(options.policy)) else "paper"  # for a folder outside of its run

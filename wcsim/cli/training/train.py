@@ -100,7 +100,7 @@ def run(words: list[str]) -> int:
 
 def told(options: ToldOptions, run: ResolvedRun) -> int:
     """Say where a finished run is and how to test it; returns the exit code."""
-    from wcsim.cli.training.report import print_crossings
+    from wcsim.cli.training.clients import print_crossings
 
     if not learns_in_rounds(run.config):  # rounds write no line an episode
         print_crossings(run.out)

@@ -11,13 +11,12 @@ from typing import Any, Final
 
 from wcsim.config import CameraConfig, parse_json
 from wcsim.drive import messages as m
-from wcsim.drive.page_runner import Does, PageRunner, run_page
 from wcsim.drive.pictures import StreetPictures
 from wcsim.drive.playing import play_messages as pm
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
-from wcsim.drive.playing.low_priority import run_at_low_priority
-from wcsim.drive.playing.sources.source_process import FilmSource, run_source
+from wcsim.drive.playing.sources.source_process import FilmSource, run_at_low_priority, run_source
 from wcsim.drive.playing.tick_film import TickFilm
+from wcsim.drive.runner import Does, PageRunner, run_page
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street

@@ -10,7 +10,7 @@ from typing import Final
 
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named
 from wcsim.agents.policy_api import Levelled
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.config import CONFIG_FILE, parse
 from wcsim.config.study import StudyFile, StudyPlace
 from wcsim.core.reading import escaped, is_file, parse_toml, read_text

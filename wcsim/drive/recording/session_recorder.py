@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from wcsim.bridge.drives.drive_header import drive_header
-from wcsim.bridge.replay.drive_inputs import first_inputs
+from wcsim.bridge.replay.replayed import first_inputs
+from wcsim.bridge.user_drives import drive_header
 from wcsim.core.reading import escaped
 from wcsim.drive.driven import DriveRecord, DriverKind, EventKind
 from wcsim.drive.session import DriveSession

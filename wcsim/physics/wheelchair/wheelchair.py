@@ -2,19 +2,24 @@
 
 Once a tick `command`; each substep `before_step`, `Engine.step`, `after_step`; at the end of the tick `end_tick`, and
 then `state`, `imu` and `contacts` answer.
+
+`WheelTrack` knows where the wheels have been in the last seconds, and whether one fell off a kerb. Such a fall is a
+crash of its own, though no part of the chair but wheels may touch anything.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from wcsim.config import ChairConfig, ImuConfig
+from wcsim.core.constants import KERB_STEP_M
 from wcsim.core.frames import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
+from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
@@ -33,8 +38,114 @@ from wcsim.physics.wheelchair.contacts import (
 )
 from wcsim.physics.wheelchair.plant import PlantSpec, plant_spec
 from wcsim.physics.wheelchair.plant_body import FRAME, ChairBody, check_springs, dressed, load_body, urdf
-from wcsim.physics.wheelchair.wheel_track import WheelTrack
-from wcsim.types import F64, Contact, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
+from wcsim.types import F64, Bool, Contact, Ground, ImuFrame, Joystick, Outline, PlantState, chair_actor_id
+
+SAMPLE_S: Final = 0.05
+KEPT_S: Final = 2.5  # longer than the longest tick and all that is asked of the time before it
+_PLACE: Final = 0  # of a link's centre of mass, among what PyBullet says of a link
+
+
+class WheelTrack:
+    """Takes a sample every 0.05 s, whatever the tick and the physics step are.
+
+    Args:
+        body: The chair in PyBullet.
+        wheels: Its links that are wheels or casters.
+        step_s: Physics step.
+        client: The engine in PyBullet.
+    """
+
+    def __init__(self, body: int, wheels: Iterable[int], step_s: float, client: int) -> None:
+        self._body, self._wheels, self._client = body, tuple(wheels), client
+        self.set_step(step_s)
+        self._kept = round(KEPT_S / (self._every * step_s))
+        # each sample is written twice, so that the last `_kept` ones always lie in one piece
+        self._p_W_m = np.zeros((2 * self._kept, len(self._wheels), 3))
+        self._speed_mps = np.zeros(2 * self._kept)
+        self.clear()
+
+    def set_step(self, step_s: float) -> None:
+        """Take the physics steps to be so long from now on."""
+        self._every = max(1, round(SAMPLE_S / step_s))
+        self._steps = 0
+
+    def clear(self) -> None:
+        """Forget everything: the chair is put to another place."""
+        self._steps = self._count = 0
+
+    def after_step(self, v_W_mps: tuple[float, float, float]) -> None:
+        """Count a physics step, after which the chair moves at this velocity."""
+        self._steps += 1
+        if self._steps % self._every:
+            return
+        links = pybullet.getLinkStates(self._body, self._wheels, physicsClientId=self._client)
+        places_W_m = [link[_PLACE] for link in links]
+        at = self._count % self._kept
+        for row in (at, at + self._kept):
+            self._p_W_m[row] = places_W_m
+            self._speed_mps[row] = math.hypot(v_W_mps[0], v_W_mps[1])
+        self._count += 1
+
+    def samples(self) -> tuple[F64, F64]:
+        """Middles of the wheels in W (n, W, 3) and the chair's speed over the ground (n,), the oldest first.
+
+        They are views, and change with the next sample.
+        """
+        first = self._count % self._kept if self._count > self._kept else 0
+        last = first + min(self._count, self._kept)
+        return self._p_W_m[first:last], self._speed_mps[first:last]
+
+
+WITHIN_S: Final = 0.3  # a wheel that sinks for longer is let down
+FASTER_MPS: Final = 0.3  # a slower chair feels its way down
+AFTER_EDGE_S: Final = 1.0  # a slow wheel rolls over the edge of a kerb for so long before it falls
+_SOFT: Final = 2  # samples that the edge of a kerb takes, which the raster's cells may cut in two
+_HAIR_M: Final = 1e-6  # heights of the raster are whole centimetres
+
+
+def fell(p_W_m: F64, speed_mps: F64, ground: Ground) -> bool:
+    """Whether a wheel fell off a kerb while the chair was moving.
+
+    It sank more than a wheel takes, within 0.3 s, and just before it had rolled over an edge of the ground as high as
+    that. The edge tells a fall from a wheel that bounces, and from a ramp that a fast chair rolls down; the heights are
+    those above the land, so that steep land is no edge.
+
+    Args:
+        p_W_m: Middles of the wheels (n, W, 3), a sample every `SAMPLE_S`, the oldest first.
+        speed_mps: The chair's speed over the ground (n,).
+        ground: The street from above.
+    """
+    sank = np.zeros(p_W_m.shape[:2], np.bool_)
+    # Heights of the raster are looked up only where a wheel sank, which is hardly ever.
+    if not _sank(p_W_m, speed_mps, round(WITHIN_S / SAMPLE_S), sank):
+        return False
+    return bool((sank & _after_edge(ground.raised_at(p_W_m))).any())
+
+
+@exact_kernel
+def _sank(p_W_m: F64, speed_mps: F64, window: int, sank: Bool) -> bool:
+    """Note in `sank` (n, W) where a wheel is that much lower than in the samples before, when the chair was fast."""
+    found = False
+    for at in range(len(speed_mps)):
+        for before in range(max(0, at - window), at):
+            # The speed before the drop counts: after a fall the chair may stand.
+            if speed_mps[before] > FASTER_MPS:
+                for wheel in range(p_W_m.shape[1]):
+                    if p_W_m[before, wheel, 2] - p_W_m[at, wheel, 2] > KERB_STEP_M:
+                        sank[at, wheel] = found = True
+    return found
+
+
+def _after_edge(raised_m: F64) -> Bool:
+    """(n, W) where a wheel went down an edge of the ground within the last second."""
+    edge = np.zeros(raised_m.shape, np.bool_)
+    for back in range(1, _SOFT + 1):
+        edge[back:] |= raised_m[:-back] - raised_m[back:] > KERB_STEP_M + _HAIR_M
+    after = edge.copy()
+    for back in range(1, round(AFTER_EDGE_S / SAMPLE_S) + 1):
+        after[back:] |= edge[:-back]
+    return after
+
 
 Vec3 = tuple[float, float, float]
 LEVEL_M: Final = 0.003  # ground that differs less under the wheels is level

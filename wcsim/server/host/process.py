@@ -15,7 +15,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from types import FrameType
 
 import msgspec
 
-from wcsim.bridge.replay.seat_world import SeatWorld
+from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import (
     AccessError,
     ConfigError,
@@ -31,13 +31,13 @@ from wcsim.errors import (
     HookError,
     JournalError,
     OverloadedError,
+    ProtocolError,
     TownError,
     WcsimError,
 )
 from wcsim.log.records import Ended, Input
 from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
-from wcsim.server.host.made_world import MakesWorld, street_world
-from wcsim.server.host.recovery import Opened, open_server
+from wcsim.server.host.recovery import MakesWorld, Opened, open_server, street_world
 from wcsim.server.host.status import Reporter
 from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
@@ -50,9 +50,94 @@ from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
 from wcsim.server.protocol.members import Member, Pending
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldSpec, read_order
-from wcsim.server.transport.entry import PeerLimits, at_the_door
 from wcsim.server.transport.shared_images import RingSink, pictures_of
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
+
+MAX_PEERS = 64
+MESSAGES_PER_S, BURST = 10_000.0, 10_000.0  # a sole master in a world that costs nothing sends 2,500 (measured)
+MOST_FAULTS = 20  # messages that could not be read, or came too fast, after which a peer is not heard any more
+
+
+@dataclass(slots=True)
+class _Account:
+    tokens: float
+    heard_s: float
+    faults: int = 0
+
+
+class PeerLimits:
+    """Accounts of all peers."""
+
+    def __init__(self) -> None:
+        self._accounts: dict[Peer, _Account] = {}
+
+    def hears(self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]) -> bool | None:
+        """Whether a message of a peer may be read now; None when nothing shall even be answered.
+
+        Args:
+            peer: Whose message.
+            now_s: The time.
+            members: Tells the peers whose accounts are kept whatever comes.
+        """
+        account = self._accounts.get(peer)
+        if account is None:
+            account = self._opened(peer, now_s, members)
+            if account is None:
+                return None
+        if account.faults >= MOST_FAULTS:
+            return None
+        account.tokens = min(BURST, account.tokens + MESSAGES_PER_S * (now_s - account.heard_s)) - 1.0
+        account.heard_s = now_s
+        if account.tokens < 0.0:
+            account.tokens = 0.0
+            account.faults += 1
+            return False
+        return True
+
+    def fault(self, peer: Peer) -> None:
+        """A message of the peer could not be read."""
+        account = self._accounts.get(peer)
+        if account is not None:
+            account.faults += 1
+
+    def is_shut_out(self, peer: Peer) -> bool:
+        """Whether nothing of the peer is heard any more."""
+        account = self._accounts.get(peer)
+        return account is not None and account.faults >= MOST_FAULTS
+
+    def _opened(self, peer: Peer, now_s: float, members: Callable[[], Container[Peer]]) -> _Account | None:
+        if len(self._accounts) >= MAX_PEERS:
+            kept = members()
+            strangers = [other for other in self._accounts if other not in kept]
+            if not strangers:
+                return None
+            # Whoever was silent for longest goes, so that a crowd of strangers cannot keep a client out.
+            del self._accounts[min(strangers, key=lambda other: self._accounts[other].heard_s)]
+        self._accounts[peer] = _Account(tokens=BURST, heard_s=now_s)
+        return self._accounts[peer]
+
+
+def at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
+    """A join as the server takes it from this door.
+
+    A client with a key is known by the key's name, or by that with a dot and a word after it (`ann.2`).
+
+    Args:
+        join: What the client says.
+        remote: Whether it came over the network.
+        key: The name of the key that it has shown; None where none is asked for.
+
+    Raises:
+        ProtocolError: It asks over the network for what only the world's own machine may choose.
+    """
+    if key and join.name != key and not join.name.startswith(f"{key}."):
+        join = msgspec.structs.replace(join, name=key)
+    if not remote:
+        return join
+    if join.spec.start is not None:
+        raise ProtocolError("only a client on the world's own machine may choose its start; leave it out")
+    return msgspec.structs.replace(join, pid=0)
+
 
 _WAIT_MS = 50
 _CLOCK_S = 0.1

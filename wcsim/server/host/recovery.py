@@ -1,29 +1,52 @@
-"""What a server process begins with: a new world with a new journal, or one that goes on where another died."""
+"""The world of a server: made new, or gone on with where another died. Loads SUMO and PyBullet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 from wcsim.bridge.recording.fingerprint import fingerprint
-from wcsim.bridge.replay.player import LogPlayer, Seats, W, require_equal
-from wcsim.bridge.replay.seat_world import MakesEpoch, SeatWorld
+from wcsim.bridge.replay.player import LogPlayer, MakesEpoch, Seats, SeatWorld, Specs, W, W_co, require_equal
+from wcsim.bridge.world import World
+from wcsim.core import seeding
 from wcsim.errors import ConfigError, WcsimError
-from wcsim.log.parts import part_files, put_aside
-from wcsim.log.reader import inputs_of_part, read_header
+from wcsim.log.reader import inputs_of_part, part_files, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Header, Input
-from wcsim.log.torn import told_torn
-from wcsim.log.writer import JOURNAL, LogWriter
+from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.host.epoch_cap import EPOCH_OVER
-from wcsim.server.host.made_world import MakesWorld, epoch_seed, street_world
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.server_core import ServerCore
-from wcsim.server.specs import WorldSpec
+from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import towns_hash
+
+
+class MakesWorld(Protocol[W_co]):
+    """Makes the worlds of orders."""
+
+    def __call__(self, order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> W_co:
+        """A world with a chair for each of `specs` that is not None; `epoch` is the number of its first epoch."""
+
+
+def made_world(order: WorldOrder) -> World:
+    """A world with free seats."""
+    return street_world(order, (None,) * order.seats, order.seed)
+
+
+def street_world(order: WorldOrder, specs: Specs, seed: int, *, epoch: int = 0) -> World:
+    """The world of a town; see `MakesWorld`. Raises TownError for one that is not there, and what `World` raises."""
+    town = asked_town(town_of_epoch(order.town, order.more_towns, epoch))
+    return World(town, order.config, specs, seed, order.place, epoch=epoch)
+
+
+def epoch_seed(seed: int, epoch: int) -> int:
+    """The seed of an epoch: the run's own for the first one."""
+    return seed if epoch == 0 else seeding.derive(seed, "epoch", epoch)
+
 
 ALIVE_EVERY = 10  # records between two signs of life while a world is made again
 GATHER_AGAIN_S = 60.0  # the same at the planned end of an epoch, after which all who were in it come back

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import msgspec
 
-from wcsim.bridge.replay.seat_world import SeatWorld
+from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import PhysicsError, WcsimError
 from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
 from wcsim.physics.buffers import ImageSink

@@ -19,6 +19,6 @@ def open_group(order: WorldOrder) -> SeatGroup:
         from wcsim.server.links.local import LocalGroup
 
         return LocalGroup(order)
-    from wcsim.server.links.child_world import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
+    from wcsim.server.links.socket import ProcessGroup  # ZeroMQ is loaded only when a second world is asked for
 
     return ProcessGroup(order)

@@ -31,7 +31,7 @@ from wcsim.core.files import home
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.cluster_node import SentParcel, digest_of, do_work, packed
-from wcsim.server.workers.worker_api import Facts, Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import Facts, Parcel, Work, WorkEnd
 
 LOCAL: Final = "local"
 STORE_BYTES: Final = 160 << 20  # of objects on their way; what travels is small

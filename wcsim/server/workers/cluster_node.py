@@ -26,8 +26,7 @@ import zstandard
 from wcsim.core.files import alone
 from wcsim.core.reading import escaped, unzstd
 from wcsim.errors import ConfigError, WcsimError, WorkersError
-from wcsim.server.workers.machines import work_folder
-from wcsim.server.workers.worker_api import Parcel, Work, WorkEnd
+from wcsim.server.workers.machines import Parcel, Work, WorkEnd, work_folder
 from wcsim.towns.cache.folder import cache_folder
 
 MOST_BYTES: Final = 512 << 20

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from wcsim.errors import WorkersError
-from wcsim.server.workers.worker_api import Work, WorkEnd, Workers
+from wcsim.server.workers.machines import Work, WorkEnd, Workers
 
 MOST_DEATHS: Final = 5  # of workers at the same piece, or times that it was late, before the run gives up
 LATE: Final = 5.0  # times the longest piece so far: then it is done again by another one

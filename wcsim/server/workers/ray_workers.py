@@ -19,7 +19,7 @@ from typing import Any, Final
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, DiskFullError, WorkersError, check_installed
 from wcsim.server.workers.cluster_link import LOCAL, LinkSpec, run_link
-from wcsim.server.workers.worker_api import Work, WorkEnd
+from wcsim.server.workers.machines import Work, WorkEnd
 
 RAY_LOG, PIECES = "ray.log", "pieces.jsonl"
 REACH_S: Final = 5.0

@@ -22,7 +22,7 @@ _KEY = "[0-9a-f]{32}"
 _STREET = re.compile(rf"street-{_KEY}\.npz")
 _VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
 _KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc|lock)")  # machine code, with the list of it and the lock for each kernel
-# Folders: generated scenes of the driving page, and generated towns of suites; see `bridge/replay/made_scene.py` and
+# Folders: generated scenes of the driving page, and generated towns of suites; see `bridge/replay/replayed.py` and
 # `drive/starting.py`.
 _DRIVEN = {"drive-scenes": re.compile(r"[a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8}"), "drive-towns": re.compile(r"made-\d+")}
 _LOCK = re.compile(rf"street-{_KEY}\.lock")

@@ -39,9 +39,8 @@ from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
 from wcsim.towns.ground.surfaces import ground_of
 from wcsim.towns.ground.tiles import CELL_M
 from wcsim.towns.scenario.files import FilteredFiles, with_included
-from wcsim.towns.scenario.manifest import find_changes
 from wcsim.towns.scenario.stage import files_of
-from wcsim.towns.scenario.town import Town, polygons_among
+from wcsim.towns.scenario.town import Town, find_changes, polygons_among
 from wcsim.towns.street import load_street
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import WALK_KINDS, Edge, LaneKind, Net, read_net

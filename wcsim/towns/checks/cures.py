@@ -15,13 +15,11 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
-from wcsim.towns.osm.area import bbox_option, grown, size_m
-from wcsim.towns.osm.read import MARGIN_M, holds_more
+from wcsim.towns.osm.read import MARGIN_M, bbox_option, grown, holds_more, size_m
 from wcsim.towns.scenario.files import with_included
-from wcsim.towns.scenario.manifest import own_work
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.stage import parse_seconds
-from wcsim.towns.scenario.town import Town
+from wcsim.towns.scenario.town import Town, own_work
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root

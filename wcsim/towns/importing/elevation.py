@@ -29,7 +29,7 @@ from wcsim.core.reading import FileKind, escaped, read_bytes
 from wcsim.core.seeding import generator
 from wcsim.errors import TownError, check_installed
 from wcsim.towns.ground.relief import steepest_run
-from wcsim.towns.osm.area import Box, grown, is_within, size_m
+from wcsim.towns.osm.read import Box, grown, is_within, size_m
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 

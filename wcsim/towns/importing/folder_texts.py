@@ -9,8 +9,7 @@ from pathlib import Path
 
 from wcsim.core.reading import listed
 from wcsim.errors import TownError
-from wcsim.towns.scenario.manifest import chair_ways, own_work
-from wcsim.towns.scenario.town import NOT_TOWNS
+from wcsim.towns.scenario.town import NOT_TOWNS, chair_ways, own_work
 from wcsim.towns.sumo.xml_io import without_comments, write_gzip
 
 _SUMOCFG = """\

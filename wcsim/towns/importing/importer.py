@@ -36,7 +36,6 @@ from wcsim.towns.importing.folder_texts import (
     write_scenario,
 )
 from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
-from wcsim.towns.osm.area import Box, Side, bbox_option, box_centre, check_box, side_at, size_m
 from wcsim.towns.osm.clean import (
     LeftOut,
     NetWays,
@@ -50,9 +49,8 @@ from wcsim.towns.osm.clean import (
     ways_inside,
     wrongly_paved,
 )
-from wcsim.towns.osm.read import Extract, read_extract
-from wcsim.towns.scenario.manifest import CYCLE_PATHS, chair_ways, hash_files
-from wcsim.towns.scenario.town import Town, open_town
+from wcsim.towns.osm.read import Box, Extract, Side, bbox_option, box_centre, check_box, read_extract, side_at, size_m
+from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes

@@ -9,8 +9,7 @@ from typing import Final
 from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.cache.folder import cache_folder
-from wcsim.towns.scenario.manifest import own_work
-from wcsim.towns.scenario.town import Town, find_town, open_town
+from wcsim.towns.scenario.town import Town, find_town, open_town, own_work
 
 KINDS = ("grid", "spider", "random")
 SIZES_M = (300.0, 1500.0)

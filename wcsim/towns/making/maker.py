@@ -29,8 +29,7 @@ from wcsim.towns.importing.map_marks import find_parking, map_marks
 from wcsim.towns.making.asked_town import KINDS, Wishes, check_wishes
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.plan import StreetPlan, draw_plan, shape_plan
-from wcsim.towns.scenario.manifest import chair_ways, hash_files
-from wcsim.towns.scenario.town import Town, net_middle, open_town, read_town_file
+from wcsim.towns.scenario.town import Town, chair_ways, hash_files, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.walking.islands import largest_share, walkable_parts

@@ -33,7 +33,7 @@ import shapely
 
 from wcsim.core.frames import rad
 from wcsim.core.reading import listed
-from wcsim.towns.osm.area import Box, is_within, size_m
+from wcsim.towns.osm.read import Box, is_within, size_m
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64

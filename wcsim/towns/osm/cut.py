@@ -10,7 +10,7 @@ import sys
 import osmium
 from osmium.index import IdSet
 
-from wcsim.towns.osm.area import Box
+from wcsim.towns.osm.read import Box
 
 
 def _cut(source: str, file_format: str, out: str, box: Box | None) -> None:

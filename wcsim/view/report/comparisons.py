@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import Final
 
-from wcsim.agents.evaluation.intervals import FEWEST, Interval, bootstrapped, mcnemar
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, saved_and_lost
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.rows import ResultRow, undone
+from wcsim.agents.evaluation.suite.rows import FEWEST, Interval, ResultRow, bootstrapped, mcnemar, undone
 from wcsim.agents.policy_api import BASELINES, UNAIDED, UPPER_BOUNDS
 from wcsim.core.reading import counted
 

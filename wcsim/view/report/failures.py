@@ -30,13 +30,13 @@ from wcsim.agents.evaluation.suite.records import (
 from wcsim.agents.evaluation.suite.result_files import TestResult
 from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.types import U8, ActorKind
+from wcsim.view.filming import around_picture, seen_picture, sticks
 from wcsim.view.map import MapView
-from wcsim.view.moments import around_picture, seen_picture, sticks
 
 WORST: Final = (
     "Worst first: own crashes with road users, own crashes with objects and falls, crashes by others, failed policies, "

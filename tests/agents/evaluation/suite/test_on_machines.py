@@ -11,7 +11,7 @@ import torch
 from tests.agents.evaluation.suite.lists import block_of, suite_in
 from tests.agents.rounds.small_runs import run_in
 from wcsim.agents.danger.network import DangerNet, channels_last, spec_of
-from wcsim.agents.danger.saved import save_danger
+from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.evaluation.suite.run import SuiteOrder, _drive_alone, _needs_of, piece_of, run_suite, town_addresses
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.config.run_file import DangerRule

@@ -15,8 +15,8 @@ from tests.support.framing import read_whole
 from tests.support.journals import eventful_run, nudged, rewritten
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
-from wcsim.bridge.drives.record_user import UserDriveOrder, drawn_user, record_user
 from wcsim.bridge.sumo.session import world_in_this_process
+from wcsim.bridge.user_drives import UserDriveOrder, drawn_user, record_user
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.recordings import replay
 from wcsim.config import resolve

@@ -18,7 +18,7 @@ from wcsim.agents.export.guard import GuardedPolicy, guard_of
 from wcsim.agents.policies.onnx_policy import OnnxPolicy, read_about
 from wcsim.agents.policies.served_policy import ServedPolicy
 from wcsim.agents.policy_api import Policy, sense_settings, senses_of
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
@@ -82,7 +82,7 @@ def open_named(name: str, config: RunConfig, seed: int, network: str | None = No
     actions = action_set(config.env.actions)
     named = policy_name(name)
     if named.veto:
-        from wcsim.agents.policies.veto import Veto  # and with it kernels, which the checks of names must not load
+        from wcsim.agents.policies.dwa import Veto  # and with it kernels, which the checks of names must not load
 
         return Veto(name, open_named(named.inner, config, seed, network), config)
     if named.kind == "served":

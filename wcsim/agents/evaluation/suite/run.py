@@ -24,8 +24,8 @@ from wcsim.agents.evaluation.suite.named_policy import (
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.policy_api import Policy
-from wcsim.agents.runs.parcels import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.run_folder import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
@@ -35,8 +35,7 @@ from wcsim.core.reading import FileKind, escaped, read_json
 from wcsim.core.sources import code_digest
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.server.workers.crew import Crew, WorkerNow
-from wcsim.server.workers.machines import HERE, Machines
-from wcsim.server.workers.worker_api import At, Parcel, Work, Workers
+from wcsim.server.workers.machines import HERE, At, Machines, Parcel, Work, Workers
 
 _KEPT: Final = FileKind(what="a saved block of `wcsim test`: remove it", limit_bytes=64 << 20, error=ConfigError)
 

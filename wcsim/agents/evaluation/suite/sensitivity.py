@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from wcsim.agents.evaluation.intervals import Interval, bootstrapped
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, undriven
-from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
+from wcsim.agents.evaluation.suite.rows import Interval, ResultRow, bootstrapped, row_of
 from wcsim.agents.evaluation.suite.run import Done, SuiteOrder, run_suite
 
 CLEAN: Final = ("cameras.0.noise=none", "world.action_delay_ticks=0")

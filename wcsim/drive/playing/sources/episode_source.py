@@ -13,7 +13,7 @@ from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
 from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
-from wcsim.agents.runs.policy_name import policy_name
+from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.drive.driven import is_intervention, xy_of

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from wcsim.agents.policy_api import UNAIDED
-from wcsim.bridge.replay.drive_inputs import town_of_drive
-from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed
+from wcsim.bridge.replay.replayed import config_of, count_ticks, log_of, replayed, town_of_drive
 from wcsim.bridge.world import World
 from wcsim.drive.driven import DriverKind, EventKind, is_intervention, xy_of
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, FrameMaker, Said, TickSays

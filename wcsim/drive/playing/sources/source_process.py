@@ -1,18 +1,36 @@
-"""The process of a source: it says its film into a pipe, as fast as it is taken, and an error as a line."""
+"""The process of a source: at the lowest priority it says its film into a pipe, and an error as a line."""
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
 
 from wcsim.drive.playing.film_states import FilmLine, Said
-from wcsim.drive.playing.low_priority import run_at_low_priority
 from wcsim.errors import WcsimError
+
+LAST: Final = 19  # the lowest priority
+_GROUP: Final = Path("/proc/self/autogroup")
+
+
+def run_at_low_priority() -> None:
+    """Give this process the lowest priority: every other one gets the processor first.
+
+    Linux shares it among sessions before it looks at the priorities within one, so a terminal that only watches would
+    get as much as that in which something is trained: this process leaves for a session of its own, which comes last.
+    """
+    with suppress(OSError):  # it leads a session already
+        os.setsid()
+        _GROUP.write_text(str(LAST), encoding="ascii")
+    os.nice(LAST)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
 
 SourceKind = Literal["log", "episode", "run"]
 

@@ -1,4 +1,4 @@
-"""`wcsim users fit`: the user model fitted to recorded drives, as a profile that trainings and tests take."""
+"""`wcsim users record | fit`: what a simulated user does is kept in a file, and the model is fitted to such files."""
 
 from __future__ import annotations
 
@@ -12,15 +12,92 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import Flag, OutFile, Writes, result_file, write_json
+from wcsim.cli.shared.common import (
+    Bounds,
+    Flag,
+    Keys,
+    OutFile,
+    Repeated,
+    TownWord,
+    Writes,
+    result_file,
+    run_part,
+    write_json,
+)
 from wcsim.cli.shared.consoles import stdout_console
+from wcsim.cli.shared.run_config import require_user
+from wcsim.config import resolve
+from wcsim.core.constants import RECORDED
 from wcsim.core.files import check_new_file
+from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
-from wcsim.users.profiles import UserProfile, profile, profile_text
+from wcsim.towns.scenario.town import find_town
+from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, profile_text, read_profile
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
     from wcsim.users.fitting.fit_user import UserFit
+
+
+SMALL_CAMERA = ("cameras.0.width_px=16", "cameras.0.height_px=12")  # nobody looks at the pictures
+_TELL_EVERY_S = 60.0
+
+
+def run(words: list[str]) -> int:
+    """Run one of them."""
+    record, fit = (UserRecordOptions, record_drive), (UserFitOptions, fit_profile)
+    return run_part(words, "users", {"record": record, "fit": fit})
+
+
+@dataclass
+class UserRecordOptions:
+    """Let a simulated user drive through a town and record the drive."""
+
+    town: TownWord
+    """A town's name, its folder, or a .sumocfg file."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """New file for the recording."""
+    profile: str = "competent"
+    """Profile of the simulated user, or FILE.toml. One user is drawn and stays the same after a crash."""
+    minutes: Annotated[float, Bounds(0.01, 600.0)] = 10.0
+    """Length of the drive in minutes."""
+    seed: int = 0
+    """Seed of the town, the starts and the user."""
+    set: Annotated[Repeated, Keys({"env.profile": "expected --profile NAME"})] = ()
+    """section.key=value, overrides preset quick; may be repeated."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def record_drive(options: UserRecordOptions) -> int:
+    """Drive and record."""
+    check_new_file(options.out, "--out")
+    base = _profile(options.profile)
+    config = resolve("quick", (*SMALL_CAMERA, *options.set))
+    town = find_town(options.town)
+
+    from wcsim.bridge.user_drives import UserDriveOrder, drawn_user, record_user  # loads the simulators
+
+    user, ticks = drawn_user(base, options.seed), max(2, round(60.0 * options.minutes / config.world.tick_s))
+
+    def show(done: int) -> None:
+        if done % round(_TELL_EVERY_S / config.world.tick_s) == 0:
+            print(f"{done * config.world.tick_s / 60.0:.0f} of {options.minutes:g} minutes", file=sys.stderr)
+
+    order = UserDriveOrder(town=town, config=config, user=user, ticks=ticks, seed=options.seed)
+    crashes = record_user(order, options.out, show)
+    print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {counted(crashes, 'crash')}")
+    told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
+    write_json(options.json, told)
+    return 0
+
+
+def _profile(name: str) -> UserProfile:
+    if name.startswith(RECORDED):
+        raise ConfigError(f"--profile {escaped(name, 80)} is a recording; expected a profile, or FILE.toml")
+    require_user(name)
+    return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
+
 
 _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 
@@ -41,7 +118,7 @@ class UserFitOptions:
     """Write the result to this file."""
 
 
-def run(options: UserFitOptions) -> int:
+def fit_profile(options: UserFitOptions) -> int:
     """Fit, print, write."""
     check_new_file(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
@@ -85,8 +162,8 @@ def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
 
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:
     """The same for drives that do not say what was wanted: the last fit's delays make the next one's intents."""
-    from wcsim.bridge.drives.shadow import seen_drive, with_shadow
-    from wcsim.bridge.replay.drive_inputs import town_of_drive
+    from wcsim.bridge.replay.replayed import town_of_drive
+    from wcsim.bridge.user_drives import seen_drive, with_shadow
     from wcsim.users.fitting.fit_user import fit_user
     from wcsim.users.fitting.hand_series import check_stick
 

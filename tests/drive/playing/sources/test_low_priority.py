@@ -6,7 +6,7 @@ import sys
 CODE = """
 import os
 before = os.getsid(0)
-from wcsim.drive.playing.low_priority import LAST, run_at_low_priority
+from wcsim.drive.playing.sources.source_process import LAST, run_at_low_priority
 run_at_low_priority()
 run_at_low_priority()  # a second time changes nothing
 print(os.getsid(0) == os.getpid() != before, os.nice(0) == LAST, os.sched_getscheduler(0) == os.SCHED_IDLE)

@@ -1,4 +1,4 @@
-"""Section `[learn]`: the learner."""
+"""Sections `[learn]`, `[danger]` and `[collect]`: the learner, its danger head, and what driving it learns from."""
 
 from __future__ import annotations
 
@@ -6,7 +6,59 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from wcsim.config.base import Model, NotNegative, Positive, Share, Word
+from wcsim.config.base import Model, NotNegative, Positive, Share, Text, Word
+
+
+class DangerConfig(Model):
+    """The danger network: its parts, its training, and its rule."""
+
+    eye: Literal["map", "picture", "both"] = "map"  # Input: the street map, camera images (`learn.network`), or both.
+    width: Annotated[int, Field(ge=4, le=256)] = 20  # Channels of the first layer.
+    updates: Annotated[int, Field(ge=1, le=10**7)] = 1500  # Updates in a round.
+    batch: Annotated[int, Field(ge=2, le=4096)] = 64  # Steps in a batch.
+    learning_rate: Positive = 2e-3  # Learning rate of Adam.
+    weight_decay: NotNegative = 1e-3  # Weight decay of Adam.
+    tight_share: Share = 0.5  # Share of a batch from steps with an unsafe action.
+    ahead: Annotated[int, Field(ge=0, le=20)] = 1  # Steps before danger in which an action already counts as unsafe.
+    teacher: Annotated[str, Field(pattern="^(visible|truth)$")] = (
+        "visible"  # Labels from an oracle limited to what cameras showed (visible), or all-knowing (truth).
+    )
+    threshold: Annotated[float, Field(gt=0.0, le=1.0)] = (
+        0.2  # Assistance level. Actions with a higher danger are blocked.
+    )
+    at_once: Share = 0.0  # Danger that blocks the user's action in one tick. Below it two in a row do. 0: always one.
+    warn: Share = 0.3  # Warns above this danger of the user's own stick, smoothed over about three ticks.
+
+
+Count = Annotated[int, Field(ge=1, le=100_000)]
+
+
+class CollectConfig(Model):
+    """Driving for training data: where, by which users, and with how many perturbations."""
+
+    rounds: Annotated[int, Field(ge=1, le=100_000)] = 2  # Rounds of driving and learning.
+    segments: Annotated[int, Field(ge=0, le=100_000)] = (
+        6  # Segments of driving in a round. 0: learn only from recorded data.
+    )
+    ticks: Annotated[int, Field(ge=10, le=100_000)] = 400  # Ticks in a segment.
+    chairs: Annotated[int, Field(ge=1, le=12)] = 6  # Chairs in its world.
+    episode_steps: Count = 300  # Longest episode.
+    towns: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Towns used in turn with those of --town.
+    made_towns: Annotated[int, Field(ge=0, le=1000)] = (
+        0  # Number of towns that `wcsim town make` generates for this run.
+    )
+    data: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Folders of `wcsim collect` to learn from as well.
+    scene_share: Share = 0.3  # Share of segments in generated scenes: hidden road users and narrow places.
+    profiles: Annotated[tuple[Text, ...], Field(min_length=1, max_length=64)] = (  # Simulated users to draw from.
+        "inattentive", "tremor", "slow", "competent", "switch",
+    )  # fmt: skip
+    variants: Annotated[tuple[Text, ...], Field(max_length=64)] = ()  # Settings separated by blanks, drawn per segment.
+    follow_share: Share = (
+        0.4  # Of episodes without the network: share that the user drives. The oracle drives the rest.
+    )
+    network_share: Share = 0.75  # Share of episodes that the network drives, once there is one.
+    astray_share: Share = 0.33  # Share of time with a random offset on the stick.
+
 
 Steps = Annotated[int, Field(ge=1, le=10**9)]
 
