@@ -1,9 +1,10 @@
-"""Shared fixtures, and the time budget of each group of tests, printed at the end of a run."""
+"""Shared fixtures, and the time of each group of tests, printed at the end of a run."""
 
 from __future__ import annotations
 
 import gc
 import signal
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -15,32 +16,6 @@ settings.load_profile("wcsim")
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
-
-BUDGET_S = {
-    "api": 150,
-    "agents": 390,
-    "attack": 60,
-    "benchmarks": 95,
-    "bridge": 160,
-    "config": 5,
-    "core": 20,
-    "drive": 185,
-    "chair_check": 25,
-    "cli": 175,
-    "log": 20,
-    "physics": 40,
-    "scenes": 75,
-    "server": 120,
-    "supervisor": 20,
-    "towns": 190,
-    "users": 25,
-    "view": 20,
-    "wcsim": 5,
-}
-"""Seconds of test time of a group, for an idle machine of the reference kind: two cores, shared by three workers.
-
-All together under ten minutes. They are printed, and no test fails by them: on another machine they say little.
-"""
 
 PROOF_TIMEOUT_S = 2400
 """A single proof may take minutes; this is for one that hangs."""
@@ -66,21 +41,14 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    spent: dict[str, float] = {}
-    counts: dict[str, int] = {}
-    for reports in terminalreporter.stats.values():
-        for report in reports:
-            if hasattr(report, "duration") and hasattr(report, "nodeid"):
-                group = group_of(report.nodeid)
-                spent[group] = spent.get(group, 0.0) + report.duration
-                counts[group] = counts.get(group, 0) + (report.when == "call")
-    if not spent:
-        return
+    spent, counts = Counter[str](), Counter[str]()
+    for report in (each for reports in terminalreporter.stats.values() for each in reports):
+        if hasattr(report, "duration") and hasattr(report, "nodeid"):
+            spent[group_of(report.nodeid)] += report.duration
+            counts[group_of(report.nodeid)] += report.when == "call"
     terminalreporter.section("time by group")
     for group in sorted(spent):
-        budget = BUDGET_S.get(group, 0)
-        over = "  OVER BUDGET" if spent[group] > budget else ""
-        terminalreporter.write_line(f"{group:<12}{counts[group]:4d} tests {spent[group]:7.1f} s of {budget:4d} s{over}")
+        terminalreporter.write_line(f"{group:<12}{counts[group]:4d} tests {spent[group]:7.1f} s")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from packaging.specifiers import SpecifierSet
 
-from tests.support.tracked import tracked
+from tests.support.tracked import parsed
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -29,22 +29,22 @@ def named(rows: list[str]) -> set[str]:
     return {re.split(r"[<>=!~\[; ]", row)[0].lower().replace("_", "-") for row in rows}
 
 
-def top_names(text: str) -> set[str]:
+def top_names(tree: ast.Module) -> set[str]:
     """Top-level modules that a file imports, anywhere in it, or looks up by name."""
     found = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom):
             found.add(node.module or "")
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module")):
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") in ("find_spec", "import_module"):
             found |= {str(word.value) for word in node.args if isinstance(word, ast.Constant)}
     return {name.partition(".")[0] for name in found if name}
 
 
 def imported(folder: str) -> set[str]:
     """Distributions of what the files of a folder import."""
-    names = {name for path in tracked(folder, ".py") for name in top_names(path.read_text(encoding="utf-8"))}
+    names = {name for tree in parsed(folder).values() for name in top_names(tree)}
     homes = packages_distributions()
     names = {name for name in names - set(sys.stdlib_module_names) - OWN if name in homes}
     return {homes[name][0].lower().replace("_", "-") for name in names}
@@ -82,4 +82,4 @@ def test_the_oldest_python_that_is_asked_for_can_install_all_that_is_pinned() ->
 
 def test_late_imports_and_names_in_strings_are_found() -> None:
     text = "def f():\n    import late.deep\n    importlib.util.find_spec('sumo')\n"
-    assert top_names(text) == {"late", "sumo"}
+    assert top_names(ast.parse(text)) == {"late", "sumo"}

@@ -1,28 +1,18 @@
 """Numbers of the physical world, and the law of the joystick, have one home each: nobody else spells them out."""
 
 import ast
-from functools import cache
-from pathlib import Path
 
 import pytest
 
-import wcsim
+from tests.support.tracked import parsed
 from wcsim.core import constants, joystick
 
-ROOT = Path(wcsim.__file__).parent
 HOMES = {
-    "core/constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
-    "core/joystick.py": {"YAW_SLOWDOWN_S_PER_M", "shaped", "pushed", "follow_speed", "yaw_rate_limit"},
+    "wcsim/core/constants.py": {"GRAVITY_MPS2", "KERB_STEP_CM", "KERB_STEP_M", "OTHER_LEVEL_M"},
+    "wcsim/core/joystick.py": {"YAW_SLOWDOWN_S_PER_M", "shaped", "pushed", "follow_speed", "yaw_rate_limit"},
 }
 GONE = {"LOW_KERB_M", "USUAL_OUTLINE", "CHAIR_HALF_M", "CHAIR_SIZE_LWH_M", "WHEELS_B_M", "DEADBAND"}
 GRAVITY = 9.81
-
-
-@cache
-def trees():
-    """File and syntax tree of each module."""
-    paths = sorted(ROOT.rglob("*.py"))
-    return [(path.relative_to(ROOT).as_posix(), ast.parse(path.read_text(encoding="utf-8"))) for path in paths]
 
 
 def spelt(tree):
@@ -38,19 +28,19 @@ def spelt(tree):
 
 @pytest.mark.parametrize("home", sorted(HOMES))
 def test_each_name_is_spelt_out_in_its_home_alone(home):
-    found = [(name, file) for file, tree in trees() for name in spelt(tree) if name in HOMES[home]]
+    found = [(name, file) for file, tree in parsed("wcsim").items() for name in spelt(tree) if name in HOMES[home]]
     assert sorted(found) == [(name, home) for name in sorted(HOMES[home])]
 
 
 def test_second_homes_do_not_come_back():
-    assert [(file, name) for file, tree in trees() for name in spelt(tree) if name in GONE] == []
+    assert [(file, name) for file, tree in parsed("wcsim").items() for name in spelt(tree) if name in GONE] == []
     numbers = [
         file
-        for file, tree in trees()
+        for file, tree in parsed("wcsim").items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value == GRAVITY
     ]
-    assert numbers == ["core/constants.py"]
+    assert numbers == ["wcsim/core/constants.py"]
 
 
 def test_units_agree():

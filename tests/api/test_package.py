@@ -16,7 +16,7 @@ import networkx
 import pytest
 
 import wcsim
-from tests.support.tracked import tracked
+from tests.support.tracked import parsed, tracked
 
 ROOT = Path(__file__).parents[2]
 SOURCES = (*tracked("wcsim", ".py"), *tracked("benchmarks", ".py"))
@@ -29,10 +29,9 @@ def texts() -> dict[str, str]:
     return {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in SOURCES}
 
 
-@cache
 def trees() -> dict[str, ast.Module]:
-    """The same, parsed: once a run, and only where it is asked for."""
-    return {name: ast.parse(text) for name, text in texts().items()}
+    """The same, parsed."""
+    return parsed("wcsim") | parsed("benchmarks")
 
 
 def python(code: str) -> str:

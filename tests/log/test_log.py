@@ -271,14 +271,14 @@ assert log_digest(path) == log_digest(path)
 """
 
 
+def apart(code: str, path: Path) -> subprocess.CompletedProcess[str]:
+    """Run this in a process of its own."""
+    words = [sys.executable, "-c", code, str(path)]
+    return subprocess.run(words, capture_output=True, text=True, cwd=Path(__file__).parents[3], check=False)
+
+
 def test_a_full_disk_leaves_whole_records_and_can_be_gone_on_with(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", FILL, str(tmp_path / "j")],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[3],
-        check=False,
-    )
+    done = apart(FILL, tmp_path / "j")
     assert done.returncode == 0, done.stderr
     assert "could not be written (File too large)" in done.stdout
 
@@ -308,13 +308,7 @@ for number in range(1, 200):
 
 
 def test_a_killed_process_loses_nothing_that_was_acknowledged(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", KILLED, str(tmp_path / "j")],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).parents[3],
-        check=False,
-    )
+    done = apart(KILLED, tmp_path / "j")
     assert done.returncode == -9, done.stderr
     acknowledged = int(done.stdout.split()[-1])
     assert acknowledged == 123

@@ -16,7 +16,6 @@ from wcsim.server.links.socket import private_rules
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Clock, Peer, Received
-from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -51,14 +50,6 @@ class LocalServer:
         while self._inbox:
             peer, message = self._inbox.popleft()
             self._links[peer].hear(message)
-
-    def members(self) -> list[Member]:
-        """Who is in, in seat order."""
-        return self.hub.core.cycle.roll.by_seat()
-
-    def close(self) -> None:
-        """End the world."""
-        self.world.close()
 
 
 class PumpedSeat(WorldLink):

@@ -1,15 +1,18 @@
 """From a snapshot to what a step returns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.supervisor.test_observation import sensors
+from tests.support.plants import CALM
 from tests.users.kinematics import plant
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.judge import judge, observation_of
-from wcsim.types import ClientSnapshot, Events, Joystick
+from wcsim.types import ClientSnapshot, Joystick
 
 ACTIONS = action_set("square81")
 CONFIG = RunConfig()
@@ -24,15 +27,7 @@ def snapshot(crashed=False, truncated=False, user=FORWARD) -> ClientSnapshot:
         sensors=sensors(32, 24),
         user=user,
         contacts=(),
-        events=Events(
-            episode=0,
-            step=5,
-            crashed=crashed,
-            crash_reason="collision" if crashed else "",
-            truncated=truncated,
-            arrived=False,
-            gave_up=False,
-        ),
+        events=replace(CALM, step=5, crashed=crashed, crash_reason="collision" if crashed else "", truncated=truncated),
     )
 
 

@@ -11,21 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.plants import CALM
 from wcsim.config import RewardConfig
 from wcsim.supervisor.kpi import KpiMeter, KpiTotals
-from wcsim.types import Contact, Events, Joystick
+from wcsim.types import Contact, Joystick
 
 REST = Joystick(0.0, 0.0)
 AHEAD = Joystick(0.0, 0.8)
-NOTHING = Events(
-    episode=0, step=1, crashed=False, crash_reason="", truncated=False, arrived=False, gave_up=False
-)  # fmt: skip
 HIT = Contact(kind="car", part="body", impulse_Ns=200.0, cause="other", actor_id="car-1")
 
 
 def step(distance=0.0, free=True, speed_mps=1.0, asked=REST, given=REST, **events) -> tuple[dict[str, Any], bool]:
     info = {
-        "events": replace(NOTHING, **events), "joystick_distance": distance, "asked": asked, "given": given,
+        "events": replace(CALM, **events), "joystick_distance": distance, "asked": asked, "given": given,
         "speed_mps": speed_mps,
     }  # fmt: skip
     return info, free

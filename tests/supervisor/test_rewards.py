@@ -1,13 +1,14 @@
 """Tables 1 and 2: every row, both ends of every window."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.plants import plant_state
+from tests.support.plants import CALM, plant_state
 from wcsim.config import RewardConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.rewards import (
@@ -43,15 +44,8 @@ def plant(roll_deg=0.0, pitch_deg=0.0):
 
 
 def events(crashed=False) -> Events:
-    return Events(
-        episode=0,
-        step=1,
-        crashed=crashed,
-        crash_reason="tilt" if crashed else "",
-        truncated=False,
-        arrived=False,
-        gave_up=False,
-    )
+    return replace(CALM, crashed=crashed, crash_reason="tilt" if crashed else "")
+
 
 
 def contact(kind, part, impulse=1.0) -> Contact:

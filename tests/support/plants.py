@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wcsim.physics.renderer.instances import rotation_quaternion
-from wcsim.types import PlantState
+from wcsim.types import Events, PlantState
 
 
 def plant_state(x=0.0, y=0.0, z=0.0, yaw=0.0, pitch=0.0, roll=0.0, *, ahead_mps=0.0, turn_radps=0.0) -> PlantState:
@@ -20,3 +20,7 @@ def plant_state(x=0.0, y=0.0, z=0.0, yaw=0.0, pitch=0.0, roll=0.0, *, ahead_mps=
         pitch_rad=pitch,
         yaw_rad=yaw,
     )
+
+
+CALM = Events(episode=0, step=1, crashed=False, crash_reason="", truncated=False, arrived=False, gave_up=False)
+"""Nothing happened."""

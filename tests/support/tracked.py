@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -19,3 +20,9 @@ def tracked(under: str = "", suffix: str = "") -> tuple[Path, ...]:
         listed = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, check=True)
         found = {ROOT / name for name in listed.stdout.decode().split("\0") if name}
     return tuple(sorted(path for path in found if path.is_file() and path.name.endswith(suffix)))
+
+
+@cache
+def parsed(under: str) -> dict[str, ast.Module]:
+    """The syntax trees of a folder's Python files, by their path in the repository."""
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text(encoding="utf-8")) for path in tracked(under, ".py")}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.dying import die_after
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.group_run import (
     CONFIGS,
@@ -15,7 +16,6 @@ from wcsim.agents.clients.group_run import (
     rewrite_client_configs,
 )
 from wcsim.agents.runs.run_folder import make_manifest
-from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.log.records import SeenFrame
 from wcsim.server.ledger import open_ledger
@@ -62,15 +62,7 @@ def longer(config, steps):
 def test_a_process_that_ends_while_configurations_are_written_leaves_a_run_that_goes_on(folder, monkeypatch, written):
     more = {name: longer(folder.config, 900) for name in folder.clients}
     with monkeypatch.context() as dying:
-        left, write = [written], files.write_bytes
-
-        def last_words(path, data):
-            if not left[0]:
-                raise KeyboardInterrupt
-            left[0] -= 1
-            write(path, data)
-
-        dying.setattr(files, "write_bytes", last_words)
+        die_after(dying, "write_bytes", written)
         with pytest.raises(KeyboardInterrupt):
             rewrite_client_configs(folder, more)
             folder.with_status("running", 0)

@@ -9,6 +9,7 @@ from torch import nn
 
 from tests.agents.chain import LENGTH, Chain
 from tests.agents.toy import logs_in, memory_of
+from tests.support.plants import CALM
 from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, _ValueWatch
 from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.seqdqn import SeqDQN
@@ -16,10 +17,8 @@ from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.config import LearnConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
-from wcsim.types import Events
 
 GAMMA = 0.97
-CALM = Events(episode=0, step=1, crashed=False, crash_reason="", truncated=False, arrived=False, gave_up=False)
 
 
 def test_a_jam_is_reported_once_a_step_and_crashes_each_with_their_words():

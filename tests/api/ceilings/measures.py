@@ -177,7 +177,7 @@ def _lines(text: str) -> Counter[int]:
 
 def _calls(text: str, is_one: Callable[[str], bool]) -> bool:
     nodes = [node.func for node in _nodes(text) if isinstance(node, ast.Call)]
-    return any(is_one(ast.unparse(node)) for node in nodes)
+    return any(is_one(ast.unparse(node)) for node in nodes if isinstance(node, ast.Attribute | ast.Name))
 
 
 def _ticks_a_world(called: str) -> bool:

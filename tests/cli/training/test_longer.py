@@ -2,12 +2,12 @@
 
 import pytest
 
+from tests.support.dying import die_after
 from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.run_config import learning
 from wcsim.cli.training.resume import Options, resumed
 from wcsim.config import RunConfig, resolve
-from wcsim.core import files
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
 from wcsim.towns.scenario.town import find_town, streets_hash
@@ -35,15 +35,7 @@ def test_a_run_can_be_longer_and_not_shorter(run):
 @pytest.mark.parametrize("written", [0, 1, 2])
 def test_a_process_that_ends_between_two_files_leaves_a_run_that_goes_on(run, monkeypatch, written):
     with monkeypatch.context() as dying:
-        left, write = [written], files.write_json
-
-        def last_words(path, data):
-            if not left[0]:
-                raise KeyboardInterrupt
-            left[0] -= 1
-            write(path, data)
-
-        dying.setattr(files, "write_json", last_words)
+        die_after(dying, "write_json", written)
         with pytest.raises(KeyboardInterrupt):
             steps_of(run, 300)
     assert steps_of(run) == (100 if written < 2 else 300)
