@@ -77,7 +77,7 @@ def desk(journal: Path) -> Iterator[Desk]:
 @pytest.mark.proof  # in `make test` the page itself does all this, where there is a browser
 def test_a_journal_is_played_jumped_in_and_drawn(desk: Desk) -> None:
     about = desk.said("about")
-    assert (about["ticks"], about["live"], len(about["points"])) == (150, False, 81)
+    assert (about["film"]["ticks"], about["film"]["live"], len(about["points"])) == (150, False, 81)
     whole = desk.state(lambda state: not state["reading"])
     assert (whole["count"], whole["ended"]) == (150, "The whole journal is loaded.")
     desk.say("pause", on=True)
