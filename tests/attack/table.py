@@ -26,25 +26,25 @@ class Row:
     sample: int  # of them in a test that everybody runs
 
 
-def _of_files(name: str, families: Families, kinds: int, sample: int = 25) -> Row:
+def _of_files(name: str, families: Families, kinds: int, sample: int = 15) -> Row:
     return Row(name=name, cases=partial(spoilt, families), whole=EACH * kinds, sample=sample * kinds)
 
 
 TABLE = (
-    Row(name="messages", cases=messages.cases, whole=20_000, sample=1_500),
-    Row(name="server", cases=messages.siege_cases, whole=20_000, sample=1_500),
-    Row(name="scenarios", cases=scenarios.cases, whole=20_000, sample=400),
-    Row(name="scenarios, SUMO started", cases=scenarios.started, whole=500, sample=10),
-    Row(name="maps", cases=maps.cases, whole=8_000, sample=400),
-    Row(name="--set", cases=files.set_cases, whole=4_000, sample=80),
+    Row(name="messages", cases=messages.cases, whole=20_000, sample=900),
+    Row(name="server", cases=messages.siege_cases, whole=20_000, sample=900),
+    Row(name="scenarios", cases=scenarios.cases, whole=20_000, sample=240),
+    Row(name="scenarios, SUMO started", cases=scenarios.started, whole=500, sample=6),
+    Row(name="maps", cases=maps.cases, whole=8_000, sample=240),
+    Row(name="--set", cases=files.set_cases, whole=4_000, sample=48),
     _of_files("settings, towns, runs, traces", files.families, 8),
     _of_files("studies, users, drives", people.families, 3),
     _of_files("results, lists, tables", results.families, 6),
     _of_files("FCD, MCAP", exports.families, 3),
     _of_files("danger networks", learners.families, 7, 10),
-    Row(name="policies", cases=policies.cases, whole=6_000, sample=120),
-    Row(name="checkpoints", cases=checkpoints.cases, whole=5_000, sample=120),
-    Row(name="journals", cases=journals.cases, whole=20_000, sample=120),
-    Row(name="ledgers, metrics, events", cases=journals.other_cases, whole=9_000, sample=300),
-    Row(name="plants that drive", cases=plants.cases, whole=3_000, sample=40),
+    Row(name="policies", cases=policies.cases, whole=6_000, sample=72),
+    Row(name="checkpoints", cases=checkpoints.cases, whole=5_000, sample=72),
+    Row(name="journals", cases=journals.cases, whole=20_000, sample=72),
+    Row(name="ledgers, metrics, events", cases=journals.other_cases, whole=9_000, sample=180),
+    Row(name="plants that drive", cases=plants.cases, whole=3_000, sample=24),
 )

@@ -142,13 +142,6 @@ def overestimates(noises):
     return np.mean(found, axis=0) + 0.1 * 0.95
 
 
-def test_double_q_overestimates_less():
-    """The second state has 81 actions of mean -0.1 and much noise; the best of them seems to be good."""
-    plain, double = overestimates([0])
-    assert plain > 0.3
-    assert double < 0.6 * plain
-
-
 def _judges_its_own_choice(monkeypatch):
     targets = SeqDQN.targets
 
@@ -166,7 +159,10 @@ def _judges_its_own_choice(monkeypatch):
 @pytest.mark.parametrize("noises", [(0, 1, 2), (3, 4, 5), (6, 7, 8)])
 @pytest.mark.parametrize("fault", [None, _judges_its_own_choice])
 def test_a_double_q_that_is_none_is_found_out(fault, noises, monkeypatch):
-    """Plain and double in three groups of draws: 0.58 and 0.26, 0.99 and 0.50, 0.73 and 0.43; switched off, equal."""
+    """The second state has 81 actions of mean -0.1 and much noise; the best of them seems to be good.
+
+    Plain and double in three groups of draws: 0.58 and 0.26, 0.99 and 0.50, 0.73 and 0.43; switched off, equal.
+    """
     if fault is not None:
         fault(monkeypatch)
     plain, double = overestimates(noises)

