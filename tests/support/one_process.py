@@ -1,4 +1,4 @@
-"""What pools of processes do, in the process of the test: one of their own costs seconds before it drives."""
+"""What pools of processes do, and one that dies, in the process of the test: another one costs seconds."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import pytest
 
+from wcsim.core import files
 from wcsim.server.workers import machines
 from wcsim.server.workers.crew import Crew
 from wcsim.view.report import failures
@@ -66,3 +67,16 @@ def in_this_process() -> Iterator[None]:
         for asking in ("wcsim.agents.evaluation.suite.run", "wcsim.agents.rounds.collect_data"):
             patch.setattr(f"{asking}.Crew", OneCrew)
         yield
+
+
+def die_after(dying: pytest.MonkeyPatch, name: str, written: int) -> None:
+    """Let a function of `core.files` write so many files, and then end the process as Ctrl-C does."""
+    left, write = [written], getattr(files, name)
+
+    def last_words(path, data):
+        if not left[0]:
+            raise KeyboardInterrupt
+        left[0] -= 1
+        write(path, data)
+
+    dying.setattr(files, name, last_words)

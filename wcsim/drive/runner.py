@@ -173,7 +173,7 @@ class DriveOrder:
 
 
 @dataclass(slots=True, kw_only=True)
-class DriveClock:
+class _DriveClock:
     """Whether time goes, and how fast; when the next tick is due, and what ticks and pictures cost. Seconds."""
 
     paused: bool = False  # somebody stopped it
@@ -231,7 +231,7 @@ class DriveRunner(PageRunner):
         self._study = keep if isinstance(keep, OpenStudy) else None
         self._lead: StudyLead | None = None
         self.session: DriveSession | None = None
-        self._watch, self.clock = StickWatch(), DriveClock()
+        self._watch, self.clock = StickWatch(), _DriveClock()
         self._told_failure = self._unseen = False
         self._told_waiting = ""
         self._drawn_episode = -1
@@ -519,7 +519,7 @@ def drive_about(session: DriveSession) -> m.About:
     )
 
 
-def drive_state(session: DriveSession, clock: DriveClock, waiting: str, let_go: bool) -> m.DriveState:
+def drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool) -> m.DriveState:
     """The drive as it is; see `m.DriveState`. All rests at the beginning of an episode."""
     last = session.last or _RESTS
     return m.DriveState(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.dying import die_after
+from tests.support.one_process import die_after
 from tests.support.worlds import dqn_config
 from wcsim.agents.clients.group_run import (
     CONFIGS,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.support.dying import die_after
+from tests.support.one_process import die_after
 from wcsim.agents.runs.run_folder import CONFIG, create_run, make_manifest, open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.run_config import learning

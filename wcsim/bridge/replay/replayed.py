@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -78,17 +79,26 @@ def user_of_scene(scene: MadeScene) -> str:
     return f"{RECORDED}{_folder_of(scene) / _SCENE / _STICK}"
 
 
+def town_of_folder(scene: Path) -> Town:
+    """The street of a scene's folder. Raises TownError where it cannot be built."""
+    name = f"{scene.name}-{scene_digest(scene)[:16]}"
+    return find_town(str(_held(name, lambda made: build_scene(scene, made / _TOWN)) / _TOWN))
+
+
 def _folder_of(scene: MadeScene) -> Path:
-    """The scene and its street in the cache, made where they are not there yet."""
-    held = cache_folder() / "drive-scenes"
-    folder = held / f"{scene.family}-{scene.seed}-{scene.sha256[:16]}"
+    return _held(f"{scene.family}-{scene.seed}-{scene.sha256[:16]}", partial(_make, scene))
+
+
+def _held(name: str, make: Callable[[Path], object]) -> Path:
+    """A scene and its street in the cache, made where they are not there yet."""
+    folder = cache_folder() / "drive-scenes" / name
     if folder.is_dir():
         return folder
     try:
-        held.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=held, prefix=".") as work:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as work:
             made = Path(work) / "made"
-            _make(scene, made)
+            make(made)
             _put(made, folder)
     except OSError as error:
         told = f"{escaped(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"

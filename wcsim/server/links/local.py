@@ -18,7 +18,7 @@ from wcsim.server.specs import WorldOrder
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec
 
 
-class LocalWorld:
+class _LocalWorld:
     """A world in this process, with what its seats have said."""
 
     def __init__(self, order: WorldOrder) -> None:
@@ -57,10 +57,10 @@ class LocalWorld:
         return self.sticks[now.seat]
 
 
-class LocalSeat(Seat):
+class _LocalSeat(Seat):
     """One seat of a world in this process."""
 
-    def __init__(self, home: LocalWorld, seat: int, spec: SeatSpec) -> None:
+    def __init__(self, home: _LocalWorld, seat: int, spec: SeatSpec) -> None:
         self.seat, self._spec = seat, spec
         self._home = home
         self._closed = False
@@ -127,7 +127,7 @@ class LocalSeat(Seat):
             self._home.world.dismiss(self.seat)
         self._closed = True
 
-    def _open(self) -> LocalWorld:
+    def _open(self) -> _LocalWorld:
         if self._closed:
             raise LinkClosedError("this link is closed; create a new one")
         return self._home
@@ -137,7 +137,7 @@ class LocalGroup(SeatGroup):
     """A group whose world is in this process; raises WorldInUseError while another one lives here."""
 
     def __init__(self, order: WorldOrder) -> None:
-        self._order, self.home = order, LocalWorld(order)
+        self._order, self.home = order, _LocalWorld(order)
         self._connect()
 
     def close(self) -> None:
@@ -150,4 +150,4 @@ class LocalGroup(SeatGroup):
         self._connect()
 
     def _connect(self) -> None:
-        self.links = [LocalSeat(self.home, seat, self._order.seat) for seat in range(self._order.seats)]
+        self.links = [_LocalSeat(self.home, seat, self._order.seat) for seat in range(self._order.seats)]

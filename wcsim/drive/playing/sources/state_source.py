@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from wcsim.bridge.replay.replayed import town_of_folder
 from wcsim.config import ChairConfig
 from wcsim.core.reading import escaped
 from wcsim.drive.playing.film_states import FilmAbout, FilmChair, FilmFrame, FilmLine, Said, bodies_of
@@ -17,6 +19,7 @@ from wcsim.log.reader import read_states
 from wcsim.log.records import Header, WorldState
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.scenario.town import Town, find_town
+from wcsim.towns.scene_folders.build import find_scene
 from wcsim.types import Outline
 from wcsim.view.filming import SIGHT_M
 
@@ -64,7 +67,7 @@ def state_film(path: Path, epoch: int | None = None, town: str = "") -> Iterator
 def _town(header: Header, name: str) -> Town:
     """The town of a trace. Raises TownError when it is not there, or has its origin elsewhere."""
     try:
-        town = find_town(name or header.town)
+        town = _town_or_scene(name or header.town)
     except TownError as error:
         if name:
             raise
@@ -75,6 +78,15 @@ def _town(header: Header, name: str) -> Town:
             "that it was recorded in: name it with --town"
         )
     return town
+
+
+def _town_or_scene(name: str) -> Town:
+    try:
+        return find_town(name)
+    except TownError:
+        with suppress(TownError):
+            return town_of_folder(find_scene(name))
+        raise
 
 
 def _outline(header: Header) -> Outline:
