@@ -244,10 +244,10 @@ def has_work(run: Path) -> bool:
     metrics = run / METRICS
     episodes = len(metrics.read_bytes().splitlines()) - 1 if metrics.is_file() else 0
     manifest = read_json(run, MANIFEST) if (run / MANIFEST).is_file() else {}
-    if manifest.get("status") == "interrupted" and manifest["steps"] == 0:
+    steps = manifest.get("steps", 0)
+    if manifest.get("status") == "interrupted" and steps == 0:
         return False  # stopped before its first step: its policy is the one that it began with
-    saved = any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
-    return episodes > 0 or manifest.get("steps", 0) != 0 or saved
+    return episodes > 0 or steps != 0 or any(run.glob("checkpoints/*")) or any(run.glob("policies/*"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -83,10 +82,12 @@ def _town(header: Header, name: str) -> Town:
 def _town_or_scene(name: str) -> Town:
     try:
         return find_town(name)
-    except TownError:
-        with suppress(TownError):
-            return town_of_folder(find_scene(name))
-        raise
+    except TownError as no_town:
+        try:
+            scene = find_scene(name)
+        except TownError:
+            raise no_town from None
+    return town_of_folder(scene)  # what is wrong with a scene that is there is its own fault, and told
 
 
 def _outline(header: Header) -> Outline:
