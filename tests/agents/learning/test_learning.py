@@ -25,7 +25,7 @@ def config(**learn):
     return RunConfig(cameras=(CAMERA,), learn=LearnConfig(replay_frames=20_000, **learn))
 
 
-def drive(policy, steps=2000):
+def drive(policy, steps):
     """Evaluation row of `steps` steps or a little more, in episodes of at most 400."""
     return driven(policy, ToyStreet(CAMERA), episodes=steps // 100, max_steps=100, seed=99)
 
@@ -43,8 +43,8 @@ def has_learned(learned, follow):
 def test_it_learns_to_avoid_what_the_user_does_not_see(tmp_path):
     settings = config(**SHORT)
     run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))
-    follow = drive(baseline("follow", settings))
-    obedient, learned = (drive(load_policy(policy_path(f"{run}:{stage}"))) for stage in ("phase1", "final"))
+    follow = drive(baseline("follow", settings), 8000)  # 2000 steps hold 9 to 17 crashes for equal policies
+    obedient, learned = (drive(load_policy(policy_path(f"{run}:{stage}")), 8000) for stage in ("phase1", "final"))
     # The first phase teaches obedience: what the user wants, crashes included.
     assert obedient.kpi1 <= 0.1768
     assert per_1000(obedient) > 0.5 * per_1000(follow)
@@ -85,5 +85,5 @@ def test_a_learner_with_a_planted_fault_is_found_out(fault, tmp_path, monkeypatc
     fault(monkeypatch)
     settings = config(**SHORT)
     run = train(a_run(settings, tmp_path / "run", 0), lambda: ToyStreet(CAMERA))
-    follow, learned = drive(baseline("follow", settings)), drive(load_policy(policy_path(str(run))))
+    follow, learned = drive(baseline("follow", settings), 2000), drive(load_policy(policy_path(str(run))), 2000)
     assert not has_learned(learned, follow), learned
