@@ -15,7 +15,6 @@ SCRIPTS = {
     "tick": "TickOptions",
     "camera": "CameraOptions",
     "users": "UsersOptions",
-    "crashes": "CrashesOptions",
     "reaction": "ReactionOptions",
     "barrier": "BarrierOptions",
     "parallel": "ParallelOptions",
