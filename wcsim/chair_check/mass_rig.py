@@ -133,28 +133,16 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
     )
 
 
-def _weighed_loads_N(setup: Setup) -> dict[str, float]:
-    """Mean normal load of each wheel over half a second, after two seconds of rest."""
-    with Rig(setup) as rig:
-        rig.drive(NEUTRAL, 2.0)
-        steps = setup.hz // 2
-        sums: dict[str, float] = {}
-        for _ in range(steps):
-            rig.substep()
-            for name, load in rig.loads_N().items():
-                sums[name] = sums.get(name, 0.0) + load / steps
-        rig.chair.end_tick(None)
-    return sums
-
-
 def _mass_kg(setup: Setup) -> float:
     """Mass of chair and user: what the scales under all wheels show."""
-    return sum(_weighed_loads_N(setup).values()) / GRAVITY_MPS2
+    with Rig(setup) as rig:
+        return sum(rig.weigh_N().values()) / GRAVITY_MPS2
 
 
 def _drive_wheel_share(setup: Setup) -> float:
     """Share of the weight that rests on the drive wheels."""
-    loads = _weighed_loads_N(setup)
+    with Rig(setup) as rig:
+        loads = rig.weigh_N()
     return sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
 
 
@@ -331,23 +319,21 @@ def _name(way: str, height_m: float) -> str:
     return f"{way}_com_{round(100 * height_m)}cm"
 
 
-def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
-    return deg(_measured_tip_rad(setup.at_com_height(height_m), downhill, antitips))
-
-
-def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which a chair tips, from the masses and contact points that its file declares."""
     return tip_rad(_stand(setup, downhill, antitips), downhill)
 
 
-def _measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which the simulated chair's uphill wheels carry nothing any more, at most 3 degrees above expected.
 
     Args:
         setup: The chair and the rate.
+        height_m: Of its centre of mass.
         downhill: Unit vector in the chair's x and y.
         antitips: Whether it has its anti-tips.
     """
+    setup = setup.at_com_height(height_m)
     expected = _expected_tip_rad(setup, downhill, antitips)
     upper = uphill(_stand(setup, downhill, antitips), downhill)
     with Rig(setup, iterations=_ITERATIONS) as rig:
@@ -358,7 +344,7 @@ def _measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> fl
         for share in _STAGES:  # a chair that falls onto its anti-tips rocks there for a while
             table.tilt_to(share * start_rad)
             table.settle()
-        return table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD)
+        return deg(table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD))
 
 
 def _stand(setup: Setup, downhill: Vec2, antitips: bool) -> Stand:

@@ -28,10 +28,7 @@ _FIXED: Final = 4  # pybullet.JOINT_FIXED
 
 def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
     """One plane through the origin that rises ahead (x) and to the left (y) by these angles."""
-    corners = [(x, y) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    rise = (math.tan(ahead_rad), math.tan(left_rad))
-    vertices = [(_HALF_M * x, _HALF_M * y, _HALF_M * (x * rise[0] + y * rise[1])) for x, y in corners]
-    return _mesh(vertices, [[0, 1, 2], [0, 2, 3]], [ClassId.ROAD] * 2)
+    return grid_street(lambda x, y: x * math.tan(ahead_rad) + y * math.tan(left_rad), _HALF_M, _HALF_M, 2.0 * _HALF_M)
 
 
 def grid_street(height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float) -> StreetMesh:
@@ -64,7 +61,7 @@ def _mesh(vertices: list[tuple[float, float, float]], faces: list[list[int]], cl
 
 
 @dataclass(slots=True)
-class Ride:
+class _Ride:
     """What a drive showed, one item a tick."""
 
     states: list[PlantState] = field(default_factory=list)
@@ -131,7 +128,7 @@ class Rig(Closing):
         seconds: float,
         until: Callable[[PlantState], bool] | None = None,
         pull_N: float = 0.0,
-    ) -> Ride:
+    ) -> _Ride:
         """Drive with a joystick position for whole ticks.
 
         Args:
@@ -140,7 +137,7 @@ class Rig(Closing):
             until: Ends the drive early when it holds of the state at the end of a tick.
             pull_N: A force along -x of the world, tied to the chair behind its axle near the ground.
         """
-        ride = Ride()
+        ride = _Ride()
         for _ in range(round(seconds / TICK_S)):
             self.chair.command(stick)
             for _ in range(self.setup.substeps):
@@ -158,6 +155,18 @@ class Rig(Closing):
         self.chair.before_step()
         self.engine.step()
         self.chair.after_step()
+
+    def weigh_N(self) -> dict[str, float]:
+        """Mean loads over half a second, by name, after two seconds of rest; see `loads_N`."""
+        self.drive(NEUTRAL, 2.0)
+        steps = self.setup.hz // 2
+        sums: dict[str, float] = {}
+        for _ in range(steps):
+            self.substep()
+            for name, load in self.loads_N().items():
+                sums[name] = sums.get(name, 0.0) + load / steps
+        self.chair.end_tick(None)
+        return sums
 
     def _pull(self, force_N: float) -> None:
         if force_N > 0.0:

@@ -209,12 +209,13 @@ class Engine(Closing):
             PhysicsError: The mesh holds numbers that are not finite or faces that point at no vertex.
         """
         vertices, faces = _checked(mesh)
-        role_by_class = np.array([_role_number(number) for number in range(256)])
+        numbers = {role: number for number, role in enumerate(Role)}
+        role_by_class = np.array([numbers[_ROLE_OF_CLASS.get(class_id, Role.STATIC)] for class_id in range(256)])
         face_role = role_by_class[mesh.face_class]
         return tuple(
             self._laid(self._street_shape(soup), role)
             # Role by role, so that the bodies of a mesh get their ids in the same order in every run.
-            for number, role in enumerate(Role)
+            for role, number in numbers.items()
             for soup in _street_parts(vertices, faces[face_role == number])
         )
 
@@ -312,18 +313,9 @@ class Engine(Closing):
         return np.array([hit[3][2] if hit[0] in self._rolling else np.nan for hit in hits])
 
 
-def role_of_class(class_id: int) -> Role:
-    """What a face of the street of that ClassId is to a wheelchair."""
-    return _ROLE_OF_CLASS.get(class_id, Role.STATIC)
-
-
 def _check_step(step_s: float) -> None:
     if not 1 / 1000 <= step_s <= 1 / 100:
         raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
-
-
-def _role_number(class_id: int) -> int:
-    return list(Role).index(role_of_class(class_id))
 
 
 def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig, ImuConfig, resolve
-from wcsim.config.plant import known_plants, read_plant
+from wcsim.config.plant import known_plants
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.wheelchair.plant import PlantSpec, _check_plant, plant_spec, varied
 from wcsim.physics.wheelchair.plant_body import urdf
@@ -199,9 +199,8 @@ def test_a_caster_has_an_arm_or_a_beam():
     beam = RWD.casters[0].beam
     assert beam is not None
     both = tuple(pair.model_copy(update={"beam": beam}) for pair in MWD.casters)
-    file = read_plant("mwd").model_copy(update={"casters": both})
     with pytest.raises(ConfigError, match=r"casters\.0 has an arm and a beam; expected one of them"):
-        _check_plant(file, 100.0, 0.5, "both")
+        _check_plant(MWD.model_copy(update={"casters": both}), "both")
 
 
 def test_the_casters_of_a_beam_stand_on_steps_of_different_height():

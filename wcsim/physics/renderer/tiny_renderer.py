@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.closing import Closing
+from wcsim.core.frames import Quat, quaternion
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import Instances, rotation_quaternion
+from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.models.catalog import actor_templates
 from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table
 from wcsim.types import F64, U8, Bool, ClassId
@@ -105,18 +106,16 @@ class TinyRenderer(Closing):
             if taken == len(pool):
                 pool.append(self._actor(model))
             self._used[model] = taken + 1
-            turn = rotation_quaternion(
-                float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i])
-            )
+            turn = quaternion(float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i]))
             for body in pool[taken]:
                 self._instance_of[body] = i
                 self._move(body, instances.p_W_m[i].tolist(), turn)
         for model, pool in self._pool.items():
             for bodies in pool[self._used.get(model, 0) :]:
                 for body in bodies:
-                    self._move(body, list(_PARKED_M), [0.0, 0.0, 0.0, 1.0])
+                    self._move(body, list(_PARKED_M), (0.0, 0.0, 0.0, 1.0))
 
-    def _move(self, body: int, p_W_m: list[float], q: list[float]) -> None:
+    def _move(self, body: int, p_W_m: list[float], q: Quat) -> None:
         pybullet.resetBasePositionAndOrientation(body, p_W_m, q, physicsClientId=self._client)
 
     def _actor(self, model: _Model) -> tuple[int, ...]:

@@ -18,13 +18,18 @@ from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.bullet import pybullet
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.contacts import Tyre
-from wcsim.physics.wheelchair.plant import FORK_COM_M, FORK_M, PlantSpec
+from wcsim.physics.wheelchair.plant import (
+    ARM_INERTIA_KGM2,
+    FORK_COM_M,
+    FORK_M,
+    PlantSpec,
+    beam_inertia_kgm2,
+    disc_inertia_kgm2,
+)
 
 Vec3 = tuple[float, float, float]
 _ORIGIN: Final[Vec3] = (0.0, 0.0, 0.0)
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
-BEAM_INERTIA_KGM2: Final = 0.01  # about its length, small beside everything else
-_ARM_INERTIA_KGM2: Final = 0.01
 # URDF demands limits of force and speed; springs and stops act long before these.
 _ARM_EFFORT_N: Final = 1e4
 _ARM_MPS: Final = 20.0
@@ -36,12 +41,6 @@ def urdf(spec: PlantSpec) -> str:
     """The text; the frame is the base link."""
     links = (_frame(spec), *_wheels(spec), *_casters(spec), *_antitips(spec))
     return "\n".join(('<robot name="wheelchair">', *links, "</robot>"))
-
-
-def _disc_inertia_kgm2(mass_kg: float, radius_m: float, width_m: float) -> Vec3:
-    """Principal moments of inertia of a disc whose axle is y."""
-    across = mass_kg * (3.0 * radius_m**2 + width_m**2) / 12.0
-    return across, 0.5 * mass_kg * radius_m**2, across
 
 
 def _frame(spec: PlantSpec) -> str:
@@ -77,17 +76,15 @@ def _casters(spec: PlantSpec) -> Iterator[str]:
 
 
 def _arm(name: str, arm: ArmPart, at_m: Vec3) -> Iterator[str]:
-    yield f'<link name="{name}">{_inertial(arm.mass_kg, (_ARM_INERTIA_KGM2,) * 3, _ORIGIN)}</link>'
+    yield f'<link name="{name}">{_inertial(arm.mass_kg, (ARM_INERTIA_KGM2,) * 3, _ORIGIN)}</link>'
     limit = f'<limit lower="{-arm.down_m}" upper="{arm.up_m}" effort="{_ARM_EFFORT_N}" velocity="{_ARM_MPS}"/>'
     yield _joint(name, "frame", at_m, axis="0 0 1", kind="prismatic", limit=limit)
 
 
 def _beam(name: str, pair: CasterPart, beam: BeamPart) -> Iterator[str]:
     """A rod as long as the pair's track, level with the swivels; its pivot's axis is x."""
-    long = beam.mass_kg * pair.track_m**2 / 12.0
     com = (0.0, 0.0, pair.radius_m + FORK_M - beam.pivot_z_m)
-    inertia = (long, min(BEAM_INERTIA_KGM2, long), long)  # Bullet takes one that no body can have for none
-    yield f'<link name="{name}">{_inertial(beam.mass_kg, inertia, com)}</link>'
+    yield f'<link name="{name}">{_inertial(beam.mass_kg, beam_inertia_kgm2(beam, pair.track_m), com)}</link>'
     stop_rad = rad(beam.stop_deg)
     limit = f'<limit lower="{-stop_rad}" upper="{stop_rad}" effort="{_BEAM_EFFORT_NM}" velocity="{_BEAM_RADPS}"/>'
     yield _joint(name, "frame", (pair.swivel_x_m, 0.0, beam.pivot_z_m), axis="1 0 0", kind="revolute", limit=limit)
@@ -112,7 +109,7 @@ def _antitips(spec: PlantSpec) -> Iterator[str]:
 
 
 def _rolling(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
-    inertia = _disc_inertia_kgm2(mass_kg, radius_m, width_m)
+    inertia = disc_inertia_kgm2(mass_kg, radius_m, width_m)
     return (
         f'<link name="{name}">{_inertial(mass_kg, inertia, _ORIGIN)}'
         # A cylinder of URDF stands along z; a wheel's axle is y.
@@ -152,19 +149,6 @@ _JOINT_ORDER: Final = ("wheel", "arm", "beam", "swivel", "caster")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Spring:
-    """The spring and damper of a sprung caster's arm."""
-
-    stiffness_Npm: float
-    damping_Nspm: float
-    preload_N: float
-
-    def force_N(self, up_m: float, up_mps: float) -> float:
-        """Force along the arm, upwards positive, when the caster is so far up and moves so fast."""
-        return -self.preload_N - self.stiffness_Npm * up_m - self.damping_Nspm * up_mps
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ChairBody:
     """What PyBullet calls the parts of one loaded chair."""
 
@@ -173,7 +157,7 @@ class ChairBody:
     joints: tuple[int, ...]  # all that move: the drive wheels first, then the arms
     drives: tuple[int, int]
     arms: tuple[int, ...]
-    springs: tuple[_Spring, ...]  # one for each arm
+    springs: tuple[ArmPart, ...]  # one for each arm
     part: dict[int, str]  # of every link that may touch the ground
     tyres: dict[int, Tyre]
 
@@ -220,7 +204,7 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
         joints=tuple(links[name] for name in joints),
         drives=(links["wheel_l"], links["wheel_r"]),
         arms=tuple(links[name] for name in arms),
-        springs=tuple(_spring(spec, _pair(name)) for name in arms),
+        springs=tuple(arm for name in arms if (arm := spec.casters[_pair(name)].arm) is not None),
         part={index: _part(name) for name, index in links.items() if _part(name) not in ("arm", "beam", "swivel")},
         tyres={index: tyre for name, index in links.items() if (tyre := _tyre(spec, name)) is not None},
     )
@@ -279,11 +263,8 @@ def _turn_rotors(body: ChairBody, spec: PlantSpec, client: int) -> None:
 
     Without it a wheel is so light beside the chair that the solver does not end, and the chair creeps down slopes.
     """
-    wheel = spec.wheel
-    across, along, _ = _disc_inertia_kgm2(wheel.mass_kg, wheel.radius_m, wheel.width_m)
-    inertia = (across, along + spec.motor.rotor_inertia_kgm2, across)
     for index in body.drives:
-        pybullet.changeDynamics(body.id, index, localInertiaDiagonal=inertia, physicsClientId=client)
+        pybullet.changeDynamics(body.id, index, localInertiaDiagonal=spec.drive_inertia_kgm2, physicsClientId=client)
 
 
 def _part(link: str) -> str:
@@ -310,10 +291,3 @@ def _tyre(spec: PlantSpec, link: str) -> Tyre | None:
         return None
     wheel = spec.wheel if part == "wheel" else spec.casters[_pair(link)]
     return Tyre(radius_m=wheel.radius_m, half_width_m=0.5 * wheel.width_m)
-
-
-def _spring(spec: PlantSpec, number: int) -> _Spring:
-    arm = spec.casters[number].arm
-    if arm is None:
-        raise PhysicsError(f"casters.{number} has no arm; expected one: its body is that of another plant")
-    return _Spring(stiffness_Npm=arm.stiffness_Npm, damping_Nspm=arm.damping_Nspm, preload_N=arm.preload_N)

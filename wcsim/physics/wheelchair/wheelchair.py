@@ -3,7 +3,7 @@
 Once a tick `command`; each substep `before_step`, `Engine.step`, `after_step`; at the end of the tick `end_tick`, and
 then `state`, `imu` and `contacts` answer.
 
-`WheelTrack` knows where the wheels have been in the last seconds, and whether one fell off a kerb. Such a fall is a
+`_WheelTrack` knows where the wheels have been in the last seconds, and whether one fell off a kerb. Such a fall is a
 crash of its own, though no part of the chair but wheels may touch anything.
 """
 
@@ -45,7 +45,7 @@ KEPT_S: Final = 2.5  # longer than the longest tick and all that is asked of the
 _PLACE: Final = 0  # of a link's centre of mass, among what PyBullet says of a link
 
 
-class WheelTrack:
+class _WheelTrack:
     """Takes a sample every 0.05 s, whatever the tick and the physics step are.
 
     Args:
@@ -252,7 +252,7 @@ class Wheelchair:
         self.wheels_m = spec.wheels_m()  # see `PlantSpec`
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
-        self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
+        self._track = _WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
 
     @property
     def parked(self) -> bool:
@@ -402,7 +402,7 @@ class Wheelchair:
         return self._contacts
 
     def wheel_track(self) -> tuple[F64, F64]:
-        """Where its wheels were since it was placed, and its speed: see `WheelTrack.samples`."""
+        """Where its wheels were since it was placed, and its speed: see `_WheelTrack.samples`."""
         return self._track.samples()
 
     def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
@@ -457,7 +457,7 @@ class Wheelchair:
             self._body.id,
             self._body.arms,
             pybullet.TORQUE_CONTROL,
-            forces=[spring.force_N(arm[0], arm[1]) for spring, arm in arms],
+            forces=[-arm.preload_N - arm.stiffness_Npm * up[0] - arm.damping_Nspm * up[1] for arm, up in arms],
             physicsClientId=self._engine.client,
         )
 
