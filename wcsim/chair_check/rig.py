@@ -12,7 +12,7 @@ import numpy as np
 from wcsim.chair_check.row import TICK_S, Setup
 from wcsim.core.closing import Closing
 from wcsim.core.frames import forward
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import F64, ClassId, Joystick, PlantState, StreetMesh
@@ -109,9 +109,9 @@ class Rig(Closing):
         return self.chair.body_id
 
     @property
-    def client(self) -> int:
-        """PyBullet's id of the engine."""
-        return self.engine.client
+    def bullet(self) -> Bullet:
+        """The engine's world in PyBullet."""
+        return self.engine.bullet
 
     def place(self, x_m: float, y_m: float = 0.0, yaw_rad: float = 0.0, z_m: float = 0.0) -> None:
         """Stand the chair there, at rest."""
@@ -119,8 +119,8 @@ class Rig(Closing):
 
     def links(self) -> dict[str, int]:
         """Link indices by name."""
-        count = pybullet.getNumJoints(self.body, physicsClientId=self.client)
-        return {pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)}
+        count = self.bullet.getNumJoints(self.body)
+        return {self.bullet.getJointInfo(self.body, i)[12].decode(): i for i in range(count)}
 
     def drive(
         self,
@@ -172,45 +172,36 @@ class Rig(Closing):
         if force_N > 0.0:
             state = self.chair.state()
             tied = state.p_WB_m - _TIED_M * forward(state.yaw_rad, 0.0)
-            pybullet.applyExternalForce(
-                self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME, physicsClientId=self.client
-            )
+            self.bullet.applyExternalForce(self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME)
 
     def turn_swivels(self, angle_rad: float) -> None:
         """Turn every caster's fork to an angle; 0 is trailing."""
         for name, index in self.links().items():
             if name.startswith("swivel"):
-                pybullet.resetJointState(self.body, index, angle_rad, 0.0, physicsClientId=self.client)
+                self.bullet.resetJointState(self.body, index, angle_rad, 0.0)
 
     def lock(self, *prefixes: str) -> None:
         """Hold the joints of links whose names begin so where they are; every joint that moves if none is named."""
         for name, index in self.links().items():
-            kind = pybullet.getJointInfo(self.body, index, physicsClientId=self.client)[2]
+            kind = self.bullet.getJointInfo(self.body, index)[2]
             if kind == _FIXED or (prefixes and not name.startswith(prefixes)):
                 continue
-            angle = pybullet.getJointState(self.body, index, physicsClientId=self.client)[0]
-            pybullet.setJointMotorControl2(
-                self.body,
-                index,
-                pybullet.POSITION_CONTROL,
-                targetPosition=angle,
-                force=_FIRM_NM,
-                physicsClientId=self.client,
+            angle = self.bullet.getJointState(self.body, index)[0]
+            self.bullet.setJointMotorControl2(
+                self.body, index, pybullet.POSITION_CONTROL, targetPosition=angle, force=_FIRM_NM
             )
 
     def free(self, prefix: str) -> None:
         """Take the bearing friction from the joints of links whose names begin so."""
         for name, index in self.links().items():
             if name.startswith(prefix):
-                pybullet.setJointMotorControl2(
-                    self.body, index, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client
-                )
+                self.bullet.setJointMotorControl2(self.body, index, pybullet.VELOCITY_CONTROL, force=0.0)
 
     def loads_N(self) -> dict[str, float]:
         """Normal force in the last step of every link that touches something, by name; the frame is "frame"."""
         names = {index: name for name, index in self.links().items()}
         loads: dict[str, float] = {}
-        for point in pybullet.getContactPoints(bodyA=self.body, physicsClientId=self.client):
+        for point in self.bullet.getContactPoints(bodyA=self.body):
             name = names.get(point[3], "frame")
             loads[name] = loads.get(name, 0.0) + float(point[9])
         return loads

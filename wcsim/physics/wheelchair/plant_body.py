@@ -15,7 +15,7 @@ from typing import Final
 from wcsim.config.plant import ArmPart, BeamPart, CasterPart
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.contacts import Tyre
 from wcsim.physics.wheelchair.plant import (
@@ -186,14 +186,14 @@ def load_body(engine: Engine, spec: PlantSpec, v_max_mps: float) -> ChairBody:
         PhysicsError: PyBullet refused it.
     """
     check_springs(spec, engine.step_s)
-    return dressed(engine, _load(urdf(spec), engine.client), spec, v_max_mps)
+    return dressed(engine, _load(urdf(spec), engine.bullet), spec, v_max_mps)
 
 
 def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> ChairBody:
     """A loaded body with frictions and springs of a plant whose URDF is the one it was loaded from."""
-    client = engine.client
-    count = pybullet.getNumJoints(number, physicsClientId=client)
-    links = {pybullet.getJointInfo(number, i, physicsClientId=client)[1].decode(): i for i in range(count)}
+    bullet = engine.bullet
+    count = bullet.getNumJoints(number)
+    links = {bullet.getJointInfo(number, i)[1].decode(): i for i in range(count)}
     order = {name: _JOINT_ORDER.index(_part(name)) for name in links if _part(name) in _JOINT_ORDER}
     # Drive wheels first, then arms: `Wheelchair` takes their states by place.
     joints = sorted(order, key=lambda name: (order[name], links[name]))
@@ -209,45 +209,40 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
         tyres={index: tyre for name, index in links.items() if (tyre := _tyre(spec, name)) is not None},
     )
     least_radius_m = min(pair.radius_m for pair in spec.casters)
-    _set_dynamics(body, spec, max(_MOST_RADPS, _SPARE * v_max_mps / least_radius_m), client)
+    _set_dynamics(body, spec, max(_MOST_RADPS, _SPARE * v_max_mps / least_radius_m), bullet)
     return body
 
 
-def _load(text: str, client: int) -> int:
+def _load(text: str, bullet: Bullet) -> int:
     # Otherwise Bullet guesses inertias from the shapes, and takes a wheel for a prism that rattles.
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
     with tempfile.TemporaryDirectory(prefix="wcsim-") as folder:
         path = Path(folder) / "chair.urdf"
         path.write_text(text, encoding="utf-8")
         try:
-            return int(pybullet.loadURDF(str(path), flags=flags, physicsClientId=client))
+            return int(bullet.loadURDF(str(path), flags=flags))
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet refused the wheelchair ({error}); expected a body: check the plant") from None
 
 
-def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, client: int) -> None:
+def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, bullet: Bullet) -> None:
     """Friction per part, no damping, and PyBullet's default joint motors off but for the friction of bearings."""
     # in a call of their own: beside one of these three PyBullet puts a link's friction on the base instead
-    pybullet.changeDynamics(
-        body.id, FRAME, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=most_radps, physicsClientId=client
-    )
+    bullet.changeDynamics(body.id, FRAME, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=most_radps)
     for name, index in (("frame", FRAME), *body.links.items()):
-        pybullet.changeDynamics(
+        bullet.changeDynamics(
             body.id,
             index,
             lateralFriction=_friction(spec, name),
             rollingFriction=0.0,
             spinningFriction=0.0,
             jointDamping=0.0,
-            physicsClientId=client,
         )
-    _turn_rotors(body, spec, client)
+    _turn_rotors(body, spec, bullet)
     for name, index in body.links.items():
         if not name.startswith("antitip"):
             torque = _bearing_Nm(spec, name)
-            pybullet.setJointMotorControl2(
-                body.id, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque, physicsClientId=client
-            )
+            bullet.setJointMotorControl2(body.id, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
 
 
 def _bearing_Nm(spec: PlantSpec, link: str) -> float:
@@ -258,13 +253,13 @@ def _bearing_Nm(spec: PlantSpec, link: str) -> float:
     return beam.friction_Nm if beam is not None else 0.0
 
 
-def _turn_rotors(body: ChairBody, spec: PlantSpec, client: int) -> None:
+def _turn_rotors(body: ChairBody, spec: PlantSpec, bullet: Bullet) -> None:
     """Give the drive wheels the inertia of the motors' rotors, which turn with them; URDF refuses such a wheel.
 
     Without it a wheel is so light beside the chair that the solver does not end, and the chair creeps down slopes.
     """
     for index in body.drives:
-        pybullet.changeDynamics(body.id, index, localInertiaDiagonal=spec.drive_inertia_kgm2, physicsClientId=client)
+        bullet.changeDynamics(body.id, index, localInertiaDiagonal=spec.drive_inertia_kgm2)
 
 
 def _part(link: str) -> str:
