@@ -15,13 +15,10 @@ SCRIPTS = {
     "tick": "TickOptions",
     "camera": "CameraOptions",
     "users": "UsersOptions",
-    "crashes": "CrashesOptions",
     "reaction": "ReactionOptions",
-    "bridge": "BridgeOptions",
     "barrier": "BarrierOptions",
     "parallel": "ParallelOptions",
     "soak": "SoakOptions",
-    "memory": "MemoryOptions",
 }
 """Each a file of that name in `scripts/` with a `run(options)`, and its class of options."""
 PROGRAM = "python -m benchmarks"

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import psutil  # type: ignore[import-untyped]
 
-from benchmarks.interleave import Contestant, in_turns
 from wcsim.bridge.stage_timer import Stopwatch
 from wcsim.bridge.world import World
 from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
-from wcsim.towns.scenario.town import Town, open_town
+from wcsim.towns.scenario.town import open_town
 from wcsim.types import Command, SeatSpec
 
 _SETTLE_TICKS = 50
@@ -124,16 +123,6 @@ class TimedTwin:
     def close(self) -> None:
         """End the world."""
         self.world.close()
-
-
-def measure_bridge(
-    town: Town, config: RunConfig, ticks: int, seed: int, progress: Callable[[int], object]
-) -> BridgeCost:
-    """Run both worlds for `ticks` ticks, in turns. Raises SumoError when one of them dies."""
-    given = (town.sumocfg, config, (SeatSpec(),), seed)
-    pair = [Contestant(make=make, given=given, ticks=BLOCK_TICKS) for make in (StopwatchedWorld, TimedTwin)]
-    ours, bare = in_turns(pair, -(-ticks // BLOCK_TICKS), lambda done: progress(min(ticks, done * BLOCK_TICKS)))
-    return bridge_cost(ours, bare)
 
 
 def bridge_cost(ours: list[tuple[float, ...]], bare: list[tuple[float, ...]]) -> BridgeCost:

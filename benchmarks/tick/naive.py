@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.config import CameraConfig, ChairConfig
 from wcsim.core.constants import GRAVITY_MPS2
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.renderer.tiny_renderer import projection_matrix, view_matrix
 from wcsim.physics.sensors.camera_geometry import camera_matrix, mount, pinhole, pose_of
 from wcsim.physics.wheelchair.plant import plant_spec
@@ -34,17 +34,17 @@ class NaiveLoop:
         tick_s: float,
     ) -> None:
         """Chairs at `starts` (place, heading) in a street; a tick is `tick_s` long and has `substeps` physics steps."""
-        self.client: int = pybullet.connect(pybullet.DIRECT)
+        self.bullet = Bullet()
         self.camera, self.lens, self.mount = camera, pinhole(camera), mount(camera)
         self.actors: dict[str, tuple[int, float]] = {}
         self.substeps = substeps
-        pybullet.setGravity(0, 0, -GRAVITY_MPS2, physicsClientId=self.client)
-        pybullet.setTimeStep(tick_s / substeps, physicsClientId=self.client)
+        self.bullet.setGravity(0, 0, -GRAVITY_MPS2)
+        self.bullet.setTimeStep(tick_s / substeps)
         for vertices, indices in things(mesh):
             self._solid(vertices, indices)
         self.chairs = [self._chair(start_W_m, yaw_rad) for start_W_m, yaw_rad in starts]
-        joints = range(pybullet.getNumJoints(self.chairs[0], physicsClientId=self.client))
-        names = {pybullet.getJointInfo(self.chairs[0], i, physicsClientId=self.client)[1].decode(): i for i in joints}
+        joints = range(self.bullet.getNumJoints(self.chairs[0]))
+        names = {self.bullet.getJointInfo(self.chairs[0], i)[1].decode(): i for i in joints}
         self.wheels = (names["wheel_l"], names["wheel_r"])
 
     def tick(self, actors: Sequence[ActorState], wheel_radps: tuple[float, float]) -> list[tuple[F32, I32]]:
@@ -55,19 +55,19 @@ class NaiveLoop:
             body, half_height = self.actors[actor.id]
             x, y, z = actor.p_W_m
             turn = (0, 0, np.sin(actor.yaw_rad / 2), np.cos(actor.yaw_rad / 2))
-            pybullet.resetBasePositionAndOrientation(body, (x, y, z + half_height), turn, physicsClientId=self.client)
+            self.bullet.resetBasePositionAndOrientation(body, (x, y, z + half_height), turn)
         for chair in self.chairs:
             for wheel, speed in zip(self.wheels, wheel_radps, strict=True):
-                pybullet.setJointMotorControl2(
-                    chair, wheel, pybullet.VELOCITY_CONTROL, targetVelocity=speed, force=60, physicsClientId=self.client
+                self.bullet.setJointMotorControl2(
+                    chair, wheel, pybullet.VELOCITY_CONTROL, targetVelocity=speed, force=60
                 )
         for _ in range(self.substeps):
-            pybullet.stepSimulation(physicsClientId=self.client)
+            self.bullet.stepSimulation()
         return [self._look(chair) for chair in self.chairs]
 
     def close(self) -> None:
         """End the engine."""
-        pybullet.disconnect(physicsClientId=self.client)
+        self.bullet.close()
 
     def _chair(self, start_W_m: F64, yaw_rad: float) -> int:
         place = (*start_W_m[:2], start_W_m[2] + 0.02)
@@ -75,36 +75,31 @@ class NaiveLoop:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "chair.urdf"
             path.write_text(urdf(plant_spec(ChairConfig())), encoding="utf-8")
-            body: int = pybullet.loadURDF(str(path), place, turn, physicsClientId=self.client)
+            body: int = self.bullet.loadURDF(str(path), place, turn)
         return body
 
     def _look(self, chair: int) -> tuple[F32, I32]:
-        place, q = pybullet.getBasePositionAndOrientation(chair, physicsClientId=self.client)
+        place, q = self.bullet.getBasePositionAndOrientation(chair)
         yaw_rad = pybullet.getEulerFromQuaternion(q)[2]
         T_CW = camera_matrix(pose_of(place, yaw_rad, 0.0), self.mount)
         width, height, near, far = self.lens.width_px, self.lens.height_px, self.lens.near_m, self.lens.range_m
-        _, _, _, depth, bodies = pybullet.getCameraImage(
+        _, _, _, depth, bodies = self.bullet.getCameraImage(
             width, height, view_matrix(T_CW), projection_matrix(self.lens), shadow=0,
-            renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self.client,
-        )  # fmt: skip
+            renderer=pybullet.ER_TINY_RENDERER)  # fmt: skip
         z = far * near / (far - (far - near) * np.asarray(depth, np.float32).reshape(height, width))
         return z, np.asarray(bodies, np.int32).reshape(height, width)
 
     def _solid(self, vertices: list[list[float]], indices: list[int]) -> None:
         flags = pybullet.GEOM_FORCE_CONCAVE_TRIMESH
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH, vertices=vertices, indices=indices, flags=flags, physicsClientId=self.client
-        )
-        look = pybullet.createVisualShape(
-            pybullet.GEOM_MESH, vertices=vertices, indices=indices, physicsClientId=self.client
-        )
-        pybullet.createMultiBody(0, shape, look, physicsClientId=self.client)
+        shape = self.bullet.createCollisionShape(pybullet.GEOM_MESH, vertices=vertices, indices=indices, flags=flags)
+        look = self.bullet.createVisualShape(pybullet.GEOM_MESH, vertices=vertices, indices=indices)
+        self.bullet.createMultiBody(0, shape, look)
 
     def _box(self, actor: ActorState) -> tuple[int, float]:
         half = [0.5 * side for side in actor.size_lwh_m]
-        shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
-        look = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
-        return pybullet.createMultiBody(0, shape, look, physicsClientId=self.client), half[2]
+        shape = self.bullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
+        look = self.bullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=half)
+        return self.bullet.createMultiBody(0, shape, look), half[2]
 
 
 def things(mesh: StreetMesh) -> Iterator[tuple[list[list[float]], list[int]]]:

@@ -66,12 +66,12 @@ class _Watched(World):
 
     def begin_zones(self, file: str) -> int:
         """Have PyBullet note when its zones begin and end; returns the number of the log."""
-        kind, client = pybullet.STATE_LOGGING_PROFILE_TIMINGS, self._open.engine.client
-        return int(pybullet.startStateLogging(kind, file, physicsClientId=client))
+        kind, bullet = pybullet.STATE_LOGGING_PROFILE_TIMINGS, self._open.engine.bullet
+        return int(bullet.startStateLogging(kind, file))
 
     def end_zones(self, log: int) -> None:
         """Have them written."""
-        pybullet.stopStateLogging(log, physicsClientId=self._open.engine.client)
+        self._open.engine.bullet.stopStateLogging(log)
 
 
 def _dearest(rows: tuple[Dear, ...], zones: tuple[Dear, ...]) -> tuple[Dear, ...]:

@@ -232,7 +232,6 @@ SAME_FILE_NAME = {
     "chair": "its section of a run file, what crosses borders of it, and its command",
     "checkpoint": "of any run, and what a Q-learner puts into it",
     "drive": "a block of a suite, a recording, and the command on whose page a person drives",
-    "drives": "of the users' benchmark, and of the crashes'",
     "files": "written whole, and of a scenario",
     "messages": "between clients and a server, and between a page and its drive",
     "overrides": "of a scenario's options, and of a run's settings",
@@ -250,7 +249,6 @@ SAME_FILE_NAME = {
     "table": "of users, and of chairs",
     "train": "the loop, and the command",
     "users": "their commands, and the script of their benchmark",
-    "watch": "who notes crashes, and the command",
     "world": "its section of a run file, and the world",
 }
 

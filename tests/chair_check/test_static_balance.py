@@ -12,7 +12,6 @@ from wcsim.chair_check.static_balance import (
     Beam,
     Foot,
     Stand,
-    SupportSpring,
     _com_m,
     loads_N,
     rigid_tip_rad,
@@ -22,17 +21,18 @@ from wcsim.chair_check.static_balance import (
     worst_swivel_rad,
 )
 from wcsim.config import ChairConfig
+from wcsim.config.plant import ArmPart
 from wcsim.errors import PhysicsError
 from wcsim.physics.wheelchair.plant import plant_spec
 
 DIRECTIONS = (FORWARD_DOWN, REAR_DOWN, LEFT_DOWN)
-SPRING = SupportSpring(stiffness_N_per_m=2e4, preload_N=0.0, least_m=-0.05, most_m=0.05, unsprung_kg=0.0)
+ARM = ArmPart(mass_kg=0.5, stiffness_Npm=2e4, damping_Nspm=0.0, preload_N=0.0, down_m=0.05, up_m=0.05)
 
 
-def cart(height_m=0.5, x_m=0.1, spring=None) -> Stand:
+def cart(height_m=0.5, x_m=0.1, arm=None) -> Stand:
     """A box on four balls 1 m apart lengthwise and 0.6 m across."""
     feet = tuple(
-        Foot(name=f"{end}_{side}", centre_m=(x, y, 0.1), radius_m=0.1, spring=spring)
+        Foot(name=f"{end}_{side}", centre_m=(x, y, 0.1), radius_m=0.1, arm=arm)
         for end, x in (("front", 0.5), ("rear", -0.5))
         for side, y in (("l", 0.3), ("r", -0.3))
     )
@@ -46,13 +46,13 @@ def test_a_cart_tips_when_its_centre_of_mass_stands_above_its_feet():
 
 
 def test_springs_bring_it_down_earlier_and_height_too():
-    assert tip_rad(cart(spring=SPRING), LEFT_DOWN) < tip_rad(cart(), LEFT_DOWN) - 0.005
+    assert tip_rad(cart(arm=ARM), LEFT_DOWN) < tip_rad(cart(), LEFT_DOWN) - 0.005
     assert tip_rad(cart(height_m=0.6), LEFT_DOWN) < tip_rad(cart(), LEFT_DOWN)
 
 
-@pytest.mark.parametrize("spring", [None, SPRING])
-def test_the_loads_carry_the_weight_and_balance(spring):
-    loads = loads_N(cart(spring=spring))
+@pytest.mark.parametrize("arm", [None, ARM])
+def test_the_loads_carry_the_weight_and_balance(arm):
+    loads = loads_N(cart(arm=arm))
     assert sum(loads.values()) == pytest.approx(981.0, rel=1e-3)
     front = loads["front_l"] + loads["front_r"]
     assert front / 981.0 == pytest.approx(0.6, abs=0.01)
@@ -97,7 +97,7 @@ def test_antitips_hold_a_chair_that_has_to_lean_far_to_reach_them(gap_m):
 
 def test_the_rigid_plant_tips_on_its_tip_lines():
     spec = plant_spec(ChairConfig())
-    spec = replace(spec, casters=tuple(pair.model_copy(update={"beam": None}) for pair in spec.casters))
+    spec = spec.model_copy(update={"casters": tuple(pair.model_copy(update={"beam": None}) for pair in spec.casters)})
     for downhill in DIRECTIONS:
         chair = stand(spec, worst_swivel_rad(spec, downhill)).without("antitip")
         assert tip_rad(chair, downhill) == pytest.approx(rigid_tip_rad(chair, downhill), abs=math.radians(0.05))

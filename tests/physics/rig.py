@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
-import pybullet
 
 from wcsim.config import ChairConfig, ImuConfig
 from wcsim.physics.engine import PARK_Z_M, Engine
@@ -138,7 +137,7 @@ def rig(street: StreetMesh | None = None, hz: int = 240, **chair):
 def ray_down(engine: Engine, points_W_m: np.ndarray) -> np.ndarray:
     """Height (N,) of the first thing below 300 m at points (N, 2); -inf where there is nothing."""
     above, below = (np.c_[points_W_m, np.full(len(points_W_m), z_m)].tolist() for z_m in (300.0, 0.5 * PARK_Z_M))
-    hits = pybullet.rayTestBatch(above, below, physicsClientId=engine.client)
+    hits = engine.bullet.rayTestBatch(above, below)
     return np.array([hit[3][2] if hit[0] >= 0 else -np.inf for hit in hits])
 
 

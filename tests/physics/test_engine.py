@@ -16,7 +16,7 @@ from wcsim.types import ClassId
 def test_the_street_is_a_few_bodies_and_stands_where_the_mesh_says():
     with Engine(1 / 240) as engine:
         engine.add_street(strip_street().mesh)
-        assert pybullet.getNumBodies(physicsClientId=engine.client) == 4
+        assert engine.bullet.getNumBodies() == 4
         roles = [engine.tag_of(body).role for body in range(4)]
         assert sorted(role.value for role in roles) == ["building", "ground", "kerb", "static"]
         heights = ray_down(engine, np.array([[10.0, 0.0], [10.0, 5.5], [60.0, 14.0], [25.1, 6.7], [500.0, 0.0]]))
@@ -25,9 +25,9 @@ def test_the_street_is_a_few_bodies_and_stands_where_the_mesh_says():
 
 def test_a_closed_engine_leaves_nothing_behind():
     with Engine(1 / 240) as engine:
-        client = engine.client
+        number = engine.bullet.number
     engine.close()
-    assert pybullet.getConnectionInfo(physicsClientId=client)["isConnected"] == 0
+    assert pybullet.getConnectionInfo(physicsClientId=number)["isConnected"] == 0
 
 
 def test_a_mesh_over_the_limits_is_cut_into_few_pieces(monkeypatch):
@@ -75,17 +75,17 @@ def test_steps_and_ids_out_of_bounds_are_refused():
 def test_an_empty_street_is_no_street():
     with Engine(1 / 240) as engine:
         engine.add_street(mesh(np.zeros((0, 3)), np.zeros((0, 3)), ClassId.ROAD))
-        assert pybullet.getNumBodies(physicsClientId=engine.client) == 0
+        assert engine.bullet.getNumBodies() == 0
 
 
 def test_masses_and_centre_of_mass_are_those_asked_for():
     with rig(step_street(0.0), user_mass_kg=120.0, com_height_m=0.6) as r:
-        body, client = r.chair.body_id, r.engine.client
-        masses = [pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0]]
-        middles = [pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]]
-        for link in range(pybullet.getNumJoints(body, physicsClientId=client)):
-            masses.append(pybullet.getDynamicsInfo(body, link, physicsClientId=client)[0])
-            middles.append(pybullet.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=client)[0])
+        body, bullet = r.chair.body_id, r.engine.bullet
+        masses = [bullet.getDynamicsInfo(body, -1)[0]]
+        middles = [bullet.getBasePositionAndOrientation(body)[0]]
+        for link in range(bullet.getNumJoints(body)):
+            masses.append(bullet.getDynamicsInfo(body, link)[0])
+            middles.append(bullet.getLinkState(body, link, computeForwardKinematics=1)[0])
     assert sum(masses) == pytest.approx(230.0)
     whole = np.average(middles, axis=0, weights=masses)
     assert whole == pytest.approx([r.chair.spec.mass.com_x_m, 0.0, 0.6], abs=0.002)
@@ -94,7 +94,7 @@ def test_masses_and_centre_of_mass_are_those_asked_for():
 def test_wheels_are_round():
     with rig() as r:
         shapes = {
-            pybullet.getCollisionShapeData(r.chair.body_id, link, physicsClientId=r.engine.client)[0][2]
+            r.engine.bullet.getCollisionShapeData(r.chair.body_id, link)[0][2]
             for name, link in r.chair._body.links.items()
             if name.startswith(("wheel", "caster"))
         }
@@ -106,7 +106,7 @@ def test_roles_cover_every_class_of_the_street():
         corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
         found = {}
         for class_id in ClassId:
-            before = pybullet.getNumBodies(physicsClientId=engine.client)
+            before = engine.bullet.getNumBodies()
             engine.add_street(mesh(corners, [[0, 1, 2]], class_id))
             found[class_id] = engine.tag_of(before).role
     assert {c for c, role in found.items() if role is Role.KERB} == {ClassId.KERB, ClassId.LOWERED_KERB}

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.physics.rig import FORWARD, NEUTRAL, actor, rig
-from wcsim.physics.bullet import pybullet
 from wcsim.physics.kinematic_bodies import BodyMove, BodyPool
 from wcsim.types import ActorKind
 
@@ -22,7 +21,7 @@ def still(one) -> BodyMove:
 
 
 def deepest(r, pool, name) -> float:
-    points = pybullet.getContactPoints(r.chair.body_id, pool.body_of(name), physicsClientId=r.engine.client)
+    points = r.engine.bullet.getContactPoints(r.chair.body_id, pool.body_of(name))
     return min((point[8] for point in points), default=0.0)
 
 

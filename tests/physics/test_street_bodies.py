@@ -63,7 +63,7 @@ def test_a_tile_that_left_is_not_there():
         street.lift(HERE)
         assert street.keys == set() and engine.rolling_ids == set()
         assert np.isnan(engine.ground_at(kerb)).all()
-        assert pybullet.getNumBodies(physicsClientId=engine.client) == 0
+        assert engine.bullet.getNumBodies() == 0
         street.lay(HERE, strip)
         assert street.keys == {HERE}
         assert engine.ground_at(kerb) == pytest.approx(0.12, abs=1e-6)

@@ -8,10 +8,23 @@ pole on it.
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 
-from wcsim.types import ClassId, OneTile, Outline, Route, Street, StreetGrid, StreetMesh, WalkEdge, WalkGraph, WayKind
+from wcsim.types import (
+    F64,
+    ClassId,
+    OneTile,
+    Outline,
+    Route,
+    Street,
+    StreetGrid,
+    StreetMesh,
+    WalkEdge,
+    WalkGraph,
+    WayKind,
+)
 
 KERB_M = 0.12
 USUAL_OUTLINE = Outline(length_m=1.135, width_m=0.62, height_m=1.25, middle_x_m=0.2325)  # of plant rwd
@@ -114,3 +127,9 @@ def straight_route(y_m: float = 5.5) -> Route:
     """Along the northern pavement from x = 0 to 80 m."""
     xs = np.linspace(0.0, 80.0, 41)
     return Route(points_W_m=np.c_[xs, np.full(41, y_m)], arc_m=xs, edge_index=np.where(xs < 40, 0, 1).astype(np.int32))
+
+
+def write_recording(path: Path, time_s: F64, sticks: F64) -> None:
+    """A joystick (n, 2) over time (n,) as a table that `recorded:FILE` takes."""
+    rows = [f"{t!r},{x!r},{y!r}\n" for t, (x, y) in zip(time_s.round(6).tolist(), sticks.tolist(), strict=True)]
+    path.write_text("time_s,x,y\n" + "".join(rows))

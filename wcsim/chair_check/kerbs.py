@@ -269,7 +269,6 @@ _RUN_S: Final = 3.0
 _PHASES: Final = 6
 _TURN_S: Final = 1.5
 _STOP_S: Final = 4.0
-_WEIGH_S: Final = 0.5
 
 Height = Callable[[float, float], float]
 _LEAST_LOAD: Final = 0.2  # of the static load
@@ -357,17 +356,8 @@ def _wave(setup: Setup, phase: int) -> Height:
 def _loads_N(setup: Setup, height: Height) -> dict[str, float]:
     """Mean loads of the drive wheels at rest in the middle."""
     with Rig(setup, grid_street(height, _WIDE_M, _WIDE_M, 0.5 * _CELL_M)) as rig:
-        rig.place(0.0)
-        rig.drive(NEUTRAL, 2.0)
-        steps = round(_WEIGH_S * setup.hz)
-        sums = {"wheel_l": 0.0, "wheel_r": 0.0}
-        for _ in range(steps):
-            rig.substep()
-            loads = rig.loads_N()
-            for name in sums:
-                sums[name] += loads.get(name, 0.0) / steps
-        rig.chair.end_tick(None)
-    return sums
+        loads = rig.weigh_N()
+    return {name: loads.get(name, 0.0) for name in ("wheel_l", "wheel_r")}
 
 
 def _stop_m(setup: Setup, phase: int) -> float:

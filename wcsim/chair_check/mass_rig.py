@@ -133,28 +133,16 @@ def _losses(spec: PlantSpec) -> Iterator[Trial]:
     )
 
 
-def _weighed_loads_N(setup: Setup) -> dict[str, float]:
-    """Mean normal load of each wheel over half a second, after two seconds of rest."""
-    with Rig(setup) as rig:
-        rig.drive(NEUTRAL, 2.0)
-        steps = setup.hz // 2
-        sums: dict[str, float] = {}
-        for _ in range(steps):
-            rig.substep()
-            for name, load in rig.loads_N().items():
-                sums[name] = sums.get(name, 0.0) + load / steps
-        rig.chair.end_tick(None)
-    return sums
-
-
 def _mass_kg(setup: Setup) -> float:
     """Mass of chair and user: what the scales under all wheels show."""
-    return sum(_weighed_loads_N(setup).values()) / GRAVITY_MPS2
+    with Rig(setup) as rig:
+        return sum(rig.weigh_N().values()) / GRAVITY_MPS2
 
 
 def _drive_wheel_share(setup: Setup) -> float:
     """Share of the weight that rests on the drive wheels."""
-    loads = _weighed_loads_N(setup)
+    with Rig(setup) as rig:
+        loads = rig.weigh_N()
     return sum(load for name, load in loads.items() if name.startswith("wheel")) / sum(loads.values())
 
 
@@ -184,8 +172,8 @@ def _coasting_mps2(setup: Setup) -> float:
         wheels = [index for name, index in rig.links().items() if name.startswith("wheel")]
         for _ in range(round(_COAST_S * setup.hz)):
             rig.chair.before_step()
-            pybullet.setJointMotorControlArray(
-                rig.body, wheels, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(wheels), physicsClientId=rig.client
+            rig.bullet.setJointMotorControlArray(
+                rig.body, wheels, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(wheels)
             )
             rig.engine.step()
             rig.chair.after_step()
@@ -208,14 +196,7 @@ def _grip(setup: Setup) -> float:
             pull_N += _RAMP_NPS / setup.hz
             place = rig.chair.state().p_WB_m + np.array([spec.mass.com_x_m, 0.0, 0.0])
             rig.chair.before_step()
-            pybullet.applyExternalForce(
-                rig.body,
-                -1,
-                (way * pull_N, 0.0, 0.0),
-                place.tolist(),
-                pybullet.WORLD_FRAME,
-                physicsClientId=rig.client,
-            )
+            rig.bullet.applyExternalForce(rig.body, -1, (way * pull_N, 0.0, 0.0), place.tolist(), pybullet.WORLD_FRAME)
             rig.engine.step()
             rig.chair.after_step()
             if way * float(rig.chair.state().v_B_mps[0]) > _SLIP_MPS:
@@ -225,10 +206,10 @@ def _grip(setup: Setup) -> float:
 
 def _float(rig: Rig) -> None:
     """Lift the chair off the ground, without gravity, every joint held."""
-    place, turn = pybullet.getBasePositionAndOrientation(rig.body, physicsClientId=rig.client)
+    place, turn = rig.bullet.getBasePositionAndOrientation(rig.body)
     up = (place[0], place[1], place[2] + _FLOAT_M)
-    pybullet.resetBasePositionAndOrientation(rig.body, up, turn, physicsClientId=rig.client)
-    pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=rig.client)
+    rig.bullet.resetBasePositionAndOrientation(rig.body, up, turn)
+    rig.bullet.setGravity(0.0, 0.0, 0.0)
     rig.lock()
 
 
@@ -237,21 +218,16 @@ def _turn(rig: Rig, axis: F64) -> None:
     lever = np.roll(axis, 1)
     force = _TORQUE_NM * np.cross(axis, lever) / 2.0
     for _ in range(round(_PUSH_S * rig.setup.hz)):
-        middle = np.array(pybullet.getBasePositionAndOrientation(rig.body, physicsClientId=rig.client)[0])
+        middle = np.array(rig.bullet.getBasePositionAndOrientation(rig.body)[0])
         for sign in (1.0, -1.0):
-            pybullet.applyExternalForce(
-                rig.body,
-                -1,
-                (sign * force).tolist(),
-                (middle + sign * lever).tolist(),
-                pybullet.WORLD_FRAME,
-                physicsClientId=rig.client,
+            rig.bullet.applyExternalForce(
+                rig.body, -1, (sign * force).tolist(), (middle + sign * lever).tolist(), pybullet.WORLD_FRAME
             )
         rig.engine.step()
 
 
 def _rate(rig: Rig) -> F64:
-    return np.array(pybullet.getBaseVelocity(rig.body, physicsClientId=rig.client)[1])
+    return np.array(rig.bullet.getBaseVelocity(rig.body)[1])
 
 
 _TILT_RADPS: Final = rad(0.2)
@@ -331,23 +307,21 @@ def _name(way: str, height_m: float) -> str:
     return f"{way}_com_{round(100 * height_m)}cm"
 
 
-def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
-    return deg(_measured_tip_rad(setup.at_com_height(height_m), downhill, antitips))
-
-
-def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+def _expected_tip_rad(setup: Setup, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which a chair tips, from the masses and contact points that its file declares."""
     return tip_rad(_stand(setup, downhill, antitips), downhill)
 
 
-def _measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> float:
+def _tip_deg(setup: Setup, height_m: float, downhill: Vec2, antitips: bool) -> float:
     """The tilt at which the simulated chair's uphill wheels carry nothing any more, at most 3 degrees above expected.
 
     Args:
         setup: The chair and the rate.
+        height_m: Of its centre of mass.
         downhill: Unit vector in the chair's x and y.
         antitips: Whether it has its anti-tips.
     """
+    setup = setup.at_com_height(height_m)
     expected = _expected_tip_rad(setup, downhill, antitips)
     upper = uphill(_stand(setup, downhill, antitips), downhill)
     with Rig(setup, iterations=_ITERATIONS) as rig:
@@ -358,7 +332,7 @@ def _measured_tip_rad(setup: Setup, downhill: Vec2, antitips: bool = True) -> fl
         for share in _STAGES:  # a chair that falls onto its anti-tips rocks there for a while
             table.tilt_to(share * start_rad)
             table.settle()
-        return table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD)
+        return deg(table.tip_rad(start_rad + _BEFORE_RAD + _BEYOND_RAD))
 
 
 def _stand(setup: Setup, downhill: Vec2, antitips: bool) -> Stand:
@@ -388,9 +362,9 @@ def _prepare(rig: Rig, downhill: Vec2, antitips: bool) -> None:
     else:
         rig.lock("wheel", "caster", "swivel")
     for name, index in (("frame", -1), *rig.links().items()):
-        pybullet.changeDynamics(rig.body, index, lateralFriction=_GRIP, physicsClientId=rig.client)
+        rig.bullet.changeDynamics(rig.body, index, lateralFriction=_GRIP)
         if name.startswith("antitip") and not antitips:
-            pybullet.setCollisionFilterGroupMask(rig.body, index, 0, 0, physicsClientId=rig.client)
+            rig.bullet.setCollisionFilterGroupMask(rig.body, index, 0, 0)
 
 
 class _Table:
@@ -433,7 +407,7 @@ class _Table:
             self._tilt_rad += rate_radps / rig.setup.hz
             fall = GRAVITY_MPS2 * math.sin(self._tilt_rad)
             down = (fall * self._downhill[0], fall * self._downhill[1], -GRAVITY_MPS2 * math.cos(self._tilt_rad))
-            pybullet.setGravity(*down, physicsClientId=rig.client)
+            rig.bullet.setGravity(*down)
             rig.substep()
             lifted = lifted and self._upper.isdisjoint(rig.loads_N())
         rig.chair.end_tick(None)

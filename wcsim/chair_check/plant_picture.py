@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from wcsim.chair_check.static_balance import Foot, stand
 from wcsim.config import ChairConfig
+from wcsim.core.frames import Vec3
 from wcsim.physics.wheelchair.plant import FORK_M, PlantSpec, plant_spec
 
 Image = npt.NDArray[np.uint8]
@@ -68,42 +70,40 @@ class _View:
         self.image: Image = np.full(size, 255, np.uint8)
         self.from_above = up == 1
 
-    def at(self, p_m: tuple[float, float, float]) -> tuple[int, int]:
+    def at(self, p_m: Sequence[float]) -> tuple[int, int]:
         x = _EDGE_PX + _PX_PER_M * (p_m[0] - self._left_m)
         y = _EDGE_PX + _PX_PER_M * (self._top_m - p_m[self._up])
         return round(x), round(y)
 
-    def line(self, a_m: tuple[float, float, float], b_m: tuple[float, float, float], colour: Colour) -> None:
+    def line(self, a_m: Vec3, b_m: Vec3, colour: Colour) -> None:
         cv2.line(self.image, self.at(a_m), self.at(b_m), colour, 2, cv2.LINE_AA)
 
-    def box(self, centre_m: tuple[float, float, float], half_m: tuple[float, float, float], fill: Colour) -> None:
-        low = self.at((centre_m[0] - half_m[0], centre_m[1] - half_m[1], centre_m[2] - half_m[2]))
-        high = self.at((centre_m[0] + half_m[0], centre_m[1] + half_m[1], centre_m[2] + half_m[2]))
+    def box(self, centre_m: Vec3, size_m: Vec3, fill: Colour) -> None:
+        half_m = 0.5 * np.array(size_m)
+        low, high = (self.at((centre_m + side * half_m).tolist()) for side in (-1.0, 1.0))
         cv2.rectangle(self.image, low, high, fill, -1)
         cv2.rectangle(self.image, low, high, _INK, 1)
 
-    def disc(self, centre_m: tuple[float, float, float], radius_m: float, fill: Colour) -> None:
+    def disc(self, centre_m: Vec3, radius_m: float, fill: Colour) -> None:
         radius = round(radius_m * _PX_PER_M)
         cv2.circle(self.image, self.at(centre_m), radius, fill, -1, cv2.LINE_AA)
         cv2.circle(self.image, self.at(centre_m), radius, _INK, 1, cv2.LINE_AA)
 
-    def mark(self, p_m: tuple[float, float, float], colour: Colour, kind: int, size: int = 16) -> None:
+    def mark(self, p_m: Vec3, colour: Colour, kind: int, size: int = 16) -> None:
         cv2.drawMarker(self.image, self.at(p_m), colour, kind, size, 2, cv2.LINE_AA)
 
 
 def _draw_frame(view: _View, spec: PlantSpec) -> None:
     for box in spec.frame.boxes:
-        half = (0.5 * box.size_m[0], 0.5 * box.size_m[1], 0.5 * box.size_m[2])
-        view.box(box.centre_m, half, _FRAME)
+        view.box(box.centre_m, box.size_m, _FRAME)
 
 
 def _draw_foot(view: _View, foot: Foot) -> None:
     x, y, _ = foot.centre_m
-    round_from_here = foot.half_width_m == 0.0 or not view.from_above
-    if round_from_here:
+    if foot.half_width_m == 0.0 or not view.from_above:
         view.disc(foot.centre_m, foot.radius_m, _WHEEL)
     else:
-        view.box(foot.centre_m, (foot.radius_m, foot.half_width_m, foot.radius_m), _WHEEL)
+        view.box(foot.centre_m, (2.0 * foot.radius_m, 2.0 * foot.half_width_m, 2.0 * foot.radius_m), _WHEEL)
     bottom_m = foot.centre_m[2] - foot.radius_m
     if bottom_m < 1e-6:
         view.line((x, y - foot.half_width_m, 0.0), (x, y + foot.half_width_m, 0.0), _CONTACT)

@@ -12,7 +12,7 @@ import numpy as np
 from wcsim.chair_check.row import TICK_S, Setup
 from wcsim.core.closing import Closing
 from wcsim.core.frames import forward
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.wheelchair import Wheelchair
 from wcsim.types import F64, ClassId, Joystick, PlantState, StreetMesh
@@ -28,10 +28,7 @@ _FIXED: Final = 4  # pybullet.JOINT_FIXED
 
 def plane_street(ahead_rad: float = 0.0, left_rad: float = 0.0) -> StreetMesh:
     """One plane through the origin that rises ahead (x) and to the left (y) by these angles."""
-    corners = [(x, y) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    rise = (math.tan(ahead_rad), math.tan(left_rad))
-    vertices = [(_HALF_M * x, _HALF_M * y, _HALF_M * (x * rise[0] + y * rise[1])) for x, y in corners]
-    return _mesh(vertices, [[0, 1, 2], [0, 2, 3]], [ClassId.ROAD] * 2)
+    return grid_street(lambda x, y: x * math.tan(ahead_rad) + y * math.tan(left_rad), _HALF_M, _HALF_M, 2.0 * _HALF_M)
 
 
 def grid_street(height_m: Callable[[float, float], float], long_m: float, wide_m: float, cell_m: float) -> StreetMesh:
@@ -64,7 +61,7 @@ def _mesh(vertices: list[tuple[float, float, float]], faces: list[list[int]], cl
 
 
 @dataclass(slots=True)
-class Ride:
+class _Ride:
     """What a drive showed, one item a tick."""
 
     states: list[PlantState] = field(default_factory=list)
@@ -112,9 +109,9 @@ class Rig(Closing):
         return self.chair.body_id
 
     @property
-    def client(self) -> int:
-        """PyBullet's id of the engine."""
-        return self.engine.client
+    def bullet(self) -> Bullet:
+        """The engine's world in PyBullet."""
+        return self.engine.bullet
 
     def place(self, x_m: float, y_m: float = 0.0, yaw_rad: float = 0.0, z_m: float = 0.0) -> None:
         """Stand the chair there, at rest."""
@@ -122,8 +119,8 @@ class Rig(Closing):
 
     def links(self) -> dict[str, int]:
         """Link indices by name."""
-        count = pybullet.getNumJoints(self.body, physicsClientId=self.client)
-        return {pybullet.getJointInfo(self.body, i, physicsClientId=self.client)[12].decode(): i for i in range(count)}
+        count = self.bullet.getNumJoints(self.body)
+        return {self.bullet.getJointInfo(self.body, i)[12].decode(): i for i in range(count)}
 
     def drive(
         self,
@@ -131,7 +128,7 @@ class Rig(Closing):
         seconds: float,
         until: Callable[[PlantState], bool] | None = None,
         pull_N: float = 0.0,
-    ) -> Ride:
+    ) -> _Ride:
         """Drive with a joystick position for whole ticks.
 
         Args:
@@ -140,7 +137,7 @@ class Rig(Closing):
             until: Ends the drive early when it holds of the state at the end of a tick.
             pull_N: A force along -x of the world, tied to the chair behind its axle near the ground.
         """
-        ride = Ride()
+        ride = _Ride()
         for _ in range(round(seconds / TICK_S)):
             self.chair.command(stick)
             for _ in range(self.setup.substeps):
@@ -159,49 +156,52 @@ class Rig(Closing):
         self.engine.step()
         self.chair.after_step()
 
+    def weigh_N(self) -> dict[str, float]:
+        """Mean loads over half a second, by name, after two seconds of rest; see `loads_N`."""
+        self.drive(NEUTRAL, 2.0)
+        steps = self.setup.hz // 2
+        sums: dict[str, float] = {}
+        for _ in range(steps):
+            self.substep()
+            for name, load in self.loads_N().items():
+                sums[name] = sums.get(name, 0.0) + load / steps
+        self.chair.end_tick(None)
+        return sums
+
     def _pull(self, force_N: float) -> None:
         if force_N > 0.0:
             state = self.chair.state()
             tied = state.p_WB_m - _TIED_M * forward(state.yaw_rad, 0.0)
-            pybullet.applyExternalForce(
-                self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME, physicsClientId=self.client
-            )
+            self.bullet.applyExternalForce(self.body, -1, (-force_N, 0.0, 0.0), tied.tolist(), pybullet.WORLD_FRAME)
 
     def turn_swivels(self, angle_rad: float) -> None:
         """Turn every caster's fork to an angle; 0 is trailing."""
         for name, index in self.links().items():
             if name.startswith("swivel"):
-                pybullet.resetJointState(self.body, index, angle_rad, 0.0, physicsClientId=self.client)
+                self.bullet.resetJointState(self.body, index, angle_rad, 0.0)
 
     def lock(self, *prefixes: str) -> None:
         """Hold the joints of links whose names begin so where they are; every joint that moves if none is named."""
         for name, index in self.links().items():
-            kind = pybullet.getJointInfo(self.body, index, physicsClientId=self.client)[2]
+            kind = self.bullet.getJointInfo(self.body, index)[2]
             if kind == _FIXED or (prefixes and not name.startswith(prefixes)):
                 continue
-            angle = pybullet.getJointState(self.body, index, physicsClientId=self.client)[0]
-            pybullet.setJointMotorControl2(
-                self.body,
-                index,
-                pybullet.POSITION_CONTROL,
-                targetPosition=angle,
-                force=_FIRM_NM,
-                physicsClientId=self.client,
+            angle = self.bullet.getJointState(self.body, index)[0]
+            self.bullet.setJointMotorControl2(
+                self.body, index, pybullet.POSITION_CONTROL, targetPosition=angle, force=_FIRM_NM
             )
 
     def free(self, prefix: str) -> None:
         """Take the bearing friction from the joints of links whose names begin so."""
         for name, index in self.links().items():
             if name.startswith(prefix):
-                pybullet.setJointMotorControl2(
-                    self.body, index, pybullet.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client
-                )
+                self.bullet.setJointMotorControl2(self.body, index, pybullet.VELOCITY_CONTROL, force=0.0)
 
     def loads_N(self) -> dict[str, float]:
         """Normal force in the last step of every link that touches something, by name; the frame is "frame"."""
         names = {index: name for name, index in self.links().items()}
         loads: dict[str, float] = {}
-        for point in pybullet.getContactPoints(bodyA=self.body, physicsClientId=self.client):
+        for point in self.bullet.getContactPoints(bodyA=self.body):
             name = names.get(point[3], "frame")
             loads[name] = loads.get(name, 0.0) + float(point[9])
         return loads

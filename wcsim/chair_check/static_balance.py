@@ -15,12 +15,11 @@ from typing import Final
 
 import numpy as np
 
-from wcsim.config.plant import CasterPart
+from wcsim.config.plant import ArmPart, CasterPart
 from wcsim.core.frames import rad
 from wcsim.errors import PhysicsError
 from wcsim.physics.engine import GRAVITY_MPS2
 from wcsim.physics.wheelchair.plant import FORK_COM_M, FORK_M, PlantSpec
-from wcsim.physics.wheelchair.plant_body import BEAM_INERTIA_KGM2
 from wcsim.types import F64
 
 Vec2 = tuple[float, float]
@@ -44,17 +43,6 @@ _LANDED_RAD: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SupportSpring:
-    """The sprung arm of a wheel, upright in B: force down on the wheel = preload + stiffness * compression."""
-
-    stiffness_N_per_m: float
-    preload_N: float
-    least_m: float  # compression at the lower stop, negative
-    most_m: float  # and at the upper one
-    unsprung_kg: float  # what hangs on it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Beam:
     """A beam that carries feet and rocks freely about a lengthwise pivot in the chair's middle plane."""
 
@@ -74,7 +62,8 @@ class Foot:
     axis: Vec3 = (0.0, 0.0, 0.0)  # unit vector along the axle; none for a ball
     half_width_m: float = 0.0
     friction: float = 1.0
-    spring: SupportSpring | None = None
+    arm: ArmPart | None = None  # sprung, upright in B
+    unsprung_kg: float = 0.0  # what hangs on the arm
     beam: Beam | None = None
 
 
@@ -190,11 +179,11 @@ class _Table:
         self._axis = np.array([foot.axis for foot, _, _ in edges])
         self._radius = np.array([foot.radius_m for foot, _, _ in edges])
         self._share = np.array([share for _, _, share in edges])
-        springs = [foot.spring for foot, _, _ in edges]
-        self._sprung = np.array([spring is not None for spring in springs])
+        arms = [(foot.arm, foot.unsprung_kg) for foot, _, _ in edges]
+        self._sprung = np.array([arm is not None for arm, _ in arms])
         numbers = [
-            (s.stiffness_N_per_m, s.preload_N, s.least_m, s.most_m, s.unsprung_kg) if s else (1.0, 0.0, 0.0, 0.0, 0.0)
-            for s in springs
+            (arm.stiffness_Npm, arm.preload_N, -arm.down_m, arm.up_m, unsprung_kg) if arm else (1.0, 0.0, 0.0, 0.0, 0.0)
+            for arm, unsprung_kg in arms
         ]
         self._stiff, self._preload, self._least, self._most, self._unsprung = np.array(numbers).T
         beams = [foot.beam for foot, _, _ in edges]
@@ -349,10 +338,7 @@ FORWARD_DOWN: Final[Vec2] = (1.0, 0.0)
 REAR_DOWN: Final[Vec2] = (-1.0, 0.0)
 LEFT_DOWN: Final[Vec2] = (0.0, 1.0)
 _TURNS: Final = 72  # swivel angles that are tried for the worst
-_ARM_INERTIA_KGM2: Final = 0.01  # small beside everything else
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
-
-Part = tuple[float, Vec3, Vec3]  # mass in kg, centre in B, moments of inertia about it along B's axes
 
 
 def stand(spec: PlantSpec, swivel_rad: float = 0.0) -> Stand:
@@ -382,9 +368,10 @@ def inertia_kgm2(spec: PlantSpec) -> F64:
     """Moments of inertia of the whole chair about its centre of mass, along B's axes, (3,), casters trailing."""
     about = np.array(_com_m(spec))
     total = np.zeros(3)
-    for mass_kg, place, own in _parts(spec):
+    frame = (spec.frame_mass_kg, spec.frame_com_m, tuple(0.5 * one for one in spec.frame_inertia_kgm2))
+    for mass_kg, place, own in (frame, *spec.parts()):
         arm = np.array(place) - about
-        total += np.array(own) + mass_kg * (arm @ arm - arm**2)
+        total += 2.0 * np.array(own) + mass_kg * (arm @ arm - arm**2)
     return total
 
 
@@ -413,21 +400,10 @@ def _casters(spec: PlantSpec, swivel_rad: float) -> Iterator[Foot]:
                 axis=(-sin, cos, 0.0),
                 half_width_m=0.5 * pair.width_m,
                 friction=pair.friction,
-                spring=_spring(pair),
+                arm=pair.arm,
+                unsprung_kg=pair.mass_kg + pair.fork_mass_kg + (pair.arm.mass_kg if pair.arm else 0.0),
                 beam=_beam(pair),
             )
-
-
-def _spring(pair: CasterPart) -> SupportSpring | None:
-    if pair.arm is None:
-        return None
-    return SupportSpring(
-        stiffness_N_per_m=pair.arm.stiffness_Npm,
-        preload_N=pair.arm.preload_N,
-        least_m=-pair.arm.down_m,
-        most_m=pair.arm.up_m,
-        unsprung_kg=pair.mass_kg + pair.fork_mass_kg + pair.arm.mass_kg,
-    )
 
 
 def _beam(pair: CasterPart) -> Beam | None:
@@ -454,34 +430,3 @@ def _antitips(spec: PlantSpec) -> Iterator[Foot]:
             x, y, z = pair.p_m
             name = f"antitip_{number}_{side}"
             yield Foot(name=name, centre_m=(x, sign * y, z), radius_m=pair.radius_m, friction=pair.friction)
-
-
-def _parts(spec: PlantSpec) -> Iterator[Part]:
-    """Everything that has a mass, one side of each pair after the other."""
-    yield spec.frame_mass_kg, spec.frame_com_m, spec.frame_inertia_kgm2
-    for _, sign in _SIDES:
-        wheel = spec.wheel
-        at = (0.0, 0.5 * sign * wheel.track_m, wheel.radius_m)
-        across, along, _ = _disc(wheel.mass_kg, wheel.radius_m, wheel.width_m)
-        yield wheel.mass_kg, at, (across, along + spec.motor.rotor_inertia_kgm2, across)
-        for pair in spec.casters:
-            y = 0.5 * sign * pair.track_m
-            swivel_z = pair.radius_m + FORK_M
-            hub = (pair.swivel_x_m - pair.trail_m, y, pair.radius_m)
-            yield pair.mass_kg, hub, _disc(pair.mass_kg, pair.radius_m, pair.width_m)
-            fork = (pair.swivel_x_m - 0.5 * pair.trail_m, y, swivel_z - FORK_COM_M)
-            yield pair.fork_mass_kg, fork, (pair.fork_inertia_kgm2,) * 3
-            if pair.arm is not None:
-                yield pair.arm.mass_kg, (pair.swivel_x_m, y, swivel_z), (_ARM_INERTIA_KGM2,) * 3
-            if pair.beam is not None:  # half of a rod as long as the pair's track
-                long = 0.5 * pair.beam.mass_kg * pair.track_m**2 / 12.0
-                at = (pair.swivel_x_m, 0.0, swivel_z)
-                yield 0.5 * pair.beam.mass_kg, at, (long, min(0.5 * BEAM_INERTIA_KGM2, long), long)
-        for antitip in spec.antitips:
-            x, y, z = antitip.p_m
-            yield antitip.mass_kg, (x, sign * y, z), (antitip.inertia_kgm2,) * 3
-
-
-def _disc(mass_kg: float, radius_m: float, width_m: float) -> Vec3:
-    across = mass_kg * (3.0 * radius_m**2 + width_m**2) / 12.0
-    return across, 0.5 * mass_kg * radius_m**2, across

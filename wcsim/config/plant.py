@@ -23,7 +23,7 @@ Vec3 = tuple[Metre, Metre, Metre]
 Rises = Annotated[tuple[Annotated[float, Field(gt=0.0, le=0.3)], ...], Field(max_length=64)]
 
 
-class MassPart(Model):
+class _MassPart(Model):
     """Chair and user together; wheels, forks, arms, beams and anti-tips are part of the chair's mass."""
 
     chair_kg: Annotated[float, Field(ge=50.0, le=200.0)]
@@ -37,7 +37,7 @@ class MassPart(Model):
     ]
 
 
-class WheelPart(Model):
+class _WheelPart(Model):
     """The two drive wheels."""
 
     radius_m: Annotated[float, Field(ge=0.12, le=0.32)]
@@ -84,7 +84,7 @@ class CasterPart(Model):
     beam: BeamPart | None = None
 
 
-class AntitipPart(Model):
+class _AntitipPart(Model):
     """A pair of anti-tip wheels on the frame."""
 
     p_m: Vec3  # the left one's middle
@@ -94,7 +94,7 @@ class AntitipPart(Model):
     friction: Friction
 
 
-class BoxPart(Model):
+class _BoxPart(Model):
     """A collision box of the frame with its user."""
 
     part: Literal["body", "footplate"]
@@ -106,15 +106,15 @@ class BoxPart(Model):
     ]
 
 
-class FramePart(Model):
+class _FramePart(Model):
     """The frame with its user as others meet it."""
 
     height_m: Annotated[float, Field(ge=0.8, le=2.0)]  # top of the user's head
     friction: Friction
-    boxes: Annotated[tuple[BoxPart, ...], Field(min_length=1, max_length=64)]
+    boxes: Annotated[tuple[_BoxPart, ...], Field(min_length=1, max_length=64)]
 
 
-class MotorPart(Model):
+class _MotorPart(Model):
     """A geared permanent-magnet motor at each drive wheel, and its spring-applied parking brake."""
 
     stall_torque_Nm: Annotated[float, Field(ge=20.0, le=300.0)]
@@ -124,7 +124,7 @@ class MotorPart(Model):
     brake_torque_Nm: Annotated[float, Field(ge=20.0, le=500.0)]
 
 
-class LimitPart(Model):
+class _LimitPart(Model):
     """The most that the chair's controller may be set to."""
 
     speed_mps: Annotated[float, Field(gt=0.1, le=5.0)]
@@ -135,7 +135,7 @@ class LimitPart(Model):
     yaw_accel_radps2: Annotated[float, Field(ge=0.1, le=20.0)]
 
 
-class ClimbPart(Model):
+class _ClimbPart(Model):
     """Kerbs that the chair climbs square on, from standstill and with a run-up of 0.5 m, and kerbs that stop it."""
 
     standstill_m: Rises
@@ -147,14 +147,14 @@ class PlantFile(Model):
     """The whole file."""
 
     shows: Text
-    mass: MassPart
-    wheel: WheelPart
+    mass: _MassPart
+    wheel: _WheelPart
     casters: Annotated[tuple[CasterPart, ...], Field(min_length=1, max_length=4)]
-    antitips: Annotated[tuple[AntitipPart, ...], Field(max_length=4)] = ()
-    frame: FramePart
-    motor: MotorPart
-    limits: LimitPart
-    climbs: ClimbPart
+    antitips: Annotated[tuple[_AntitipPart, ...], Field(max_length=4)] = ()
+    frame: _FramePart
+    motor: _MotorPart
+    limits: _LimitPart
+    climbs: _ClimbPart
 
 
 def known_plants() -> tuple[str, ...]:

@@ -2,9 +2,39 @@
 
 from __future__ import annotations
 
-from wcsim.core.native_output import without_line
+from typing import Any
 
-__all__ = ["pybullet"]
+from wcsim.core.native_output import without_line
+from wcsim.errors import PhysicsError
+
+__all__ = ["Bullet", "pybullet"]
 
 with without_line(b"pybullet build time:"):
     import pybullet
+
+
+class Bullet:
+    """One world of PyBullet without a window: the functions of `pybullet`, told in which world."""
+
+    def __init__(self) -> None:
+        """Raises PhysicsError when PyBullet has no free client."""
+        self.number: int = pybullet.connect(pybullet.DIRECT)
+        if self.number < 0:
+            raise PhysicsError("PyBullet has no free client; expected one: close other engines of this process first")
+
+    def close(self) -> None:
+        """End the world; a second call does nothing."""
+        if self.number >= 0:
+            pybullet.disconnect(self.number)
+            self.number = -1
+
+    def __getattr__(self, name: str) -> Any:
+        native, number = getattr(pybullet, name), self.number
+
+        # Not `functools.partial`: a profile would not show the native function behind it.
+        def function(*given: Any, **named: Any) -> Any:
+            return native(*given, physicsClientId=number, **named)
+
+        # Kept: from the second call on it is found without this.
+        self.__dict__[name] = function
+        return function

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from wcsim.core.closing import Closing
 from wcsim.core.constants import GRAVITY_MPS2 as GRAVITY_MPS2
 from wcsim.errors import PhysicsError
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.types import F64, ClassId, StreetMesh, TileKey
 
 _MAX_VERTICES: Final = 131_072  # B3_MAX_NUM_VERTICES of PyBullet
@@ -160,31 +160,24 @@ class Engine(Closing):
         _check_step(step_s)
         if solver_iterations < 1:
             raise PhysicsError(f"solver_iterations is {solver_iterations}; expected 1 or more")
-        client = pybullet.connect(pybullet.DIRECT)
-        if client < 0:
-            raise PhysicsError("PyBullet has no free client; expected one: close other engines of this process first")
-        self.client: Final[int] = client
+        self.bullet: Final = Bullet()
         self._step_s = step_s
-        self._open = True
         self._tags: dict[int, BodyTag] = {}
         self._rolling: set[int] = set()
         self._corners: list[list[float]] = []
-        pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=client)
-        pybullet.setTimeStep(step_s, physicsClientId=client)
-        pybullet.setPhysicsEngineParameter(
+        self.bullet.setGravity(0.0, 0.0, -GRAVITY_MPS2)
+        self.bullet.setTimeStep(step_s)
+        self.bullet.setPhysicsEngineParameter(
             numSolverIterations=solver_iterations,
             # Bullet sorts its pairs of bodies, so that one history always gives the contacts in one order.
             deterministicOverlappingPairs=1,
             contactBreakingThreshold=_CONTACT_BREAKING_M,
             enableFileCaching=0,
-            physicsClientId=client,
         )
 
     def close(self) -> None:
         """Give the client back; a second call does nothing."""
-        if self._open:
-            self._open = False
-            pybullet.disconnect(physicsClientId=self.client)
+        self.bullet.close()
 
     @property
     def step_s(self) -> float:
@@ -196,11 +189,11 @@ class Engine(Closing):
         if step_s != self._step_s:
             _check_step(step_s)
             self._step_s = step_s
-            pybullet.setTimeStep(step_s, physicsClientId=self.client)
+            self.bullet.setTimeStep(step_s)
 
     def step(self) -> None:
         """Advance by `step_s`."""
-        pybullet.stepSimulation(physicsClientId=self.client)
+        self.bullet.stepSimulation()
 
     def add_street(self, mesh: StreetMesh) -> tuple[_StreetPiece, ...]:
         """Add everything that stands still: as few concave bodies per role as PyBullet's limits allow, friction 1.
@@ -209,12 +202,13 @@ class Engine(Closing):
             PhysicsError: The mesh holds numbers that are not finite or faces that point at no vertex.
         """
         vertices, faces = _checked(mesh)
-        role_by_class = np.array([_role_number(number) for number in range(256)])
+        numbers = {role: number for number, role in enumerate(Role)}
+        role_by_class = np.array([numbers[_ROLE_OF_CLASS.get(class_id, Role.STATIC)] for class_id in range(256)])
         face_role = role_by_class[mesh.face_class]
         return tuple(
             self._laid(self._street_shape(soup), role)
             # Role by role, so that the bodies of a mesh get their ids in the same order in every run.
-            for number, role in enumerate(Role)
+            for role, number in numbers.items()
             for soup in _street_parts(vertices, faces[face_role == number])
         )
 
@@ -238,12 +232,8 @@ class Engine(Closing):
         corners, indices = self._corners[: len(points)], soup.faces.ravel().tolist()
         for corner, point in zip(corners, points, strict=True):
             corner[:] = point
-        shape: int = pybullet.createCollisionShape(
-            pybullet.GEOM_MESH,
-            vertices=corners,
-            indices=indices,
-            flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
-            physicsClientId=self.client,
+        shape: int = self.bullet.createCollisionShape(
+            pybullet.GEOM_MESH, vertices=corners, indices=indices, flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH
         )
         for corner in corners:
             corner.clear()
@@ -253,14 +243,8 @@ class Engine(Closing):
 
     def _laid(self, shape: int, role: Role) -> _StreetPiece:
         body = self.add_body(shape, (0.0, 0.0, 0.0), BodyTag(role=role, kind=role.value), moves=False)
-        pybullet.changeDynamics(
-            body,
-            -1,
-            lateralFriction=1.0,
-            rollingFriction=0.0,
-            spinningFriction=0.0,
-            collisionMargin=_STREET_MARGIN_M,
-            physicsClientId=self.client,
+        self.bullet.changeDynamics(
+            body, -1, lateralFriction=1.0, rollingFriction=0.0, spinningFriction=0.0, collisionMargin=_STREET_MARGIN_M
         )
         return _StreetPiece(body=body, shape=shape, role=role)
 
@@ -271,8 +255,8 @@ class Engine(Closing):
         """
         if shape < 0:
             raise PhysicsError(f"PyBullet refused a collision shape for {tag.kind!r}; expected finite, positive sizes")
-        body: int = pybullet.createMultiBody(
-            0.0, shape, basePosition=position_m, useMaximalCoordinates=int(not moves), physicsClientId=self.client
+        body: int = self.bullet.createMultiBody(
+            0.0, shape, basePosition=position_m, useMaximalCoordinates=int(not moves)
         )
         if body < 0:
             raise PhysicsError(f"PyBullet refused a body for {tag.kind!r}; too many bodies, or no memory left")
@@ -287,7 +271,7 @@ class Engine(Closing):
 
     def remove_body(self, body_id: int) -> None:
         """Take a body out and forget it; its id may be that of the next one. For wheelchairs and the street only."""
-        pybullet.removeBody(body_id, physicsClientId=self.client)
+        self.bullet.removeBody(body_id)
         self._tags.pop(body_id, None)
         self._rolling.discard(body_id)
 
@@ -307,23 +291,14 @@ class Engine(Closing):
         """Height (N,) of ground or kerb within half a metre above or below points (N, 3); nan where there is none."""
         half = np.array([0.0, 0.0, _GROUND_REACH_M])
         above, below = (points_W_m + half).tolist(), (points_W_m - half).tolist()
-        hits = pybullet.rayTestBatch(above, below, physicsClientId=self.client)
+        hits = self.bullet.rayTestBatch(above, below)
         # Nobody stands on what else a ray meets, such as a vehicle or a parked bicycle.
         return np.array([hit[3][2] if hit[0] in self._rolling else np.nan for hit in hits])
-
-
-def role_of_class(class_id: int) -> Role:
-    """What a face of the street of that ClassId is to a wheelchair."""
-    return _ROLE_OF_CLASS.get(class_id, Role.STATIC)
 
 
 def _check_step(step_s: float) -> None:
     if not 1 / 1000 <= step_s <= 1 / 100:
         raise PhysicsError(f"physics step is {step_s} s; expected 0.001 to 0.01 s: change tick_s or substeps")
-
-
-def _role_number(class_id: int) -> int:
-    return list(Role).index(role_of_class(class_id))
 
 
 def _checked(mesh: StreetMesh) -> tuple[F64, npt.NDArray[np.int64]]:

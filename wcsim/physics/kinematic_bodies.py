@@ -115,7 +115,7 @@ class BodyPool:
     def pose(self, actor_id: str) -> tuple[float, float, float, float]:
         """Ground point x, y, z and yaw of an actor's body as PyBullet has it. Raises PhysicsError when it has none."""
         body = self._body(actor_id)
-        (x, y, z), q = pybullet.getBasePositionAndOrientation(body.body_id, physicsClientId=self._engine.client)
+        (x, y, z), q = self._engine.bullet.getBasePositionAndOrientation(body.body_id)
         qx, qy, qz, qw = q
         up_x, up_y = 2.0 * (qx * qz + qw * qy), 2.0 * (qy * qz - qw * qx)
         up_z = 1.0 - 2.0 * (qx * qx + qy * qy)
@@ -143,7 +143,7 @@ class BodyPool:
         return body
 
     def _move(self, body: _Body, move: BodyMove) -> None:
-        actor, client = move.actor, self._engine.client
+        actor, bullet = move.actor, self._engine.bullet
         q = quaternion(actor.yaw_rad, actor.pitch_rad)
         level = actor.pitch_rad == 0.0
         ux, uy, uz = (0.0, 0.0, body.middle_m) if level else rotate(matrix(q), 0.0, 0.0, body.middle_m)
@@ -155,9 +155,9 @@ class BodyPool:
                 c, s = math.cos(turn_rad), math.sin(turn_rad)
                 sx, sy = vx + (c * ux - s * uy - ux) / move.dt_s, vy + (s * ux + c * uy - uy) / move.dt_s
             sx, sy = _arc_start(sx, sy, turn_rad, round(move.dt_s / self._engine.step_s))
-        pybullet.resetBasePositionAndOrientation(body.body_id, (x + ux, y + uy, z + uz), q, physicsClientId=client)
+        bullet.resetBasePositionAndOrientation(body.body_id, (x + ux, y + uy, z + uz), q)
         turn = (0.0, 0.0, move.yaw_rate_radps)
-        pybullet.resetBaseVelocity(body.body_id, (sx, sy, vz), turn, physicsClientId=client)
+        bullet.resetBaseVelocity(body.body_id, (sx, sy, vz), turn)
         tag = BodyTag(
             role=Role.ACTOR,
             kind=actor.kind.value,
@@ -173,33 +173,31 @@ class BodyPool:
         return free.pop() if free else self._make(bucket)
 
     def _park(self, body: _Body) -> None:
-        client = self._engine.client
-        pybullet.resetBasePositionAndOrientation(body.body_id, body.park_m, _LEVEL, physicsClientId=client)
-        pybullet.resetBaseVelocity(body.body_id, _ZERO, _ZERO, physicsClientId=client)
+        bullet = self._engine.bullet
+        bullet.resetBasePositionAndOrientation(body.body_id, body.park_m, _LEVEL)
+        bullet.resetBaseVelocity(body.body_id, _ZERO, _ZERO)
         self._free.setdefault(body.bucket, []).append(body)
 
     def _make(self, bucket: Bucket) -> _Body:
         kind, length_m, width_m, height_m = bucket[0], *(_BUCKET_M * steps for steps in bucket[1:])
         # Something flatter than the clearance still has a box of half its height.
         low = min(_CLEARANCE_M, 0.5 * height_m)
-        client = self._engine.client
+        bullet = self._engine.bullet
         if kind in UPRIGHT:
-            shape = pybullet.createCollisionShape(
-                pybullet.GEOM_CYLINDER, radius=0.5 * max(length_m, width_m), height=height_m, physicsClientId=client
+            shape = bullet.createCollisionShape(
+                pybullet.GEOM_CYLINDER, radius=0.5 * max(length_m, width_m), height=height_m
             )
             middle = 0.5 * height_m
         else:
             half = (0.5 * length_m, 0.5 * width_m, 0.5 * (height_m - low))
-            shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
+            shape = bullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half)
             middle = 0.5 * (height_m + low)
         # Each has a place of its own, away from the parked chairs at y = 0: what is parked must not overlap.
         park = (_PARK_STEP_M * (self._made + 1), 500.0, PARK_Z_M)
         body = self._engine.add_body(shape, park, BodyTag(role=Role.ACTOR, kind=kind.value))
-        pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
+        bullet.changeDynamics(body, -1, lateralFriction=_FRICTION)
         if kind in UPRIGHT:
-            pybullet.changeDynamics(
-                body, -1, contactStiffness=_SOFT_NPM, contactDamping=_SOFT_NSPM, physicsClientId=client
-            )
+            bullet.changeDynamics(body, -1, contactStiffness=_SOFT_NPM, contactDamping=_SOFT_NSPM)
         self._made += 1
         return _Body(body_id=body, bucket=bucket, middle_m=middle, park_m=park)
 

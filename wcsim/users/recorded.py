@@ -18,7 +18,6 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from wcsim.core.constants import RECORDED
-from wcsim.core.files import whole_file
 from wcsim.core.reading import FileKind, escaped, read_text
 from wcsim.errors import ConfigError, JournalError
 from wcsim.log.drive import moves_as_here, read_drive, wcsim_version
@@ -227,24 +226,6 @@ def _joystick_of(ticks: Sequence[DriveTick], tick_s: float) -> JoystickRecording
         sticks=np.array([on_disc(x, y) for x, y in sticks]),
         intents=np.array(known) if len(known) == len(intents) else None,
     )
-
-
-def _write_recording(path: FilePath, time_s: F64, sticks: F64) -> None:
-    """Write a joystick over time, whole or not at all, as `read_recording` takes it.
-
-    Args:
-        path: The file.
-        time_s: (n,) rising, from 0 on.
-        sticks: (n, 2) x right, y forward, each in -1..1.
-
-    Raises:
-        ConfigError: It could not be read again.
-        DiskFullError: The place cannot be written.
-    """
-    lines = [f"{t!r},{x!r},{y!r}" for t, (x, y) in zip(time_s.round(6).tolist(), sticks.tolist(), strict=True)]
-    with whole_file(path) as part:
-        part.write_text("\n".join([",".join(COLUMNS), *lines, ""]), encoding="utf-8")
-        read_recording(part)
 
 
 def _rows(path: FilePath) -> Iterator[tuple[int, list[str]]]:

@@ -16,6 +16,7 @@ from benchmarks.scripts.users import LONGEST_S, TINY_CAMERA, UsersOptions, summa
 from benchmarks.users.drives import drive_routes
 from benchmarks.users.table import Statistic, statistics
 from benchmarks.users.user_sheet import user_sheet, write_sheet
+from tests.support.samples import write_recording
 from tests.support.worlds import follow, open_world, quick_config
 from wcsim.bridge.world import World
 from wcsim.config import resolve
@@ -23,7 +24,7 @@ from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import SeatSpec
 from wcsim.users.profiles import profile_names
-from wcsim.users.recorded import _write_recording, read_recording
+from wcsim.users.recorded import read_recording
 
 TOWNS = ("helsinki", "monaco", "manhattan")
 # How far a mean over 20 routes may lie from the mean of the parameters that were drawn: absolute, then relative.
@@ -89,7 +90,7 @@ def test_a_recorded_joystick_drives_a_chair_as_it_did(corner: Path, tmp_path: Pa
             follow(world)
             sticks.append(world.seats[0].user.joystick)
     file = tmp_path / "stick.csv"
-    _write_recording(file, 0.1 * np.arange(len(sticks)), np.array([(j.x, j.y) for j in sticks]))
+    write_recording(file, 0.1 * np.arange(len(sticks)), np.array([(j.x, j.y) for j in sticks]))
     assert len(read_recording(file).time_s) == 31
     with open_world(corner, seed=2, spec=SeatSpec(profile=f"recorded:{file}")) as world:
         replayed, gave_up = [world.seats[0].user.joystick], []

@@ -15,7 +15,6 @@ from wcsim.bridge.world import World
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, ProtocolError
 from wcsim.physics.buffers import SeatBuffers, new_images
-from wcsim.physics.bullet import pybullet
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import ClientSnapshot, Command, Joystick, SeatSpec
 from wcsim.users.perception import Perception
@@ -32,7 +31,7 @@ def empty_world(corner: Path, *overrides: str, seats: int = 3, seed: int = 2, ep
 def bodies(world: World) -> int:
     """Bodies of PyBullet that are neither pooled actors nor the street."""
     street = sum(len(pieces) for pieces in world._open.street._pieces.values())
-    return int(pybullet.getNumBodies(physicsClientId=world._open.engine.client)) - world._open.bodies.made - street
+    return int(world._open.engine.bullet.getNumBodies()) - world._open.bodies.made - street
 
 
 def present(world: World) -> list[int]:

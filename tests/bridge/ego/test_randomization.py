@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pybullet
 import pytest
 
 from tests.support.worlds import hashes, open_world, quick_config
@@ -95,9 +94,9 @@ def test_a_world_keeps_what_it_drew_and_draws_anew_for_each_episode(corner):
 def test_mass_and_friction_and_plant_are_those_of_the_body(corner):
     words = ("vary.user_mass_kg=[120,120]", "vary.friction=[0.5,0.5]", 'vary.plant={"mass.chair_kg"=[100,100]}')
     with open_world(corner, *words) as world:
-        chair, client = world.seats[0].chair, world._open.engine.client
-        links = range(-1, pybullet.getNumJoints(chair.body_id, physicsClientId=client))
-        facts = [pybullet.getDynamicsInfo(chair.body_id, link, physicsClientId=client) for link in links]
+        chair, bullet = world.seats[0].chair, world._open.engine.bullet
+        links = range(-1, bullet.getNumJoints(chair.body_id))
+        facts = [bullet.getDynamicsInfo(chair.body_id, link) for link in links]
         assert sum(fact[0] for fact in facts) == pytest.approx(220.0, abs=0.01)
         frictions = {round(fact[1], 3) for fact in facts}
         assert {0.45, 0.36} <= frictions and not {0.9, 0.72} & frictions  # half of wheel's and caster's

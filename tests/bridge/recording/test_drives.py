@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.samples import write_recording
 from tests.support.worlds import open_world, quick_config
 from wcsim.bridge.replay.replayed import first_inputs, verify
 from wcsim.bridge.user_drives import (
@@ -30,7 +31,7 @@ from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
 from wcsim.users.profiles import profile, profile_json, profile_names, profile_text, read_profile, sample
-from wcsim.users.recorded import _write_recording, find_user
+from wcsim.users.recorded import find_user
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +105,7 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
     """A person is whoever gives sticks: here a table of them, and an episode that is begun anew after tick 12."""
     rng, config, town = np.random.default_rng(4), quick_config(), find_town(str(corner))
     sticks = np.clip(np.c_[rng.normal(0.0, 0.2, 40), rng.uniform(0.3, 0.8, 40)], -0.7, 0.7)
-    _write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
+    write_recording(tmp_path / "sticks.csv", 0.1 * np.arange(40), sticks)
     spec, path = SeatSpec(profile=f"recorded:{tmp_path / 'sticks.csv'}"), tmp_path / "a.drive"
     header = drive_header(town, config, 6, policy="dwa", level="1", episode="dev 1.0")
     with (

@@ -17,7 +17,7 @@ STILL = (0.0, 0.0, 0.0)
 
 
 def imu(dt_s: float = 1 / 240, **config) -> Imu:
-    return Imu(ImuConfig(**config), (0.0, 0.0, 0.5), dt_s, 9.81)
+    return Imu(ImuConfig(**config), (0.0, 0.0, 0.5), dt_s)
 
 
 def test_at_rest_it_feels_one_g_upwards():

@@ -19,7 +19,7 @@ MG = 1e-3 * STANDARD_GRAVITY_MPS2
 
 def readings(ticks: int, episode: int = 1, key: int = 7, tick_s: float = 0.1, **config) -> np.ndarray:
     """(ticks, 6) errors of accelerometer and gyroscope at rest; one sample a tick, because nothing moves."""
-    sensor = Imu(ImuConfig(**{**EXACT, **config}), (0.18, 0.0, 0.5), tick_s, 9.81)
+    sensor = Imu(ImuConfig(**{**EXACT, **config}), (0.18, 0.0, 0.5), tick_s)
     sensor.start(episode)
     out = np.empty((ticks, 6))
     for tick in range(ticks):
@@ -64,7 +64,7 @@ def test_noise_depends_on_its_keys_alone():
 
 def test_without_noise_a_key_changes_no_bit():
     def ride(noise: bool, key: int | None) -> bytes:
-        sensor = Imu(ImuConfig(noise=noise, tilt="complementary"), (0.1, 0.0, 0.4), 1 / 240, 9.81)
+        sensor = Imu(ImuConfig(noise=noise, tilt="complementary"), (0.1, 0.0, 0.4), 1 / 240)
         sensor.start(key)
         out = b""
         for tick in range(5):

@@ -66,7 +66,7 @@ def test_a_chair_on_its_back_does_not_confuse_the_filter():
 @pytest.mark.parametrize("mode", ["accelerometer", "complementary"])
 def test_noise_and_bias_have_their_size(mode):
     exact = {"accel_density_ug": 0.0, "accel_bias_mg": 0.0, "accel_instability_mg": 0.0, "gyro_bias_deg": 0.0}
-    sensor = Imu(ImuConfig(tilt=mode, **exact), (0.18, 0.0, 0.5), 0.1, 9.81)
+    sensor = Imu(ImuConfig(tilt=mode, **exact), (0.18, 0.0, 0.5), 0.1)
     means, spread = [], []
     for episode in range(200):
         sensor.reset(BodyMotion(LEVEL))
@@ -83,7 +83,7 @@ def test_noise_and_bias_have_their_size(mode):
 
 
 def test_the_ideal_sensor_has_no_errors():
-    sensor = Imu(ImuConfig(), (0.18, 0.0, 0.5), 0.1, 9.81)
+    sensor = Imu(ImuConfig(), (0.18, 0.0, 0.5), 0.1)
     sensor.start(3)
     up = matrix(quaternion(0.0, 0.1, -0.05))
     sensor.reset(BodyMotion(up))

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from wcsim.physics import engine
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.wheelchair import drive_controller, plant_body, wheelchair
 from wcsim.physics.wheelchair.plant_body import urdf
 
@@ -47,35 +47,31 @@ def _replaced(pattern: str, by: str | Callable[[re.Match[str]], str], count: int
     return _text(change)
 
 
-def _after_loading(act: Callable[[int, int, dict[str, int]], None]) -> Plant:
+def _after_loading(act: Callable[[int, Bullet, dict[str, int]], None]) -> Plant:
     def plant(patch: Patch) -> None:
         set_dynamics = plant_body._set_dynamics
 
-        def wrong(body: Any, spec: Any, most_radps: float, client: int) -> None:
-            set_dynamics(body, spec, most_radps, client)
-            act(body.id, client, body.links)
+        def wrong(body: Any, spec: Any, most_radps: float, bullet: Bullet) -> None:
+            set_dynamics(body, spec, most_radps, bullet)
+            act(body.id, bullet, body.links)
 
         patch.setattr(plant_body, "_set_dynamics", wrong)
 
     return plant
 
 
-def _damped(body: int, client: int, links: dict[str, int]) -> None:
-    pybullet.changeDynamics(body, -1, linearDamping=0.04, angularDamping=0.04, physicsClientId=client)
+def _damped(body: int, bullet: Bullet, links: dict[str, int]) -> None:
+    bullet.changeDynamics(body, -1, linearDamping=0.04, angularDamping=0.04)
 
 
-def _motors_left_on(body: int, client: int, links: dict[str, int]) -> None:
+def _motors_left_on(body: int, bullet: Bullet, links: dict[str, int]) -> None:
     for name, index in links.items():
         if name.startswith("caster"):
-            pybullet.setJointMotorControl2(
-                body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=1.0, physicsClientId=client
-            )
+            bullet.setJointMotorControl2(body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=1.0)
 
 
-def _stuck(body: int, client: int, links: dict[str, int]) -> None:
-    pybullet.setJointMotorControl2(
-        body, links["beam_0"], pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=1e4, physicsClientId=client
-    )
+def _stuck(body: int, bullet: Bullet, links: dict[str, int]) -> None:
+    bullet.setJointMotorControl2(body, links["beam_0"], pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=1e4)
 
 
 def _half_friction(patch: Patch) -> None:

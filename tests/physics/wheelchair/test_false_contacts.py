@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pybullet
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -41,22 +40,22 @@ def test_turning_on_about_the_vertical(yaw, rate):
 def test_coasting_carries_on_as_before():
     with rig() as r:
         r.drive(FORWARD, 20)
-        chair, client = r.chair, r.engine.client
+        chair, bullet = r.chair, r.engine.bullet
         chair.before_step()
         before: Motion = chair._before
-        pybullet.resetBaseVelocity(chair.body_id, (0.0, 0.0, 9.0), physicsClientId=client)
+        bullet.resetBaseVelocity(chair.body_id, (0.0, 0.0, 9.0))
         r.engine.step()
-        coast(chair.body_id, chair._body.joints, before, r.engine.step_s, client)
+        coast(chair.body_id, chair._body.joints, before, r.engine.step_s, bullet)
         chair._read()
         assert chair._v_W_mps == pytest.approx(before.v_W_mps)
         assert np.subtract(chair._p_com_W_m, before.p_W_m) == pytest.approx(np.array(before.v_W_mps) / 240)
-        wheel = pybullet.getJointState(chair.body_id, chair._body.joints[0], physicsClientId=client)
+        wheel = bullet.getJointState(chair.body_id, chair._body.joints[0])
         assert wheel[1] == pytest.approx(before.joints[0][1])
 
 
 def impossible(chair) -> tuple:
     """A contact point with a large force, ahead of the left drive wheel, as PyBullet words it."""
-    hub = pybullet.getLinkState(chair.body_id, chair._body.links["wheel_l"], physicsClientId=chair._engine.client)[0]
+    hub = chair._engine.bullet.getLinkState(chair.body_id, chair._body.links["wheel_l"])[0]
     place = (hub[0] + 0.15, hub[1], 0.0)
     return (0, chair.body_id, 0, chair._body.links["wheel_l"], -1, place, place, (0.0, 0.0, 1.0), 0.0, 15_000.0)
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.physics.rig import FORWARD, NEUTRAL, rig, step_street
 from tests.support.samples import USUAL_OUTLINE
 from wcsim.config import ChairConfig, ImuConfig, resolve
-from wcsim.config.plant import known_plants, read_plant
+from wcsim.config.plant import known_plants
 from wcsim.errors import ConfigError, PhysicsError
 from wcsim.physics.wheelchair.plant import PlantSpec, _check_plant, plant_spec, varied
 from wcsim.physics.wheelchair.plant_body import urdf
@@ -38,12 +38,12 @@ def user_file(folder: Path, old: str = "", new: str = "", plant: str = "rwd") ->
 
 def body_of(chair) -> tuple[dict[str, tuple], dict[str, np.ndarray]]:
     """Dynamics and place of the centre of mass of every link, as PyBullet has them."""
-    body, client = chair.body_id, chair._engine.client
+    body, bullet = chair.body_id, chair._engine.bullet
     links = {"frame": -1, **chair._body.links}
-    dynamics = {n: pybullet.getDynamicsInfo(body, i, physicsClientId=client) for n, i in links.items()}
-    places = {"frame": pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]}
+    dynamics = {n: bullet.getDynamicsInfo(body, i) for n, i in links.items()}
+    places = {"frame": bullet.getBasePositionAndOrientation(body)[0]}
     for name, index in chair._body.links.items():
-        places[name] = pybullet.getLinkState(body, index, computeForwardKinematics=1, physicsClientId=client)[0]
+        places[name] = bullet.getLinkState(body, index, computeForwardKinematics=1)[0]
     return dynamics, {name: np.array(place) for name, place in places.items()}
 
 
@@ -151,8 +151,8 @@ def test_a_speed_profile_and_another_speed_contradict_each_other():
 @pytest.mark.parametrize("spec", PLANTS)
 def test_the_outline_holds_all_that_collides(spec):
     with rig(plant="mwd" if len(spec.casters) == 2 else "rwd") as r:
-        client, body = r.engine.client, r.chair.body_id
-        boxes = [pybullet.getAABB(body, i, physicsClientId=client) for i in (-1, *r.chair._body.part)]
+        bullet, body = r.engine.bullet, r.chair.body_id
+        boxes = [bullet.getAABB(body, i) for i in (-1, *r.chair._body.part)]
     low, high = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
     outline = spec.outline
     assert high[0] - low[0] == pytest.approx(outline.length_m, abs=0.01)
@@ -199,9 +199,8 @@ def test_a_caster_has_an_arm_or_a_beam():
     beam = RWD.casters[0].beam
     assert beam is not None
     both = tuple(pair.model_copy(update={"beam": beam}) for pair in MWD.casters)
-    file = read_plant("mwd").model_copy(update={"casters": both})
     with pytest.raises(ConfigError, match=r"casters\.0 has an arm and a beam; expected one of them"):
-        _check_plant(file, 100.0, 0.5, "both")
+        _check_plant(MWD.model_copy(update={"casters": both}), "both")
 
 
 def test_the_casters_of_a_beam_stand_on_steps_of_different_height():
@@ -209,9 +208,9 @@ def test_the_casters_of_a_beam_stand_on_steps_of_different_height():
         r.drive(NEUTRAL, 10)
         beam = r.chair._body.joints[2]
         for angle_rad in (0.08, -0.08):
-            pybullet.resetJointState(r.chair.body_id, beam, angle_rad, 0.0, physicsClientId=r.engine.client)
+            r.engine.bullet.resetJointState(r.chair.body_id, beam, angle_rad, 0.0)
             r.drive(NEUTRAL, 20)
-            turned = pybullet.getJointState(r.chair.body_id, beam, physicsClientId=r.engine.client)[0]
+            turned = r.engine.bullet.getJointState(r.chair.body_id, beam)[0]
             assert abs(turned) < 0.01  # level ground brings it back
 
 
@@ -223,7 +222,7 @@ def test_a_sprung_caster_gives_way_and_comes_back():
         for _ in range(48):
             r.chair.before_step()
             push = {"forceObj": (0.0, 0.0, -400.0), "posObj": (0.6, 0.0, 0.5), "flags": pybullet.WORLD_FRAME}
-            pybullet.applyExternalForce(r.chair.body_id, -1, **push, physicsClientId=r.engine.client)
+            r.engine.bullet.applyExternalForce(r.chair.body_id, -1, **push)
             r.engine.step()
             r.chair.after_step()
         pressed = [joint[0] for joint in r.chair._joints[arms]]
@@ -307,12 +306,12 @@ def test_a_chair_becomes_another_and_the_first_again():
 
 def test_the_engine_knows_the_body_of_today_only():
     with rig() as r:
-        bodies = pybullet.getNumBodies(physicsClientId=r.engine.client)
+        bodies = r.engine.bullet.getNumBodies()
         other = Wheelchair(r.engine, ChairConfig(), ImuConfig(), seat=1)
         r.chair.become(MWD)
         assert r.engine.tag_of(r.chair.body_id).actor_id == "w:0"
         assert r.engine.tag_of(other.body_id).actor_id == "w:1"
-        assert pybullet.getNumBodies(physicsClientId=r.engine.client) == bodies + 1
+        assert r.engine.bullet.getNumBodies() == bodies + 1
         ride = r.place().drive(FORWARD, 40)
     assert ride.speed[-1] == pytest.approx(1.67, rel=0.01)
 

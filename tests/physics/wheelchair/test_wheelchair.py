@@ -7,7 +7,6 @@ import subprocess
 import sys
 
 import numpy as np
-import pybullet
 import pytest
 
 from tests.physics.rig import FORWARD, NEUTRAL, actor, fan_street, flat_street, rig, step_street, tiled_street
@@ -249,8 +248,8 @@ def test_a_car_pushes_the_chair_and_does_not_sink_into_it(yaw, start_m):
                 r.chair.before_step()
                 r.engine.step()
                 r.chair.after_step()
-                body, client = pool.body_of("car"), r.engine.client
-                points = pybullet.getContactPoints(r.chair.body_id, body, physicsClientId=client)
+                body, bullet = pool.body_of("car"), r.engine.bullet
+                points = bullet.getContactPoints(r.chair.body_id, body)
                 deepest = min([deepest, *[point[8] for point in points]])
             r.chair.end_tick(None)
             fastest = max(fastest, float(np.hypot(*r.chair.state().v_B_mps[:2])))

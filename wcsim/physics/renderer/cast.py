@@ -13,33 +13,21 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.physics.renderer.instances import ChairPose, Instances, actor_instances, chair_instances, joined
-from wcsim.physics.renderer.models.catalog import Template
-from wcsim.physics.renderer.models.primitives import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M
+from wcsim.physics.renderer.models.catalog import LAMP_APART_M, LAMP_DEPTH_M, LAMP_RADIUS_M, Template
 from wcsim.types import F64, I32, ActorState, Bool, SignalHead, SignalState, chair_actor_id
 
 AHEAD_M = 0.16  # from the middle of a head to its lamps' backs: heads are 0.3 m deep
 _VEHICLE_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, 2 * (LAMP_APART_M + LAMP_RADIUS_M))
 _WALKER_SIZE_M = (LAMP_DEPTH_M, 2 * LAMP_RADIUS_M, LAMP_APART_M + 2 * LAMP_RADIUS_M)
 
+# What SUMO's letters light; any other one is off.
 _VEHICLE_LETTERS = {
-    "r": Template.SIGNAL_RED,
-    "s": Template.SIGNAL_RED,  # SUMO: a green arrow to the right beside the red
-    "u": Template.SIGNAL_RED_AMBER,
-    "y": Template.SIGNAL_AMBER,
-    "Y": Template.SIGNAL_AMBER,
-    "o": Template.SIGNAL_AMBER,  # blinks
-    "g": Template.SIGNAL_GREEN,
-    "G": Template.SIGNAL_GREEN,
+    Template.SIGNAL_RED: "rs",  # s: a green arrow to the right beside the red
+    Template.SIGNAL_RED_AMBER: "u",
+    Template.SIGNAL_AMBER: "yYo",  # o: blinks
+    Template.SIGNAL_GREEN: "gG",
 }
-_WALKER_LETTERS = {
-    "r": Template.WALK_RED,
-    "s": Template.WALK_RED,
-    "u": Template.WALK_RED,
-    "y": Template.WALK_RED,
-    "Y": Template.WALK_RED,
-    "g": Template.WALK_GREEN,
-    "G": Template.WALK_GREEN,
-}
+_WALKER_LETTERS = {Template.WALK_RED: "rsuyY", Template.WALK_GREEN: "gG"}
 
 
 class _SignalLamps:
@@ -123,11 +111,11 @@ class _SignalLamps:
         )
 
 
-def _letters(of: dict[str, Template], otherwise: Template) -> I32:
+def _letters(of: dict[Template, str], otherwise: Template) -> I32:
     """Template (256,) by SUMO's letter."""
     table = np.full(256, otherwise, np.int32)
-    for letter, template in of.items():
-        table[ord(letter)] = template
+    for template, letters in of.items():
+        table[[ord(letter) for letter in letters]] = template
     return table
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from wcsim.physics.renderer.kernels import InstanceArrays, place_models, put_round
-from wcsim.physics.renderer.models.catalog import Template, template_of
-from wcsim.physics.renderer.models.people import GAIT_PHASES, POSTURES, STANDING
+from wcsim.physics.renderer.models.catalog import GAIT_PHASES, POSTURES, STANDING, Template, template_of
 from wcsim.types import F64, I32, ActorKind, ActorLook, ActorState, Outline, PlantState
 
 U32 = npt.NDArray[np.uint32]
@@ -116,16 +115,8 @@ def joined(*parts: Instances) -> Instances:
     # One part alone is handed on as it is: its models are placed already.
     if len(some) == 1 or not some:
         return (*some, *parts)[0]
-    return Instances(
-        template=np.concatenate([part.template for part in some]),
-        p_W_m=np.concatenate([part.p_W_m for part in some]),
-        yaw_rad=np.concatenate([part.yaw_rad for part in some]),
-        pitch_rad=np.concatenate([part.pitch_rad for part in some]),
-        roll_rad=np.concatenate([part.roll_rad for part in some]),
-        scale_m=np.concatenate([part.scale_m for part in some]),
-        colour_seed=np.concatenate([part.colour_seed for part in some]),
-        lamps=np.concatenate([part.lamps for part in some]),
-    )
+    columns = [column.name for column in fields(Instances) if column.init]
+    return Instances(**{name: np.concatenate([getattr(part, name) for part in some]) for name in columns})
 
 
 def rotation_of(q: F64) -> F64:
@@ -138,19 +129,6 @@ def rotation_of(q: F64) -> F64:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def rotation_quaternion(yaw_rad: float, pitch_rad: float, roll_rad: float) -> list[float]:
-    """Quaternion x, y, z, w of roll, then pitch (nose up), then yaw."""
-    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
-    cp, sp = math.cos(-0.5 * pitch_rad), math.sin(-0.5 * pitch_rad)
-    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
-    return [
-        cy * cp * sr - sy * sp * cr,
-        cy * sp * cr + sy * cp * sr,
-        sy * cp * cr - cy * sp * sr,
-        cy * cp * cr + sy * sp * sr,
-    ]
 
 
 def _gait_phases(p_W_m: F64, yaw_rad: F64, speed_mps: F64, seed: U32, stride_m: F64) -> I32:

@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from wcsim.core.closing import Closing
+from wcsim.core.frames import Quat, quaternion
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
-from wcsim.physics.renderer.instances import Instances, rotation_quaternion
+from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.models.catalog import actor_templates
 from wcsim.physics.renderer.models.paint import VARIANTS, Paint, class_paint_table
 from wcsim.types import F64, U8, Bool, ClassId
@@ -44,9 +45,7 @@ class TinyRenderer(Closing):
 
     def __init__(self, store: GeometryStore) -> None:
         """Connect and load the street. Raises PhysicsError when PyBullet gives no client or refuses a mesh."""
-        self._client: int = pybullet.connect(pybullet.DIRECT)
-        if self._client < 0:
-            raise PhysicsError("PyBullet gave no DIRECT client for the TinyRenderer; close other clients and try again")
+        self._bullet = Bullet()
         self._class_of = np.zeros(0, np.uint8)  # by body number
         self._instance_of: dict[int, int] = {}  # row of the instance that a body stands for in this picture
         self._pool: dict[_Model, list[tuple[int, ...]]] = {}
@@ -59,23 +58,15 @@ class TinyRenderer(Closing):
 
     def close(self) -> None:
         """Disconnect; a second call does nothing."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._bullet.close()
 
     def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out`; see `Renderer.render`, and the module on where pixels are sampled."""
         check_images(camera, out)
         self._place(instances, range(len(instances)) if shown is None else np.flatnonzero(shown).tolist())
         width, height = camera.width_px, camera.height_px
-        _, _, rgba, depth, body = pybullet.getCameraImage(
-            width,
-            height,
-            view_matrix(T_CW),
-            projection_matrix(camera),
-            shadow=0,
-            renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=self._client,
+        _, _, rgba, depth, body = self._bullet.getCameraImage(
+            width, height, view_matrix(T_CW), projection_matrix(camera), shadow=0, renderer=pybullet.ER_TINY_RENDERER
         )
         near, far = camera.near_m, camera.range_m
         # OpenGL's depth buffer is not linear: this undoes `projection_matrix`.
@@ -105,19 +96,17 @@ class TinyRenderer(Closing):
             if taken == len(pool):
                 pool.append(self._actor(model))
             self._used[model] = taken + 1
-            turn = rotation_quaternion(
-                float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i])
-            )
+            turn = quaternion(float(instances.yaw_rad[i]), float(instances.pitch_rad[i]), float(instances.roll_rad[i]))
             for body in pool[taken]:
                 self._instance_of[body] = i
                 self._move(body, instances.p_W_m[i].tolist(), turn)
         for model, pool in self._pool.items():
             for bodies in pool[self._used.get(model, 0) :]:
                 for body in bodies:
-                    self._move(body, list(_PARKED_M), [0.0, 0.0, 0.0, 1.0])
+                    self._move(body, list(_PARKED_M), (0.0, 0.0, 0.0, 1.0))
 
-    def _move(self, body: int, p_W_m: list[float], q: list[float]) -> None:
-        pybullet.resetBasePositionAndOrientation(body, p_W_m, q, physicsClientId=self._client)
+    def _move(self, body: int, p_W_m: list[float], q: Quat) -> None:
+        self._bullet.resetBasePositionAndOrientation(body, p_W_m, q)
 
     def _actor(self, model: _Model) -> tuple[int, ...]:
         """Bodies of one new actor, one a class, and one a colour of what shines."""
@@ -137,14 +126,13 @@ class TinyRenderer(Closing):
     def _body(self, corners: Corners, class_id: int, colour: F64) -> int:
         """A standing body of triangles (T, 3, 3). Raises PhysicsError when PyBullet refuses it."""
         vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-        shape = pybullet.createVisualShape(
+        shape = self._bullet.createVisualShape(
             pybullet.GEOM_MESH,
             vertices=vertices.tolist(),
             indices=index.ravel().tolist(),
             rgbaColor=[*(colour / 255.0).tolist(), 1.0],
-            physicsClientId=self._client,
         )
-        body = int(pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)) if shape >= 0 else -1
+        body = int(self._bullet.createMultiBody(0, -1, shape)) if shape >= 0 else -1
         if body < 0:
             raise PhysicsError(f"PyBullet refused a visual mesh of {len(corners)} triangles (class {class_id})")
         grown: U8 = np.zeros(max(body + 1, len(self._class_of)), np.uint8)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from wcsim.core.frames import LEVEL, Rotation, Vec3
 from wcsim.types import ActorState, PlantState, SignalState
@@ -56,7 +56,7 @@ class Surroundings:
     counted: bool  # whether the pixels of every actor are counted, for `CameraRig.shown_px`
 
 
-class Sensor(Protocol):
+class Sensor:
     """One kind of sensor on one wheelchair; what it does not need it leaves as it is here."""
 
     def start(self, noise_key: int | None) -> None:

@@ -26,7 +26,7 @@ from wcsim.core.constants import GRAVITY_MPS2
 from wcsim.core.frames import Rotation, Vec3, euler, rad
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
-from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
+from wcsim.physics.sensors.base import BodyMotion, Sensor
 from wcsim.physics.sensors.camera_geometry import turn_of
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.types import F64, ImuFrame
@@ -173,26 +173,19 @@ class Imu(Sensor):
         config: Mount, filter, range and noise.
         com_B_m: The point in B whose velocity `sample` is given.
         dt_s: Physics step.
-        gravity_mps2: Magnitude of gravity.
     """
 
-    def __init__(self, config: ImuConfig, com_B_m: Vec3, dt_s: float, gravity_mps2: float) -> None:
+    def __init__(self, config: ImuConfig, com_B_m: Vec3, dt_s: float) -> None:
         self._config = config
         self._arm_B_m = np.array(config.p_BI_m) - np.array(com_B_m)
         self.set_step(dt_s)
-        self._gravity_mps2 = gravity_mps2
-        self._felt_mps2 = gravity_mps2 if config.gravity == "included" else 0.0
+        self._felt_mps2 = GRAVITY_MPS2 if config.gravity == "included" else 0.0
         self._errors = _Errors(config)
         self._tilt = _TiltSensor(config)
         roll, pitch, yaw = (rad(turn) for turn in config.rpy_deg)
         self._R_BS = turn_of(yaw, pitch, roll) if any(config.rpy_deg) else None  # None costs nothing
         self._low = np.zeros((0, 3))
         self.reset(BodyMotion())
-
-    @classmethod
-    def fitted(cls, config: ImuConfig, mount: Mount) -> Imu:
-        """The one of this section on a wheelchair."""
-        return cls(config, mount.com_B_m, mount.engine.step_s, GRAVITY_MPS2)
 
     @property
     def lowpass_mps2(self) -> F64:
@@ -239,7 +232,7 @@ class Imu(Sensor):
         self._rows = []
         count = len(rows)
         self._low = np.empty((count, 3))
-        felt, g = self._felt_mps2, self._gravity_mps2
+        felt, g = self._felt_mps2, GRAVITY_MPS2
         sums = _filter_tick(rows, self._state, self._arm_B_m, 1.0 / self._dt_s, g, felt, self._alpha, self._low)
         # One number that is not finite makes the sum so: a single test serves all.
         if not math.isfinite(sums.sum()):

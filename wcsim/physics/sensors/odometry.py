@@ -14,7 +14,7 @@ import numpy as np
 
 from wcsim.config import OdometryConfig
 from wcsim.core.frames import rad
-from wcsim.physics.sensors.base import BodyMotion, Mount, Sensor
+from wcsim.physics.sensors.base import BodyMotion, Sensor
 from wcsim.physics.sensors.pixel_noise import child, normals
 from wcsim.types import F64
 
@@ -36,11 +36,6 @@ class Odometry(Sensor):
         self._density = np.array([config.speed_density_mps, rad(config.turn_density_deg)])
         self.start(None)
         self.reset(BodyMotion())
-
-    @classmethod
-    def fitted(cls, config: OdometryConfig, mount: Mount) -> Odometry:
-        """The one of this section on a wheelchair."""
-        return cls(config, mount.wheel_radius_m, mount.track_m, mount.engine.step_s)
 
     def set_step(self, step_s: float) -> None:
         """See `Sensor`."""

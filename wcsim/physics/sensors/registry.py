@@ -11,7 +11,6 @@ from typing import Any
 
 from wcsim.errors import ConfigError
 from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys, Sensor, Surroundings
-from wcsim.physics.sensors.camera import CameraRig
 from wcsim.physics.sensors.imu import Imu
 from wcsim.physics.sensors.odometry import Odometry
 from wcsim.types import CameraFrame, Reading, SensorFrame
@@ -20,15 +19,11 @@ from wcsim.types import CameraFrame, Reading, SensorFrame
 class _SeatCameras(Sensor):
     """All cameras of one seat."""
 
-    def __init__(self, rig: CameraRig, seat: int) -> None:
-        self._rig, self._seat = rig, seat
-
-    @classmethod
-    def fitted(cls, _: object, mount: Mount) -> _SeatCameras:
+    def __init__(self, mount: Mount) -> None:
         """Those of the mount's seat; where they look is in the rig. Raises ConfigError without one."""
         if mount.rig is None:
             raise ConfigError(f"seat {mount.seat} has cameras and no rig; expected the rig that draws their pictures")
-        return cls(mount.rig, mount.seat)
+        self._rig, self._seat = mount.rig, mount.seat
 
     def start(self, noise_key: int | None) -> None:
         """Take new pictures in the coming episode; the rig keys their noise itself."""
@@ -43,9 +38,9 @@ Maker = Callable[[Any, Mount], Sensor]  # from its section of the configuration
 
 SENSORS: Mapping[str, Maker] = MappingProxyType(
     {
-        "cameras": _SeatCameras.fitted,
-        "imu": Imu.fitted,
-        "odometry": Odometry.fitted,
+        "cameras": lambda _, on: _SeatCameras(on),
+        "imu": lambda config, on: Imu(config, on.com_B_m, on.engine.step_s),
+        "odometry": lambda config, on: Odometry(config, on.wheel_radius_m, on.track_m, on.engine.step_s),
     }
 )
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
 from wcsim.core.frames import Quat, Vec3, added, matrix, rotate_back, turned
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet
 from wcsim.physics.engine import BodyTag, Role
 from wcsim.types import Contact
 
@@ -157,26 +157,24 @@ def _off_tyre(point_m: Vec3, normal: Vec3, tyre: Tyre) -> bool:
     return math.hypot(x + reach * normal[0], z + reach * normal[2]) > _SLACK_M
 
 
-def is_ghost(point: tuple[Any, ...], body: int, tyre: Tyre, before: Motion, client: int) -> bool:
+def is_ghost(point: tuple[Any, ...], body: int, tyre: Tyre, before: Motion, bullet: Bullet) -> bool:
     """Whether a contact point of PyBullet (3 link, 5 place on it, 7 normal) cannot have been on the wheel.
 
     The point is where things were before the step, the link where it is now: the body's way in the step lies between.
     """
-    now, _ = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-    state = pybullet.getLinkState(body, point[3], computeForwardKinematics=1, physicsClientId=client)
+    now, _ = bullet.getBasePositionAndOrientation(body)
+    state = bullet.getLinkState(body, point[3], computeForwardKinematics=1)
     hub, was, place = state[0], before.p_W_m, point[5]
     to_place = [place[k] + now[k] - was[k] - hub[k] for k in range(3)]
     rotation = matrix(state[1])
     return _off_tyre(rotate_back(rotation, *to_place), rotate_back(rotation, *point[7]), tyre)
 
 
-def coast(body: int, joints: Sequence[int], before: Motion, dt_s: float, client: int) -> None:
+def coast(body: int, joints: Sequence[int], before: Motion, dt_s: float, bullet: Bullet) -> None:
     """Put a body where its motion before the step carries it, with that motion unchanged."""
     vx, vy, vz = before.v_W_mps
     p = added(before.p_W_m, (vx * dt_s, vy * dt_s, vz * dt_s))
-    pybullet.resetBasePositionAndOrientation(
-        body, p, turned(before.q_WB, before.w_W_radps, dt_s), physicsClientId=client
-    )
-    pybullet.resetBaseVelocity(body, before.v_W_mps, before.w_W_radps, physicsClientId=client)
+    bullet.resetBasePositionAndOrientation(body, p, turned(before.q_WB, before.w_W_radps, dt_s))
+    bullet.resetBaseVelocity(body, before.v_W_mps, before.w_W_radps)
     for joint, (place, rate, *_) in zip(joints, before.joints, strict=True):
-        pybullet.resetJointState(body, joint, place + rate * dt_s, rate, physicsClientId=client)
+        bullet.resetJointState(body, joint, place + rate * dt_s, rate)

@@ -9,24 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
 from itertools import combinations
 from typing import Final, Protocol
 
 from wcsim.config import CameraConfig, ChairConfig
-from wcsim.config.plant import (
-    AntitipPart,
-    CasterPart,
-    ClimbPart,
-    FramePart,
-    LimitPart,
-    MassPart,
-    MotorPart,
-    PlantFile,
-    WheelPart,
-    read_plant,
-    with_values,
-)
+from wcsim.config.plant import BeamPart, CasterPart, PlantFile, read_plant, with_values
 from wcsim.core.frames import Vec3
 from wcsim.errors import ConfigError
 from wcsim.physics.engine import GRAVITY_MPS2
@@ -71,29 +58,21 @@ _MOST_PUSH: Final = 0.8  # of the weight, by the springs of all casters
 MARGIN_M: Final = 0.01  # by which the centre of mass must lie inside the wheels' support
 
 
-def _check_plant(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float, name: str) -> None:
-    """Raise ConfigError with everything about a plant that cannot be.
-
-    Args:
-        file: The parameters, each within its own bounds.
-        frame_mass_kg: What is left for frame and user.
-        frame_com_z_m: Height of their centre of mass.
-        name: What the plant is called in the message.
-    """
-    faults = [*_masses(file, frame_mass_kg, frame_com_z_m), *_support(file), *_springs(file), *_beams(file)]
-    faults += [*_above_ground(file), *_apart(file)]
+def _check_plant(spec: PlantSpec, name: str) -> None:
+    """Raise ConfigError with everything about a plant, called `name`, that cannot be."""
+    faults = [*_masses(spec), *_support(spec), *_springs(spec), *_beams(spec), *_above_ground(spec), *_apart(spec)]
     if faults:
         raise ConfigError(f"plant {name!r}: " + "; ".join(faults))
 
 
-def _masses(file: PlantFile, frame_mass_kg: float, frame_com_z_m: float) -> Iterator[str]:
-    if frame_mass_kg < _LEAST_FRAME_KG:
+def _masses(spec: PlantSpec) -> Iterator[str]:
+    if spec.frame_mass_kg < _LEAST_FRAME_KG:
         yield (
-            f"wheels, casters, arms, beams and anti-tips leave {frame_mass_kg:.1f} kg for frame and user; expected at "
-            f"least {_LEAST_FRAME_KG:g} kg: raise mass.chair_kg ({file.mass.chair_kg:g} kg)"
+            f"wheels, casters, arms, beams and anti-tips leave {spec.frame_mass_kg:.1f} kg for frame and user; "
+            f"expected at least {_LEAST_FRAME_KG:g} kg: raise mass.chair_kg ({spec.mass.chair_kg:g} kg)"
         )
-    elif frame_com_z_m <= 0.0:
-        yield f"mass.com_z_m {file.mass.com_z_m:g} m puts the frame's centre of mass below the ground; expected higher"
+    elif spec.frame_com_m[2] <= 0.0:
+        yield f"mass.com_z_m {spec.mass.com_z_m:g} m puts the frame's centre of mass below the ground; expected higher"
 
 
 def _support(file: PlantFile) -> Iterator[str]:
@@ -186,6 +165,8 @@ def _sweep_m(pair: CasterPart) -> float:
 
 FORK_M: Final = 0.10  # a fork's swivel lies this far above the middle of its caster
 FORK_COM_M: Final = 0.05  # and its centre of mass this far below the swivel
+ARM_INERTIA_KGM2: Final = 0.01  # small beside everything else
+_BEAM_INERTIA_KGM2: Final = 0.01  # about its length, small too
 _LIMITS: Final = (
     ("v_max_mps", "speed_mps", "m/s"),
     ("accel_mps2", "accel_mps2", "m/s2"),
@@ -196,19 +177,20 @@ _LIMITS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlantSpec:
-    """A chair with its user; made by `plant_spec` and `varied`, which check it."""
+def disc_inertia_kgm2(mass_kg: float, radius_m: float, width_m: float) -> Vec3:
+    """Principal moments of inertia of a disc whose axle is y."""
+    across = mass_kg * (3.0 * radius_m**2 + width_m**2) / 12.0
+    return across, 0.5 * mass_kg * radius_m**2, across
 
-    shows: str
-    mass: MassPart
-    wheel: WheelPart
-    casters: tuple[CasterPart, ...]
-    antitips: tuple[AntitipPart, ...]
-    frame: FramePart
-    motor: MotorPart
-    limits: LimitPart
-    climbs: ClimbPart
+
+def beam_inertia_kgm2(beam: BeamPart, track_m: float) -> Vec3:
+    """Those of a rod as long as its pair's track, across the chair."""
+    long = beam.mass_kg * track_m**2 / 12.0
+    return long, min(_BEAM_INERTIA_KGM2, long), long  # Bullet takes one that no body can have for none
+
+
+class PlantSpec(PlantFile):
+    """A chair with its user, and what follows from its file; made by `plant_spec` and `varied`, which check it."""
 
     @property
     def whole_kg(self) -> float:
@@ -218,14 +200,14 @@ class PlantSpec:
     @property
     def frame_mass_kg(self) -> float:
         """Mass of the base link: everything but wheels, forks, arms, beams and anti-tips."""
-        return self.whole_kg - sum(mass for mass, _ in self._parts())
+        return self.whole_kg - sum(mass for mass, _, _ in self.parts())
 
     @property
     def frame_com_m(self) -> Vec3:
         """Centre of mass of the base link in B, such that that of the whole is (com_x_m, 0, com_z_m)."""
-        parts = self._parts()
-        x = self.whole_kg * self.mass.com_x_m - sum(mass * p[0] for mass, p in parts)
-        z = self.whole_kg * self.mass.com_z_m - sum(mass * p[2] for mass, p in parts)
+        parts = self.parts()
+        x = self.whole_kg * self.mass.com_x_m - sum(mass * p[0] for mass, p, _ in parts)
+        z = self.whole_kg * self.mass.com_z_m - sum(mass * p[2] for mass, p, _ in parts)
         return x / self.frame_mass_kg, 0.0, z / self.frame_mass_kg
 
     @property
@@ -283,20 +265,33 @@ class PlantSpec:
         radii_m = (self.wheel.radius_m, *(pair.radius_m for pair in self.casters))
         return tuple((x, y, radii_m[number // 2]) for number, (x, y) in enumerate(self.stand_m()))
 
-    def _parts(self) -> list[tuple[float, Vec3]]:
-        """Mass of each pair of parts that the frame carries, and its middle in B with the casters trailing."""
-        parts = [(2.0 * self.wheel.mass_kg, (0.0, 0.0, self.wheel.radius_m))]
+    @property
+    def drive_inertia_kgm2(self) -> Vec3:
+        """Principal moments of inertia of a drive wheel with its motor's rotor; its axle is y."""
+        across, along, _ = disc_inertia_kgm2(self.wheel.mass_kg, self.wheel.radius_m, self.wheel.width_m)
+        return across, along + self.motor.rotor_inertia_kgm2, across
+
+    def parts(self) -> list[tuple[float, Vec3, Vec3]]:
+        """The pairs of parts that the frame carries, casters trailing: mass, middle of the left one, its inertia.
+
+        The mass is that of both, the inertia that of one, about its middle along B's axes. A beam is a pair of halves.
+        """
+        wheel = self.wheel
+        parts = [(2.0 * wheel.mass_kg, (0.0, 0.5 * wheel.track_m, wheel.radius_m), self.drive_inertia_kgm2)]
         for pair in self.casters:
-            swivel_z_m = pair.radius_m + FORK_M
+            x_m, y_m, z_m = pair.swivel_x_m, 0.5 * pair.track_m, pair.radius_m + FORK_M
+            disc = disc_inertia_kgm2(pair.mass_kg, pair.radius_m, pair.width_m)
+            fork_m = (x_m - 0.5 * pair.trail_m, y_m, z_m - FORK_COM_M)
             parts += [
-                (2.0 * pair.mass_kg, (pair.swivel_x_m - pair.trail_m, 0.0, pair.radius_m)),
-                (2.0 * pair.fork_mass_kg, (pair.swivel_x_m - 0.5 * pair.trail_m, 0.0, swivel_z_m - FORK_COM_M)),
+                (2.0 * pair.mass_kg, (x_m - pair.trail_m, y_m, pair.radius_m), disc),
+                (2.0 * pair.fork_mass_kg, fork_m, (pair.fork_inertia_kgm2,) * 3),
             ]
             if pair.arm is not None:
-                parts.append((2.0 * pair.arm.mass_kg, (pair.swivel_x_m, 0.0, swivel_z_m)))
+                parts.append((2.0 * pair.arm.mass_kg, (x_m, y_m, z_m), (ARM_INERTIA_KGM2,) * 3))
             if pair.beam is not None:
-                parts.append((pair.beam.mass_kg, (pair.swivel_x_m, 0.0, swivel_z_m)))
-        parts += [(2.0 * item.mass_kg, (item.p_m[0], 0.0, item.p_m[2])) for item in self.antitips]
+                across, along, _ = beam_inertia_kgm2(pair.beam, pair.track_m)
+                parts.append((pair.beam.mass_kg, (x_m, 0.0, z_m), (0.5 * across, 0.5 * along, 0.5 * across)))
+        parts += [(2.0 * item.mass_kg, item.p_m, (item.inertia_kgm2,) * 3) for item in self.antitips]
         return parts
 
 
@@ -329,11 +324,10 @@ def varied(spec: PlantSpec, values: Mapping[str, float]) -> PlantSpec:
     Raises:
         ConfigError: A name is unknown, a value is out of bounds, or the plant cannot stand.
     """
-    file = PlantFile(**{item.name: getattr(spec, item.name) for item in fields(spec)})
-    return _checked(with_values(file, values), "varied")
+    return _checked(with_values(spec, values), "varied")
 
 
 def _checked(file: PlantFile, name: str) -> PlantSpec:
-    spec = PlantSpec(**{item.name: getattr(file, item.name) for item in fields(PlantSpec)})
-    _check_plant(file, spec.frame_mass_kg, spec.frame_com_m[2], name)
+    spec = PlantSpec(**dict(file))
+    _check_plant(spec, name)
     return spec

@@ -15,16 +15,21 @@ from typing import Final
 from wcsim.config.plant import ArmPart, BeamPart, CasterPart
 from wcsim.core.frames import rad
 from wcsim.errors import ConfigError, PhysicsError
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import Engine
 from wcsim.physics.wheelchair.contacts import Tyre
-from wcsim.physics.wheelchair.plant import FORK_COM_M, FORK_M, PlantSpec
+from wcsim.physics.wheelchair.plant import (
+    ARM_INERTIA_KGM2,
+    FORK_COM_M,
+    FORK_M,
+    PlantSpec,
+    beam_inertia_kgm2,
+    disc_inertia_kgm2,
+)
 
 Vec3 = tuple[float, float, float]
 _ORIGIN: Final[Vec3] = (0.0, 0.0, 0.0)
 _SIDES: Final = (("l", 1.0), ("r", -1.0))
-BEAM_INERTIA_KGM2: Final = 0.01  # about its length, small beside everything else
-_ARM_INERTIA_KGM2: Final = 0.01
 # URDF demands limits of force and speed; springs and stops act long before these.
 _ARM_EFFORT_N: Final = 1e4
 _ARM_MPS: Final = 20.0
@@ -36,12 +41,6 @@ def urdf(spec: PlantSpec) -> str:
     """The text; the frame is the base link."""
     links = (_frame(spec), *_wheels(spec), *_casters(spec), *_antitips(spec))
     return "\n".join(('<robot name="wheelchair">', *links, "</robot>"))
-
-
-def _disc_inertia_kgm2(mass_kg: float, radius_m: float, width_m: float) -> Vec3:
-    """Principal moments of inertia of a disc whose axle is y."""
-    across = mass_kg * (3.0 * radius_m**2 + width_m**2) / 12.0
-    return across, 0.5 * mass_kg * radius_m**2, across
 
 
 def _frame(spec: PlantSpec) -> str:
@@ -77,17 +76,15 @@ def _casters(spec: PlantSpec) -> Iterator[str]:
 
 
 def _arm(name: str, arm: ArmPart, at_m: Vec3) -> Iterator[str]:
-    yield f'<link name="{name}">{_inertial(arm.mass_kg, (_ARM_INERTIA_KGM2,) * 3, _ORIGIN)}</link>'
+    yield f'<link name="{name}">{_inertial(arm.mass_kg, (ARM_INERTIA_KGM2,) * 3, _ORIGIN)}</link>'
     limit = f'<limit lower="{-arm.down_m}" upper="{arm.up_m}" effort="{_ARM_EFFORT_N}" velocity="{_ARM_MPS}"/>'
     yield _joint(name, "frame", at_m, axis="0 0 1", kind="prismatic", limit=limit)
 
 
 def _beam(name: str, pair: CasterPart, beam: BeamPart) -> Iterator[str]:
     """A rod as long as the pair's track, level with the swivels; its pivot's axis is x."""
-    long = beam.mass_kg * pair.track_m**2 / 12.0
     com = (0.0, 0.0, pair.radius_m + FORK_M - beam.pivot_z_m)
-    inertia = (long, min(BEAM_INERTIA_KGM2, long), long)  # Bullet takes one that no body can have for none
-    yield f'<link name="{name}">{_inertial(beam.mass_kg, inertia, com)}</link>'
+    yield f'<link name="{name}">{_inertial(beam.mass_kg, beam_inertia_kgm2(beam, pair.track_m), com)}</link>'
     stop_rad = rad(beam.stop_deg)
     limit = f'<limit lower="{-stop_rad}" upper="{stop_rad}" effort="{_BEAM_EFFORT_NM}" velocity="{_BEAM_RADPS}"/>'
     yield _joint(name, "frame", (pair.swivel_x_m, 0.0, beam.pivot_z_m), axis="1 0 0", kind="revolute", limit=limit)
@@ -112,7 +109,7 @@ def _antitips(spec: PlantSpec) -> Iterator[str]:
 
 
 def _rolling(name: str, mass_kg: float, radius_m: float, width_m: float) -> str:
-    inertia = _disc_inertia_kgm2(mass_kg, radius_m, width_m)
+    inertia = disc_inertia_kgm2(mass_kg, radius_m, width_m)
     return (
         f'<link name="{name}">{_inertial(mass_kg, inertia, _ORIGIN)}'
         # A cylinder of URDF stands along z; a wheel's axle is y.
@@ -152,19 +149,6 @@ _JOINT_ORDER: Final = ("wheel", "arm", "beam", "swivel", "caster")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Spring:
-    """The spring and damper of a sprung caster's arm."""
-
-    stiffness_Npm: float
-    damping_Nspm: float
-    preload_N: float
-
-    def force_N(self, up_m: float, up_mps: float) -> float:
-        """Force along the arm, upwards positive, when the caster is so far up and moves so fast."""
-        return -self.preload_N - self.stiffness_Npm * up_m - self.damping_Nspm * up_mps
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ChairBody:
     """What PyBullet calls the parts of one loaded chair."""
 
@@ -173,7 +157,7 @@ class ChairBody:
     joints: tuple[int, ...]  # all that move: the drive wheels first, then the arms
     drives: tuple[int, int]
     arms: tuple[int, ...]
-    springs: tuple[_Spring, ...]  # one for each arm
+    springs: tuple[ArmPart, ...]  # one for each arm
     part: dict[int, str]  # of every link that may touch the ground
     tyres: dict[int, Tyre]
 
@@ -202,14 +186,14 @@ def load_body(engine: Engine, spec: PlantSpec, v_max_mps: float) -> ChairBody:
         PhysicsError: PyBullet refused it.
     """
     check_springs(spec, engine.step_s)
-    return dressed(engine, _load(urdf(spec), engine.client), spec, v_max_mps)
+    return dressed(engine, _load(urdf(spec), engine.bullet), spec, v_max_mps)
 
 
 def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> ChairBody:
     """A loaded body with frictions and springs of a plant whose URDF is the one it was loaded from."""
-    client = engine.client
-    count = pybullet.getNumJoints(number, physicsClientId=client)
-    links = {pybullet.getJointInfo(number, i, physicsClientId=client)[1].decode(): i for i in range(count)}
+    bullet = engine.bullet
+    count = bullet.getNumJoints(number)
+    links = {bullet.getJointInfo(number, i)[1].decode(): i for i in range(count)}
     order = {name: _JOINT_ORDER.index(_part(name)) for name in links if _part(name) in _JOINT_ORDER}
     # Drive wheels first, then arms: `Wheelchair` takes their states by place.
     joints = sorted(order, key=lambda name: (order[name], links[name]))
@@ -220,50 +204,45 @@ def dressed(engine: Engine, number: int, spec: PlantSpec, v_max_mps: float) -> C
         joints=tuple(links[name] for name in joints),
         drives=(links["wheel_l"], links["wheel_r"]),
         arms=tuple(links[name] for name in arms),
-        springs=tuple(_spring(spec, _pair(name)) for name in arms),
+        springs=tuple(arm for name in arms if (arm := spec.casters[_pair(name)].arm) is not None),
         part={index: _part(name) for name, index in links.items() if _part(name) not in ("arm", "beam", "swivel")},
         tyres={index: tyre for name, index in links.items() if (tyre := _tyre(spec, name)) is not None},
     )
     least_radius_m = min(pair.radius_m for pair in spec.casters)
-    _set_dynamics(body, spec, max(_MOST_RADPS, _SPARE * v_max_mps / least_radius_m), client)
+    _set_dynamics(body, spec, max(_MOST_RADPS, _SPARE * v_max_mps / least_radius_m), bullet)
     return body
 
 
-def _load(text: str, client: int) -> int:
+def _load(text: str, bullet: Bullet) -> int:
     # Otherwise Bullet guesses inertias from the shapes, and takes a wheel for a prism that rattles.
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
     with tempfile.TemporaryDirectory(prefix="wcsim-") as folder:
         path = Path(folder) / "chair.urdf"
         path.write_text(text, encoding="utf-8")
         try:
-            return int(pybullet.loadURDF(str(path), flags=flags, physicsClientId=client))
+            return int(bullet.loadURDF(str(path), flags=flags))
         except pybullet.error as error:
             raise PhysicsError(f"PyBullet refused the wheelchair ({error}); expected a body: check the plant") from None
 
 
-def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, client: int) -> None:
+def _set_dynamics(body: ChairBody, spec: PlantSpec, most_radps: float, bullet: Bullet) -> None:
     """Friction per part, no damping, and PyBullet's default joint motors off but for the friction of bearings."""
     # in a call of their own: beside one of these three PyBullet puts a link's friction on the base instead
-    pybullet.changeDynamics(
-        body.id, FRAME, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=most_radps, physicsClientId=client
-    )
+    bullet.changeDynamics(body.id, FRAME, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=most_radps)
     for name, index in (("frame", FRAME), *body.links.items()):
-        pybullet.changeDynamics(
+        bullet.changeDynamics(
             body.id,
             index,
             lateralFriction=_friction(spec, name),
             rollingFriction=0.0,
             spinningFriction=0.0,
             jointDamping=0.0,
-            physicsClientId=client,
         )
-    _turn_rotors(body, spec, client)
+    _turn_rotors(body, spec, bullet)
     for name, index in body.links.items():
         if not name.startswith("antitip"):
             torque = _bearing_Nm(spec, name)
-            pybullet.setJointMotorControl2(
-                body.id, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque, physicsClientId=client
-            )
+            bullet.setJointMotorControl2(body.id, index, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=torque)
 
 
 def _bearing_Nm(spec: PlantSpec, link: str) -> float:
@@ -274,16 +253,13 @@ def _bearing_Nm(spec: PlantSpec, link: str) -> float:
     return beam.friction_Nm if beam is not None else 0.0
 
 
-def _turn_rotors(body: ChairBody, spec: PlantSpec, client: int) -> None:
+def _turn_rotors(body: ChairBody, spec: PlantSpec, bullet: Bullet) -> None:
     """Give the drive wheels the inertia of the motors' rotors, which turn with them; URDF refuses such a wheel.
 
     Without it a wheel is so light beside the chair that the solver does not end, and the chair creeps down slopes.
     """
-    wheel = spec.wheel
-    across, along, _ = _disc_inertia_kgm2(wheel.mass_kg, wheel.radius_m, wheel.width_m)
-    inertia = (across, along + spec.motor.rotor_inertia_kgm2, across)
     for index in body.drives:
-        pybullet.changeDynamics(body.id, index, localInertiaDiagonal=inertia, physicsClientId=client)
+        bullet.changeDynamics(body.id, index, localInertiaDiagonal=spec.drive_inertia_kgm2)
 
 
 def _part(link: str) -> str:
@@ -310,10 +286,3 @@ def _tyre(spec: PlantSpec, link: str) -> Tyre | None:
         return None
     wheel = spec.wheel if part == "wheel" else spec.casters[_pair(link)]
     return Tyre(radius_m=wheel.radius_m, half_width_m=0.5 * wheel.width_m)
-
-
-def _spring(spec: PlantSpec, number: int) -> _Spring:
-    arm = spec.casters[number].arm
-    if arm is None:
-        raise PhysicsError(f"casters.{number} has no arm; expected one: its body is that of another plant")
-    return _Spring(stiffness_Npm=arm.stiffness_Npm, damping_Nspm=arm.damping_Nspm, preload_N=arm.preload_N)

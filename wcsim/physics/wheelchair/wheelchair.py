@@ -3,7 +3,7 @@
 Once a tick `command`; each substep `before_step`, `Engine.step`, `after_step`; at the end of the tick `end_tick`, and
 then `state`, `imu` and `contacts` answer.
 
-`WheelTrack` knows where the wheels have been in the last seconds, and whether one fell off a kerb. Such a fall is a
+`_WheelTrack` knows where the wheels have been in the last seconds, and whether one fell off a kerb. Such a fall is a
 crash of its own, though no part of the chair but wheels may touch anything.
 """
 
@@ -21,7 +21,7 @@ from wcsim.core.constants import KERB_STEP_M
 from wcsim.core.frames import Quat, Rotation, added, euler, matrix, quaternion, rotate, rotate_back, velocity_at
 from wcsim.core.jit import exact_kernel
 from wcsim.errors import PhysicsError
-from wcsim.physics.bullet import pybullet
+from wcsim.physics.bullet import Bullet, pybullet
 from wcsim.physics.engine import PARK_Z_M, BodyTag, Engine, Role
 from wcsim.physics.sensors.base import BodyMotion, Mount, NoiseKeys
 from wcsim.physics.sensors.camera import CameraRig
@@ -45,18 +45,18 @@ KEPT_S: Final = 2.5  # longer than the longest tick and all that is asked of the
 _PLACE: Final = 0  # of a link's centre of mass, among what PyBullet says of a link
 
 
-class WheelTrack:
+class _WheelTrack:
     """Takes a sample every 0.05 s, whatever the tick and the physics step are.
 
     Args:
         body: The chair in PyBullet.
         wheels: Its links that are wheels or casters.
         step_s: Physics step.
-        client: The engine in PyBullet.
+        bullet: Where it is.
     """
 
-    def __init__(self, body: int, wheels: Iterable[int], step_s: float, client: int) -> None:
-        self._body, self._wheels, self._client = body, tuple(wheels), client
+    def __init__(self, body: int, wheels: Iterable[int], step_s: float, bullet: Bullet) -> None:
+        self._body, self._wheels, self._bullet = body, tuple(wheels), bullet
         self.set_step(step_s)
         self._kept = round(KEPT_S / (self._every * step_s))
         # each sample is written twice, so that the last `_kept` ones always lie in one piece
@@ -78,7 +78,7 @@ class WheelTrack:
         self._steps += 1
         if self._steps % self._every:
             return
-        links = pybullet.getLinkStates(self._body, self._wheels, physicsClientId=self._client)
+        links = self._bullet.getLinkStates(self._body, self._wheels)
         places_W_m = [link[_PLACE] for link in links]
         at = self._count % self._kept
         for row in (at, at + self._kept):
@@ -252,7 +252,7 @@ class Wheelchair:
         self.wheels_m = spec.wheels_m()  # see `PlantSpec`
         self._setting = drive_controller.settings(self._chair, spec, engine.step_s)
         self._memory = drive_controller.new_state()
-        self._track = WheelTrack(body.id, body.tyres, engine.step_s, engine.client)
+        self._track = _WheelTrack(body.id, body.tyres, engine.step_s, engine.bullet)
 
     @property
     def parked(self) -> bool:
@@ -340,7 +340,7 @@ class Wheelchair:
         touches: list[tuple[Any, ...]] = []
         suspects: list[tuple[Any, ...]] = []
         # PyBullet's fields: 2 other body, 3 own link, 9 force
-        for point in pybullet.getContactPoints(bodyA=body.id, physicsClientId=self._engine.client):
+        for point in self._engine.bullet.getContactPoints(bodyA=body.id):
             if point[2] not in ground or point[3] not in body.part:
                 touches.append(point)
             if point[9] > SUSPECT_N and point[3] in body.tyres:
@@ -402,7 +402,7 @@ class Wheelchair:
         return self._contacts
 
     def wheel_track(self) -> tuple[F64, F64]:
-        """Where its wheels were since it was placed, and its speed: see `WheelTrack.samples`."""
+        """Where its wheels were since it was placed, and its speed: see `_WheelTrack.samples`."""
         return self._track.samples()
 
     def _stance(self, p_W_m: Vec3, yaw_rad: float) -> tuple[float, Quat]:
@@ -422,12 +422,12 @@ class Wheelchair:
         return float(base) + lift, quaternion(yaw_rad, math.atan(ahead), roll_rad)
 
     def _pose(self, p_WB_m: Vec3, q: Quat) -> None:
-        body, client = self._body, self._engine.client
+        body, bullet = self._body, self._engine.bullet
         com = added(p_WB_m, rotate(matrix(q), *self._com_B_m))
-        pybullet.resetBasePositionAndOrientation(body.id, com, q, physicsClientId=client)
-        pybullet.resetBaseVelocity(body.id, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client)
+        bullet.resetBasePositionAndOrientation(body.id, com, q)
+        bullet.resetBaseVelocity(body.id, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for index in body.links.values():
-            pybullet.resetJointState(body.id, index, 0.0, 0.0, physicsClientId=client)
+            bullet.resetJointState(body.id, index, 0.0, 0.0)
         self._memory[:] = 0.0
         self._joystick = Joystick(0.0, 0.0)
         self._log.clear()
@@ -441,46 +441,40 @@ class Wheelchair:
 
     def _set_motors(self, wanted: tuple[float, float, float, float]) -> None:
         """Target speeds and torque limits of the drive wheels."""
-        pybullet.setJointMotorControlArray(
-            self._body.id,
-            self._body.drives,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocities=wanted[:2],
-            forces=wanted[2:],
-            physicsClientId=self._engine.client,
+        self._engine.bullet.setJointMotorControlArray(
+            self._body.id, self._body.drives, pybullet.VELOCITY_CONTROL, targetVelocities=wanted[:2], forces=wanted[2:]
         )
 
     def _push_arms(self) -> None:
         """The springs of sprung casters, for the step to come; PyBullet adds up what it is told before a step."""
         arms = zip(self._body.springs, self._joints[2:], strict=False)
-        pybullet.setJointMotorControlArray(
+        self._engine.bullet.setJointMotorControlArray(
             self._body.id,
             self._body.arms,
             pybullet.TORQUE_CONTROL,
-            forces=[spring.force_N(arm[0], arm[1]) for spring, arm in arms],
-            physicsClientId=self._engine.client,
+            forces=[-arm.preload_N - arm.stiffness_Npm * up[0] - arm.damping_Nspm * up[1] for arm, up in arms],
         )
 
     def _wake(self, awake: bool) -> None:
         state = _AWAKE if awake else _ASLEEP
-        pybullet.changeDynamics(self.body_id, FRAME, activationState=state, physicsClientId=self._engine.client)
+        self._engine.bullet.changeDynamics(self.body_id, FRAME, activationState=state)
 
     def _read(self) -> None:
-        body, client = self._body, self._engine.client
-        self._p_com_W_m, self._q_WB = pybullet.getBasePositionAndOrientation(body.id, physicsClientId=client)
-        self._v_W_mps, self._w_W_radps = pybullet.getBaseVelocity(body.id, physicsClientId=client)
-        self._joints = pybullet.getJointStates(body.id, body.joints, physicsClientId=client)
+        body, bullet = self._body, self._engine.bullet
+        self._p_com_W_m, self._q_WB = bullet.getBasePositionAndOrientation(body.id)
+        self._v_W_mps, self._w_W_radps = bullet.getBaseVelocity(body.id)
+        self._joints = bullet.getJointStates(body.id, body.joints)
         self._rotation: Rotation = matrix(self._q_WB)
         self._state = None  # made when somebody asks
 
     def _coast_over_ghosts(self, suspects: list[tuple[Any, ...]], touches: list[tuple[Any, ...]]) -> None:
         """Undo the step when the ground pushed a wheel hard where it was not, and nothing else touched the chair."""
-        body, client = self._body, self._engine.client
+        body, bullet = self._body, self._engine.bullet
         # With another touch in the step the push may be real; after three steps in a row it counts as real.
         if not suspects or self._coasted == MOST_IN_A_ROW or touches:
             self._coasted = 0
-        elif any(is_ghost(point, body.id, body.tyres[point[3]], self._before, client) for point in suspects):
-            coast(body.id, body.joints, self._before, self._engine.step_s, client)
+        elif any(is_ghost(point, body.id, body.tyres[point[3]], self._before, bullet) for point in suspects):
+            coast(body.id, body.joints, self._before, self._engine.step_s, bullet)
             self._coasted += 1
             self._ghosts += 1
         else:

@@ -99,12 +99,6 @@ class TileStore:
         """See `StreetTiles`."""
         return self._keys
 
-    @property
-    def held_bytes(self) -> int:
-        """Memory that the rasters take which are kept now."""
-        grids = self._kept.values()
-        return sum(grid.height_cm.nbytes + grid.ground_class.nbytes + grid.clearance_dm.nbytes for grid in grids)
-
     def near(self, points_W_m: F64, reach_m: float) -> tuple[TileKey, ...]:
         """See `StreetTiles`."""
         points = points_W_m[:, None, :2]

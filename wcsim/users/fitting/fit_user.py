@@ -167,21 +167,12 @@ def _resampled(rows: Sequence[F64], series: Sequence[HandSeries], value: Callabl
     return _FittedNumber(value=found, low=max(0.0, found - half), high=found + half)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _SwitchLaw:
-    """What of switches was found, each with the least and the most that fit as well."""
-
-    reaction_s: tuple[float, float, float]
-    hold_s: tuple[float, float, float]
-    wrong_share: float  # of the samples that are not made again
-
-
 def _by_switches(series: Sequence[HandSeries]) -> bool:
     """Whether every sample is a position that four switches stand for."""
     return bool(at_switches(np.concatenate([item.stick for item in series])).all())
 
 
-def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> _SwitchLaw:
+def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, _FittedNumber]:
     """Delay and hold that make the most samples again; the others of `base` play no part.
 
     The first switch of an episode says the delay to a sample. Around it both are looked for together, on a lattice that
@@ -198,11 +189,7 @@ def _fit_switches(series: Sequence[HandSeries], base: UserProfile) -> _SwitchLaw
     around_s = _FINE_S * np.arange(-8.0, 8.5)
     late = np.array([_wrong(series, replace(user, reaction_s=found[0] + by_s), _MORE_TICKS) for by_s in around_s])
     held = np.array([_wrong(series, replace(user, hold_s=found[1] + by_s), _MORE_TICKS) for by_s in around_s])
-    return _SwitchLaw(
-        reaction_s=_interval(found[0] + around_s, late),
-        hold_s=_interval(found[1] + around_s, held),
-        wrong_share=float(min(late.min(), held.min())),
-    )
+    return {"reaction_s": _interval(found[0] + around_s, late), "hold_s": _interval(found[1] + around_s, held)}
 
 
 def _first_press_s(series: Sequence[HandSeries]) -> float | None:
@@ -239,12 +226,13 @@ def _best(
     return [pairs[k] for k in np.argsort(wrong, kind="stable").tolist()]
 
 
-def _interval(values: F64, wrong: F64) -> tuple[float, float, float]:
+def _interval(values: F64, wrong: F64) -> _FittedNumber:
     """The middle of the values that fit best, and the least and the most that fit nearly as well."""
     best = values[wrong <= wrong.min()]
     fits = values[wrong <= wrong.min() + _AS_GOOD]
     half_s = 0.5 * float(values[1] - values[0])
-    return float(best.mean()), max(0.0, float(fits.min()) - half_s), float(fits.max()) + half_s
+    low, high = max(0.0, float(fits.min()) - half_s), float(fits.max()) + half_s
+    return _FittedNumber(value=float(best.mean()), low=low, high=high)
 
 
 def _wrong(series: Sequence[HandSeries], user: UserProfile, ticks: int) -> float:
@@ -338,20 +326,14 @@ def _of_hand(law: HandLaw) -> dict[str, _FittedNumber]:
     if law.counted_share < _LEAST_COUNTED:
         return found
     for name, sd in law.sd.items():
-        value = law.values[name]
+        value, half = law.values[name], _SD * sd
+        low, high = value - half, value + half
         if name in _LOGS:
-            found[name] = _FittedNumber(value=value, low=value * math.exp(-_SD * sd), high=value * math.exp(_SD * sd))
-        else:
-            found[name] = _FittedNumber(value=value, low=value - _SD * sd, high=value + _SD * sd)
+            low, high = value * math.exp(-half), value * math.exp(half)
+        found[name] = _FittedNumber(value=value, low=low, high=high)
     if "tremor" not in found:
         found["tremor"] = _FittedNumber(value=0.0, low=0.0, high=law.tremor_most)
     return found
-
-
-def _of_switches(series: Sequence[HandSeries], base: UserProfile) -> dict[str, _FittedNumber]:
-    law = _fit_switches(series, base)
-    both = {"reaction_s": law.reaction_s, "hold_s": law.hold_s}
-    return {name: _FittedNumber(value=value, low=low, high=high) for name, (value, low, high) in both.items()}
 
 
 def _numbers(found: dict[str, _FittedNumber], switched: bool) -> dict[str, Any]:

@@ -1,1 +1,0 @@
-"""Crashes looked at one by one: class, place, cause, and how often."""

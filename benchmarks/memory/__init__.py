@@ -1,1 +1,0 @@
-"""What a world that runs for long keeps in memory."""
