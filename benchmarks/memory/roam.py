@@ -130,5 +130,5 @@ def _row(world: RoamingWorld, tick: int, seen: int) -> MemoryRow:
         tiles=len(world.tiles),
         tiles_seen=seen,
         bodies=world.bodies,
-        actors=sum(world.counts()),
+        actors=sum(world.sumo.counts()),
     )
