@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from wcsim.bridge.epoch import ReactingTraffic
-from wcsim.bridge.reaction.attention import street_habits
-from wcsim.bridge.reaction.commands import ROADWAY, ActorCommand, Blocked, ChairInStreet, is_person
+from wcsim.bridge.reaction.attention import AttentionModel
+from wcsim.bridge.reaction.commands import CHAIR, ROADWAY, VEHICLE, ActorCommand, Blocked, ChairInStreet, is_person
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, warm_up
 from wcsim.config import ChairConfig, WorldConfig
 from wcsim.core.boxes import box_of, boxes_touch, gap_to_box
@@ -35,8 +36,10 @@ class ReactionStage(Closing):
         self._config = config
         self.contacts: set[str] = set()
         self.deflected_into: set[str] = set()
+        self._still: set[str] = set()  # of the people whom SUMO itself does not move
+        self._places: dict[str, tuple[float, ...]] = {}  # where it had them a tick ago
         self._sumo = SumoSession(_options(town, street, config, seed))
-        self._traffic = ReactingTraffic(config, street.grid, self._sumo, street_habits(config, seed))
+        self._traffic = ReactingTraffic(config, street.grid, self._sumo, AttentionModel(config, seed))
         warm_up(self._sumo, warmup_s, config.tick_s)
 
     def tick(self, chairs: Sequence[ChairInStreet]) -> tuple[ActorState, ...]:
@@ -47,6 +50,10 @@ class ReactionStage(Closing):
         near = self._traffic.read(here_W_m)
         self._traffic.move(near, here_W_m)
         self._look(near, chairs)
+        places = {actor.id: tuple(actor.p_W_m[:2].tolist()) for actor in near if is_person(actor)}
+        slow = {actor.id for actor in near if is_person(actor) and float(np.hypot(*actor.v_W_mps[:2])) < 0.1}
+        self._still = slow | {name for name, place in places.items() if self._places.get(name) == place}
+        self._places = places
         return self._traffic.actors
 
     def apply(self, order: ActorCommand) -> None:
@@ -54,8 +61,12 @@ class ReactionStage(Closing):
         self._sumo.pilot.apply(order)
 
     def blocked(self) -> tuple[Blocked, ...]:
-        """Who stands because of a chair now."""
-        return self._traffic.blocked()
+        """Who stands because of a chair now; who only queues behind somebody that does not go on could not pass."""
+        blocked = self._traffic.blocked()
+        stuck = {one.actor_id for one in blocked if not one.could_pass}
+        behind = {one.actor_id: one.behind for one in blocked if one.behind}
+        queue = queue_behind(behind, stuck | self._still.difference(one.actor_id for one in blocked) | {VEHICLE})
+        return tuple(replace(one, could_pass=one.could_pass and one.actor_id not in queue) for one in blocked)
 
     def passing(self) -> tuple[str, ...]:
         """Who is on a way round a chair now."""
@@ -139,3 +150,16 @@ def _options(town: Town, street: Street, config: WorldConfig, seed: int) -> Sumo
         settings=Settings(step_s=config.tick_s, seed=seed, jam_teleport_s=config.jam_teleport_s),
         z_origin_m=street.net_origin_m[2],
     )
+
+
+def queue_behind(behind: dict[str, str], ends: set[str]) -> set[str]:
+    """Who stands behind one of `ends`, or behind somebody who does; `behind` names for each the one before it."""
+    queue: set[str] = set()
+    for first in behind:
+        name, way = first, {first}
+        # People may stand behind one another in a ring, hence the set of those on the way.
+        while (name := behind.get(name, CHAIR)) and name not in way and name not in ends and name not in queue:
+            way.add(name)
+        if name in ends or name in queue:
+            queue |= way
+    return queue

@@ -59,7 +59,7 @@ class Twin(World):
 
     def _step(self) -> None:
         start_s = time.thread_time()
-        self._sumo.step()
+        self.sumo.step()
         self.engines_s = time.thread_time() - start_s
 
     def _mirror(self) -> None:
@@ -100,8 +100,8 @@ class StopwatchedWorld:
         # the stopwatch knows this thread alone; all others of the process draw, and do nothing else
         spent["render"] = spent.get("render", 0.0) + max(0.0, cpu_s - own_s)
         stages = (spent.get(name, 0.0) for name in STAGES)
-        memory = float(psutil.Process().memory_info().rss)
-        return (wall_s, cpu_s, *stages, float(sum(self.world.counts())), float(len(self.world.snapshot.actors)), memory)
+        memory, everyone = float(psutil.Process().memory_info().rss), float(sum(self.world.sumo.counts()))
+        return (wall_s, cpu_s, *stages, everyone, float(len(self.world.snapshot.actors)), memory)
 
     def close(self) -> None:
         """End the world."""

@@ -121,10 +121,11 @@ def test_a_drive_and_a_film_of_hostile_names_show_them(context: Any, name: str) 
         if drives:
             words = {key: evil for key in ("place", "town", "policy", "profile")}
             suites = {evil: [(evil, 1)]}
-            page.hear(msgspec.structs.replace(ABOUT, **words, towns=[evil], profiles=[evil], suites=suites))
+            page.hear("about", **{**ABOUT, **words, "towns": [evil], "profiles": [evil], "suites": suites})
         else:
             line = FailedLine(policy=evil, block=0, seat=0, told=evil)
-            page.hear(film_about(msgspec.structs.replace(films.ABOUT, title=evil, town=evil), (line,), evil, 0))
+            about = msgspec.structs.replace(films.ABOUT, title=evil, town=evil)
+            page.hear("about", **film_about(about, (line,), evil, 0))
         page.page.wait_for_timeout(20)
     assert (page.errors, page.page.evaluate("window.evil")) == ([], None)
     assert page.page.locator("iframe, svg[onload], img[onerror], a[autofocus]").count() == 0

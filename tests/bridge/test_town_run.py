@@ -81,16 +81,17 @@ def test_a_recorded_town_holds_everybody_and_the_chairs(corner, tmp_path):
 def test_traffic_alone_is_that_of_a_world_without_chairs_and_builds_no_street(corner, tmp_path, monkeypatch):
     town, config = find_town(str(corner)), quick_config()
     with World(town, config, (), 3) as world:
-        plain = [(world.tick(()).state_hash, [a.id for a in world.everyone()], world.mishaps()) for _ in range(40)]
+        plain = [(world.tick(()).state_hash, [a.id for a in world.sumo.everyone()]) for _ in range(40)]
+        mishaps = world.sumo.mishaps
     for name in ("wcsim.bridge.town_run.load_street", "wcsim.bridge.world.load_street", "wcsim.bridge.town_run.World"):
         monkeypatch.setattr(name, lambda *words: pytest.fail("a street was built for nobody"))
     stages = []
     order = RecordOrder(seconds=4.0, seed=3, chairs=0, folder=tmp_path)
     facts = record_town(town, config, order, lambda scenario: None, stage=stages.append)
     header, records = read_states(tmp_path / TRACE)
-    assert [(r.state_hash, list(r.actor_ids)) for r in records] == [(hashed, names) for hashed, names, _ in plain]
+    assert [(r.state_hash, list(r.actor_ids)) for r in records] == plain
     assert (header.seats, facts.episodes, facts.crashed) == (0, 0, ()) and facts.vehicles > 0
-    assert facts.collisions == sum(mishaps[1] for _, _, mishaps in plain)
+    assert (facts.teleports, facts.collisions) == mishaps
     assert len(stages) == 2 and "files" in stages[0]
 
 

@@ -308,7 +308,7 @@ def test_no_message_of_a_page_ends_the_drive(desk: Desk) -> None:
 def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(drive: DriveRunner) -> None:
     session = drive.session
     assert session is not None
-    assert drive_about(session).seed == session.place.start.seed
+    assert drive_about(session)["seed"] == session.place.start.seed
     ground, told = session.world.street.grid, {}
     for y in range(-30, 31):
         xy = (float(session.client.plant.p_WB_m[0]), float(y))
@@ -316,4 +316,4 @@ def test_the_page_is_told_the_streets_seed_and_when_the_chair_is_on_the_road(dri
     for kind in (ClassId.ROAD, ClassId.SIDEWALK):
         session.world.put_chair(0, np.array(told[kind]), 0.0)
         drive._tick(100.0)
-        assert drive_state(session, drive.clock, "", False).on_road is (kind is ClassId.ROAD)
+        assert drive_state(session, drive.clock, "", False)["on_road"] is (kind is ClassId.ROAD)

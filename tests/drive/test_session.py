@@ -9,7 +9,6 @@ import pytest
 
 from tests.drive.lookers import HearsDelays, Noted
 from tests.support.worlds import quick_config
-from wcsim.drive import messages as m
 from wcsim.drive import starting
 from wcsim.drive.driven import DriverKind, EventKind
 from wcsim.drive.runner import notice_of
@@ -157,12 +156,10 @@ def test_a_crash_with_no_free_place_before_it_begins_elsewhere_and_says_so(
     while not session.tick(Wish(stick=Joystick(0.5, 0.8))).crashed:
         assert session.time_s < 15.0
     monkeypatch.setattr(session.world, "start_facing", lambda *_: None)
-    said: list[m.Notice | None] = []
+    said: list[tuple[str, str] | None] = []
     session.add_observer(lambda record: said.append(notice_of(record)))
     session.tick(Wish())
-    assert [notice.told for notice in said if notice] == [
-        "No place before the crash is free. You start somewhere else."
-    ]
+    assert [told for _, told in filter(None, said)] == ["No place before the crash is free. You start somewhere else."]
 
 
 def test_a_new_place_another_user_and_the_beginning_are_episodes(session: DriveSession, noted: Noted) -> None:
@@ -254,7 +251,7 @@ def test_an_episode_of_a_suite_begins_where_the_list_says() -> None:
 
 
 def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSession, noted: Noted) -> None:
-    said: list[m.Notice | None] = []
+    said: list[tuple[str, str] | None] = []
     session.add_observer(lambda record: said.append(notice_of(record)))
     session.tick(Wish(help=True))
     assert session.help_left_s == pytest.approx(9.9)
@@ -264,7 +261,7 @@ def test_help_raises_the_assistance_for_ten_seconds_and_says_so(session: DriveSe
         levels.append(session.assistance.level)
     assert levels == [2.0] * 99 + [1.0] and not session.help_left_s
     assert session.help_left_s == 0.0 and noted.kinds().count(EventKind.HELP_END) == 1
-    assert [each.told for each in said if each] == [
+    assert [told for _, told in filter(None, said)] == [
         "The user asks for help. For 10 s the policy assists the most.",
         "Help is over. The assistance is as before.",
     ]

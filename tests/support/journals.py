@@ -107,7 +107,7 @@ class JournaledWorld:
             after = self.world.tick(commands)
             self.writer.append(ticked(after.epoch, after.tick, commands, after.state_hash))
             if after.epoch == 0:
-                self.trace.append(state_of(after, commands, as_recorded(after, self.world.everyone())))
+                self.trace.append(state_of(after, commands, as_recorded(after, self.world.sumo.everyone())))
 
 
 def eventful_run(corner: Path, run: Path) -> dict[str, object]:

@@ -14,7 +14,7 @@ import numpy as np
 from wcsim.bridge import mirror
 from wcsim.bridge.mirror import MirrorCheck
 from wcsim.bridge.reaction.articulated import Articulation
-from wcsim.bridge.reaction.attention import AttentionModel, street_habits
+from wcsim.bridge.reaction.attention import AttentionModel
 from wcsim.bridge.reaction.commands import Blocked, ChairInStreet, on_level
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
@@ -128,7 +128,7 @@ class Epoch:
 
 def new_epoch(config: RunConfig, ground: Ground, sumo: SumoSession, seed: int) -> Epoch:
     """An epoch in which nothing has happened yet. Raises PhysicsError when PyBullet gives no engine."""
-    attention = street_habits(config.world, seeding.derive(seed, "street"))
+    attention = AttentionModel(config.world, seeding.derive(seed, "street"))
     engine = Engine(config.world.tick_s / config.world.usual_substeps)
     bodies = BodyPool(engine)
     sight_m = max(camera.range_m for camera in config.cameras)

@@ -5,10 +5,10 @@ A town's traffic with no wheelchair in it: SUMO alone, for which no street has t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,8 @@ from wcsim.bridge.recording.states import chair_box_m, state_hash, state_of
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import open_session, refuse_second_world, warm_up, warmup_s
 from wcsim.bridge.world import World
-from wcsim.bridge.world_rollout import rollout
-from wcsim.config import RewardConfig, RunConfig
+from wcsim.bridge.world_rollout import RolloutStep, rollout
+from wcsim.config import RunConfig
 from wcsim.core.closing import Closing
 from wcsim.errors import SumoError
 from wcsim.log.records import Header
@@ -45,41 +45,27 @@ class _TownTraffic(Closing):
         validate_net(town.net, border=town.border)
         self.net_z_m = read_net(town.net, town.file.origin_m).z_origin_m
         self._held = ExitStack()
-        self._tick = 0
         try:
-            self.scenario, self._sumo = open_session(town, config, seed, place, self.net_z_m, self._held)
-            warm_up(self._sumo, warmup_s(town, config), config.world.tick_s)
+            self.scenario, self.sumo = open_session(town, config, seed, place, self.net_z_m, self._held)
+            warm_up(self.sumo, warmup_s(town, config), config.world.tick_s)
         except BaseException:
             self.close()
             raise
-        self.snapshot = self._published()
+        self.snapshot = self._published(0)
 
-    def tick(self) -> Snapshot:
-        """Carry the traffic on by one tick; the snapshot holds no actors, for there is no chair near which they are."""
-        self._sumo.step()
-        self._tick += 1
-        self.snapshot = self._published()
-        return self.snapshot
-
-    def everyone(self) -> tuple[ActorState, ...]:
-        """Every vehicle and person of the town, sorted by id."""
-        return self._sumo.everyone()
-
-    @property
-    def mishaps_so_far(self) -> tuple[int, int]:
-        """`mishaps` since the scenario began, while the traffic warmed up too."""
-        return self._sumo.so_far
-
-    def mishaps(self) -> tuple[int, int]:
-        """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
-        return self._sumo.mishaps()
+    def steps(self) -> Iterator[RolloutStep]:
+        """Carry the traffic on, as `rollout` does a world; no actors are in it, for there is no chair to be near to."""
+        for tick in count(1):
+            self.sumo.step()
+            self.snapshot = self._published(tick)
+            yield RolloutStep(commands=(), after=self.snapshot)
 
     def close(self) -> None:
         """End SUMO; a second call does nothing."""
         self._held.close()
 
-    def _published(self) -> Snapshot:
-        bare = Snapshot(epoch=0, tick=self._tick, time_s=self._sumo.time_s(), actors=(), signals=(), clients=())
+    def _published(self, tick: int) -> Snapshot:
+        bare = Snapshot(epoch=0, tick=tick, time_s=self.sumo.time_s(), actors=(), signals=(), clients=())
         return replace(bare, state_hash=state_hash(bare))
 
 
@@ -159,20 +145,29 @@ def record_town(
     ticks = round(order.seconds / config.world.tick_s)
     stage(f"reading the scenario files of {town.name}")
     files_of(town, config)
-    if not order.chairs:
-        stage("starting SUMO")
-        with _TownTraffic(town, config, order.seed, place) as traffic:
-            opened(traffic.scenario)
-            with LogWriter(order.folder / TRACE, _header(town, config, order, traffic.net_z_m)) as writer:
-                return _run_alone(traffic, ticks, writer, progress)
-    validate_net(town.net, border=town.border)
-    load_street(town, stage)
-    spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
-    stage(f"starting SUMO; traffic warm-up of {warmup_s(town, config):g} s")
-    with World(town, config, (spec,) * order.chairs, order.seed, place) as world:
+    with ExitStack() as held:
+        world: World | _TownTraffic
+        if order.chairs:
+            validate_net(town.net, border=town.border)
+            load_street(town, stage)
+            spec = SeatSpec(profile=config.env.profile, max_steps=config.env.max_steps)
+            stage(f"starting SUMO; traffic warm-up of {warmup_s(town, config):g} s")
+            world = held.enter_context(World(town, config, (spec,) * order.chairs, order.seed, place))
+            steps, net_z_m = rollout(world), world.street.net_origin_m[2]
+        else:
+            stage("starting SUMO")
+            world = held.enter_context(_TownTraffic(town, config, order.seed, place))
+            steps, net_z_m = world.steps(), world.net_z_m
         opened(world.scenario)
-        with LogWriter(order.folder / TRACE, _header(town, config, order, world.street.net_origin_m[2])) as writer:
-            return _run(world, ticks, writer, progress)
+        writer = held.enter_context(LogWriter(order.folder / TRACE, _header(town, config, order, net_z_m)))
+        meter = _Meter(world, town, config)
+        for done, step in enumerate(islice(steps, ticks), start=1):
+            everyone = world.sumo.everyone()
+            writer.append(state_of(step.after, step.commands, as_recorded(step.after, everyone)))
+            meter.add(step.after, everyone)
+            if progress is not None:
+                progress(done, ticks)
+        return meter.facts(ticks, order.chairs)
 
 
 def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -> Header:
@@ -186,33 +181,6 @@ def _header(town: Town, config: RunConfig, order: RecordOrder, net_z_m: float) -
         origin_z_m=net_z_m,
         chair_box_m=chair_box_m(config.chair),
     )
-
-
-def _run(world: World, ticks: int, writer: LogWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(world.snapshot.time_s, world.mishaps_so_far, world.town.file.origin_m, world.config.reward)
-    for tick, step in enumerate(islice(rollout(world), ticks), start=1):
-        after, everyone = step.after, world.everyone()
-        places_W_m = np.array([c.plant.p_WB_m[:2] for c in after.clients]).reshape(-1, 2)
-        if not any(client.first is not None for client in after.clients):  # a chair that was moved sees others now
-            _check_mirrored(after.actors, everyone, places_W_m, world.config.world.mirror_radius_m)
-        writer.append(state_of(after, step.commands, as_recorded(after, everyone)))
-        meter.add(everyone, [actor.id for actor in after.actors if not actor.piece], world.mishaps())
-        meter.add_chairs(after.clients, after.time_s)
-        if progress is not None:
-            progress(tick, ticks)
-    return meter.facts(ticks, world.snapshot.time_s, len(world.seats))
-
-
-def _run_alone(traffic: _TownTraffic, ticks: int, writer: LogWriter, progress: Progress | None) -> TrafficFacts:
-    meter = _Meter(traffic.snapshot.time_s, traffic.mishaps_so_far)
-    for tick in range(ticks):
-        after = traffic.tick()
-        everyone = traffic.everyone()
-        writer.append(state_of(after, (), as_recorded(after, everyone)))
-        meter.add(everyone, (), traffic.mishaps())
-        if progress is not None:
-            progress(tick + 1, ticks)
-    return meter.facts(ticks, traffic.snapshot.time_s, 0)
 
 
 def as_recorded(snapshot: Snapshot, everyone: Sequence[ActorState]) -> list[ActorState]:
@@ -261,55 +229,57 @@ def _rounded(actor: ActorState) -> ActorState:
 
 
 class _Meter:
-    """Counts what the facts say."""
+    """Counts what the facts say, and checks the mirror of a world with chairs."""
 
-    def __init__(
-        self,
-        begin_s: float,
-        warming: tuple[int, int],
-        origin_m: tuple[float, float] = (0.0, 0.0),
-        reward: RewardConfig = RewardConfig(),  # noqa: B008 - frozen
-    ) -> None:
-        self._begin_s, self._warming, self._reward = begin_s, warming, reward
-        self._origin_m = origin_m
+    def __init__(self, world: World | _TownTraffic, town: Town, config: RunConfig) -> None:
+        self._world, self._origin_m, self._config = world, town.file.origin_m, config
+        self._begin_s, self._warming = world.snapshot.time_s, world.sumo.mishaps
         self._crashed: list[CrashFact] = []
         self._seen: set[str] = set()
         self._mirrored: set[str] = set()
-        self._most = self._teleports = self._collisions = self._ended = 0
+        self._most = self._ended = 0
 
-    def add(self, everyone: Sequence[ActorState], mirrored: Sequence[str], mishaps: tuple[int, int]) -> None:
-        """One tick of the traffic."""
+    def add(self, after: Snapshot, everyone: Sequence[ActorState]) -> None:
+        """One tick. Raises SumoError as `_check_mirrored`."""
+        clients = after.clients
+        ended = sum(client.first is not None for client in clients)
+        if clients and not ended:  # a chair that was moved sees others now
+            places_W_m = np.array([client.plant.p_WB_m[:2] for client in clients])
+            _check_mirrored(after.actors, everyone, places_W_m, self._config.world.mirror_radius_m)
+        mirrored = [actor.id for actor in after.actors if not actor.piece]
         self._seen.update(actor.id for actor in everyone)
         self._mirrored.update(mirrored)
         self._most = max(self._most, len(mirrored))
-        self._teleports += mishaps[0]
-        self._collisions += mishaps[1]
+        self._ended += ended
+        self._crashed += [self._crash(client, after.time_s) for client in clients if client.events.crashed]
 
-    def add_chairs(self, clients: Sequence[ClientSnapshot], time_s: float) -> None:
-        """One tick of the chairs, at SUMO's own time."""
-        self._ended += sum(client.first is not None for client in clients)
-        for client in (client for client in clients if client.events.crashed):
-            x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
-            reason, told = client.events.crash_reason, client.events.crash
-            whose, at_m = fault(reason, client.contacts, self._reward), (round(x_m, 2), round(y_m, 2))
-            self._crashed.append(
-                CrashFact(seat=client.seat, reason=reason, time_s=time_s, at_m=at_m, fault=whose, told=told)
-            )
+    def _crash(self, client: ClientSnapshot, time_s: float) -> CrashFact:
+        x_m, y_m = (client.plant.p_WB_m[:2] + self._origin_m).tolist()
+        reason = client.events.crash_reason
+        return CrashFact(
+            seat=client.seat,
+            reason=reason,
+            time_s=time_s,
+            at_m=(round(x_m, 2), round(y_m, 2)),
+            fault=fault(reason, client.contacts, self._config.reward),
+            told=client.events.crash,
+        )
 
-    def facts(self, ticks: int, end_s: float, chairs: int) -> TrafficFacts:
+    def facts(self, ticks: int, chairs: int) -> TrafficFacts:
         """The sums."""
+        teleports, collisions = self._world.sumo.mishaps
         persons = sum(name.startswith("p:") for name in self._seen)
         return TrafficFacts(
             ticks=ticks,
             begin_s=self._begin_s,
-            end_s=end_s,
+            end_s=self._world.snapshot.time_s,
             vehicles=len(self._seen) - persons,
             persons=persons,
             mirrored=len(self._mirrored),
             mirrored_most=self._most,
-            teleports=self._warming[0] + self._teleports,
+            teleports=teleports,
             teleports_warming=self._warming[0],
-            collisions=self._warming[1] + self._collisions,
+            collisions=collisions,
             collisions_warming=self._warming[1],
             episodes=self._ended + chairs,
             crashes=len(self._crashed),

@@ -21,11 +21,11 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.config import RunConfig
 from wcsim.core import seeding
 from wcsim.log.drive import DriveRecording, wcsim_version
-from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed
+from wcsim.log.records import DriveHeader, DriveTick, EpochBegun, Header, Input, changed, left_at
 from wcsim.log.writer import LogWriter
 from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.towns.scenario.town import Town, content_hash
-from wcsim.types import F64, ClientSnapshot, Joystick, Outline, SeatSpec, Street, UserView
+from wcsim.types import ClientSnapshot, Joystick, Outline, SeatSpec, Street, UserView
 from wcsim.users.profiles import UserProfile, profile_json, sample
 from wcsim.users.user import SimulatedUser
 
@@ -117,33 +117,24 @@ FOLLOW = "follow"
 ENDLESS = 1_000_000_000  # steps of an episode that only a crash ends
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UserDriveOrder:
-    """A drive of one simulated user, who stays the same from episode to episode."""
-
-    town: Town
-    config: RunConfig
-    user: UserProfile  # as drawn
-    ticks: int
-    seed: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Given:
-    """What a chair was given in a tick, and by whom."""
-
-    commanded: Joystick
-    chosen: Joystick
-    action: int
-
-
 def drawn_user(base: UserProfile, seed: int) -> UserProfile:
     """One user of a profile, who is then nobody else in any episode."""
     return replace(sample(base, seeding.generator(seed, "drive", "user")), spread=0.0)
 
 
-def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], object] = lambda ticks: None) -> int:
-    """Drive and record; returns how many crashes there were. `progress` hears of every tick.
+def record_user(
+    out: Path,
+    town: Town,
+    config: RunConfig,
+    user: UserProfile,
+    *,
+    ticks: int,
+    seed: int,
+    progress: Callable[[int], object] = lambda ticks: None,
+) -> int:
+    """Drive and record `ticks` of one user, as drawn, who stays the same from episode to episode.
+
+    Returns how many crashes there were. `progress` hears of every tick.
 
     Raises:
         ConfigError: The file is there already, or cannot be made.
@@ -151,15 +142,15 @@ def record_user(order: UserDriveOrder, out: Path, progress: Callable[[int], obje
         TownError: The town cannot be run.
     """
     crashes = 0
-    spec = SeatSpec(profile=profile_json(order.user), max_steps=ENDLESS)
-    header = drive_header(order.town, order.config, order.seed, profile=order.user.name, policy=FOLLOW)
-    with LogWriter(out, header) as recorder, World(order.town, order.config, (spec,), order.seed) as world:
-        for record in first_inputs(spec, order.seed):
+    spec = SeatSpec(profile=profile_json(user), max_steps=ENDLESS)
+    header = drive_header(town, config, seed, profile=user.name, policy=FOLLOW)
+    with LogWriter(out, header) as recorder, World(town, config, (spec,), seed) as world:
+        for record in first_inputs(spec, seed):
             recorder.append(record)
         world.go_blind()
-        follower = _Follower(world, action_set(order.config.env.actions))
-        for number, step in enumerate(islice(rollout(world, {0: follower}), order.ticks), start=1):
-            tick = follower.driven(step.after.clients[0])
+        follower = _Follower(world, action_set(config.env.actions))
+        for number, step in enumerate(islice(rollout(world, {0: follower}), ticks), start=1):
+            tick = follower.driven(step.commands[0].joystick, step.after.clients[0])
             recorder.append(tick)
             crashes += tick.crashed
             progress(number)
@@ -176,48 +167,20 @@ class _Follower:
         """See `Driver`."""
         self._before, self._user = now, self._world.seats[0].user
         self._intent = self._user.intent
-        action = self._actions.nearest((now.user.x, now.user.y))
-        stick = Joystick(*self._actions.points[action].tolist())
-        self._given = Given(commanded=stick, chosen=stick, action=action)
-        return stick
+        self._action = self._actions.nearest((now.user.x, now.user.y))
+        return Joystick(*self._actions.points[self._action].tolist())
 
-    def driven(self, after: ClientSnapshot) -> DriveTick:
-        """The tick that it drove, of which the chair is `after`."""
-        tick_s = self._world.config.world.tick_s
-        return _seat_tick(self._before, after, self._given, self._intent, self._user.sticks, tick_s)
-
-
-def _seat_tick(
-    before: ClientSnapshot, after: ClientSnapshot, given: Given, intent: Joystick | None, sticks: F64, tick_s: float
-) -> DriveTick:
-    """A tick of a seat as it is recorded.
-
-    Args:
-        before: The seat at the tick's beginning.
-        after: At its end; when that ended the episode, what comes next is in its `first`.
-        given: What the chair was given.
-        intent: What its user wanted.
-        sticks: (S, 2) the user's stick within the tick.
-        tick_s: How long it took.
-    """
-    plant, events = after.plant, after.events
-    return DriveTick(
-        tick=after.tick,
-        episode=events.episode,
-        time_s=after.tick * tick_s,
-        stick=before.user,
-        intent=intent,
-        sticks=sticks.astype(np.float32),  # half the bytes
-        commanded=given.commanded,
-        chosen=given.chosen,
-        action=given.action,
-        p_WB_m=plant.p_WB_m,
-        yaw_rad=plant.yaw_rad,
-        roll_rad=plant.roll_rad,
-        pitch_rad=plant.pitch_rad,
-        speed_mps=float(plant.v_B_mps[0]),
-        arrived=events.arrived,
-        gave_up=events.gave_up,
-        crashed=events.crashed,
-        truncated=events.truncated,
-    )
+    def driven(self, given: Joystick, after: ClientSnapshot) -> DriveTick:
+        """The tick that it drove with this stick, of which the chair is `after`."""
+        return DriveTick(
+            tick=after.tick,
+            episode=after.events.episode,
+            time_s=after.tick * self._world.config.world.tick_s,
+            stick=self._before.user,
+            intent=self._intent,
+            sticks=self._user.sticks.astype(np.float32),  # half the bytes
+            commanded=given,
+            chosen=given,
+            action=self._action,
+            **left_at(after),
+        )

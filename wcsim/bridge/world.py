@@ -124,7 +124,7 @@ class World(Closing):
             self._rig = self._held.enter_context(rig)
             range_m = max(camera.range_m for camera in config.cameras)
             self._loader = _TileLoader(self.street.tiles, rig, range_m)
-            self.scenario, self._sumo = open_session(town, config, seed, place, self.street.net_origin_m[2], self._held)
+            self.scenario, self.sumo = open_session(town, config, seed, place, self.street.net_origin_m[2], self._held)
             self.snapshot = self._begin(seed)
         except BaseException:
             self.close()
@@ -145,7 +145,7 @@ class World(Closing):
 
     def rebuild(self, seed: int, out: ImageSink | None = None) -> Snapshot:
         """A new epoch: everything from its beginning, as a new world with this seed and these chairs would be."""
-        self._sumo.rebuild(sumo_seed(seed))
+        self.sumo.rebuild(sumo_seed(seed))
         self.snapshot = self._begin(seed, out)
         return self.snapshot
 
@@ -190,10 +190,6 @@ class World(Closing):
         self._open.traffic.look_again(self._places())
         self.snapshot = self._published(tuple(c for c in self.snapshot.clients if c.seat != seat))
 
-    def counts(self) -> tuple[int, int]:
-        """Vehicles and people in the whole town now."""
-        return self._sumo.counts()
-
     def put_chair(self, seat: int, xy_W_m: F64, yaw_rad: float) -> None:
         """Put one seat's chair on the ground of another place, now and at rest; its episode goes on."""
         p_W_m = np.array([*xy_W_m[:2], float(self.street.grid.height_at(xy_W_m))])
@@ -215,20 +211,7 @@ class World(Closing):
     def view_of(self, seat: int) -> UserView:
         """What the user of a seat may know of the street now. Raises ProtocolError when it is free or not there."""
         asked = self._seating.at(seat)
-        return asked.view(self._sumo.time_s(), self._others(asked), self._open.traffic.signals)
-
-    def everyone(self) -> tuple[ActorState, ...]:
-        """Every vehicle and person of the town as SUMO has them, those far from any chair too; sorted by id."""
-        return self._sumo.everyone()
-
-    @property
-    def mishaps_so_far(self) -> tuple[int, int]:
-        """`mishaps` since the scenario began, while the traffic warmed up too."""
-        return self._sumo.so_far
-
-    def mishaps(self) -> tuple[int, int]:
-        """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
-        return self._sumo.mishaps()
+        return asked.view(self.sumo.time_s(), self._others(asked), self._open.traffic.signals)
 
     def close(self) -> None:
         """End both simulators; a second call does nothing."""
@@ -246,12 +229,12 @@ class World(Closing):
             self._open.traffic.react(
                 tuple(in_street(seat.as_actor(), self.street.grid, seat.habits) for seat in self.seats)
             )
-            self._sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
+            self.sumo.buttons.ask([seat.asks for seat in self.seats if seat.asks is not None])
 
     def _step(self) -> None:
         """SUMO moves the city to tick n + 1."""
         with self.stopwatch.measure("sumo"):
-            self._sumo.step(lambda: tuple(hook_chair(seat, self.street) for seat in self.seats))
+            self.sumo.step(lambda: tuple(hook_chair(seat, self.street) for seat in self.seats))
 
     def _mirror(self) -> None:
         """The engine gets a body for every actor in reach of a chair, and the street under and around the chairs."""
@@ -323,10 +306,10 @@ class World(Closing):
         """Warm the traffic up, build an engine of its own for this epoch, and put every chair at a start."""
         self.epoch += 1
         self._tick = 0
-        warm_up(self._sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
+        warm_up(self.sumo, warmup_s(self.town, self.config), self.config.world.tick_s)
         if self._epoch is not None:
             self._epoch.engine.close()
-        self._epoch = new_epoch(self.config, self.street.grid, self._sumo, seed)
+        self._epoch = new_epoch(self.config, self.street.grid, self.sumo, seed)
         self._rig.begin(seed)
         self._seating.build(self._epoch.engine, self._rig, seed)
         return self._published(self._open_episodes(self.seats, out))
@@ -401,11 +384,11 @@ class World(Closing):
             sensors = seat.observe(scene)
         with self.stopwatch.measure("truth"):
             truth = None if self._blind else seat.truth(self._others(seat))
-        return seat.snapshot(self._tick, sensors, seat.events(self._sumo.teleports, first), truth)
+        return seat.snapshot(self._tick, sensors, seat.events(self.sumo.teleports, first), truth)
 
     def _look_around(self, seat: Ego) -> None:
         """The seat's user sees what is around now."""
-        seat.look(self._sumo.time_s(), self._others(seat), self._open.traffic.signals)
+        seat.look(self.sumo.time_s(), self._others(seat), self._open.traffic.signals)
 
     def _load_tiles(self, places_W_m: F64) -> None:
         self._loader.load(places_W_m, self._open.street, self.stopwatch)
@@ -421,13 +404,13 @@ class World(Closing):
     def _taken(self, xy_W_m: F64, radius_m: float) -> tuple[ActorState, ...]:
         """What stands or moves near a place where somebody wants to start."""
         chairs = tuple(seat.as_actor() for seat in self.seats if seat.spawned)
-        return self._sumo.actors_at(xy_W_m[None, :2], radius_m) + chairs
+        return self.sumo.actors_at(xy_W_m[None, :2], radius_m) + chairs
 
     def _published(self, clients: tuple[ClientSnapshot, ...]) -> Snapshot:
         bare = Snapshot(
             epoch=self.epoch,
             tick=self._tick,
-            time_s=self._sumo.time_s(),
+            time_s=self.sumo.time_s(),
             actors=self._open.traffic.actors,
             signals=self._open.traffic.signals,
             clients=clients,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from wcsim.config import read_toml
 from wcsim.config.scene import SceneFile
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
-from wcsim.scenes.facts import SceneFacts, faults
+from wcsim.scenes.facts import Facts, faults
 from wcsim.scenes.template import write_scene
 from wcsim.towns.scene_folders.build import GOLDEN, NETCONVERT_FILES, find_scene, list_scenes
 
@@ -79,7 +79,7 @@ class Outcome:
     """How a scene ended."""
 
     name: str
-    facts: SceneFacts
+    facts: Facts
     faults: tuple[str, ...]
 
 
@@ -128,7 +128,7 @@ def _run(options: RunOptions) -> int:
     stdout_console().print(table)
     write_json(
         options.json,
-        {o.name: {"ok": not o.faults, "faults": list(o.faults), **asdict(o.facts)} for o in outcomes},
+        {o.name: {"ok": not o.faults, "faults": list(o.faults), **o.facts} for o in outcomes},
     )
     if options.film is not None:
         from wcsim.scenes.run import film_scene  # it takes seconds to load, and most runs need no film
@@ -217,10 +217,10 @@ def _called(folder: Path) -> str:
     return shlex.quote(folder.name if known else str(folder))
 
 
-def _words(facts: SceneFacts) -> str:
-    nearest = f"closest {facts.closest_actor_m:.2f} m" if facts.closest_actor_m < 50.0 else "no road user near"
+def _words(facts: Facts) -> str:
+    nearest = f"closest {facts['closest_actor_m']:.2f} m" if facts["closest_actor_m"] < 50.0 else "no road user near"
     return (
-        f"{'crash' if facts.crashed else 'no crash'}, {facts.travelled_m:.1f} m, drop {facts.drop_m:.2f} m, "
-        f"roll {facts.max_roll_deg:.1f} deg, pitch {facts.max_pitch_deg:.1f} deg, "
-        f"{nearest}, standing {facts.standing_s:.1f} s, {counted(facts.actors_seen, 'road user')}"
+        f"{'crash' if facts['crashed'] else 'no crash'}, {facts['travelled_m']:.1f} m, drop {facts['drop_m']:.2f} m, "
+        f"roll {facts['max_roll_deg']:.1f} deg, pitch {facts['max_pitch_deg']:.1f} deg, "
+        f"{nearest}, standing {facts['standing_s']:.1f} s, {counted(int(facts['actors_seen']), 'road user')}"
     )

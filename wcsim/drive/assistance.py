@@ -26,9 +26,9 @@ class Answer:
 
     chosen: int  # the policy's own action, that nearest to the stick where it is off
     sent: int  # what the chair is told
-    warning: bool
-    intervening: bool  # what is sent follows the stick no more
-    unsafe: tuple[int, ...]
+    warning: bool = False
+    intervening: bool = False  # what is sent follows the stick no more
+    unsafe: tuple[int, ...] = ()
 
 
 class Assistance:
@@ -133,13 +133,13 @@ class Assistance:
         """
         own = self._actions.nearest(seen["joystick"])
         if self.failed:
-            return Answer(chosen=own, sent=own, warning=False, intervening=False, unsafe=())
+            return Answer(chosen=own, sent=own)
         try:
             return self._answered(seen, info, own, asked)
         except Exception as error:  # whatever a policy does wrong, the person is not left in a chair that drives on
             self._broken(error)
             rest = self._actions.nearest((0.0, 0.0))
-            return Answer(chosen=rest, sent=rest, warning=False, intervening=False, unsafe=())
+            return Answer(chosen=rest, sent=rest)
 
     def _answered(self, seen: Observation, info: dict[str, Any], own: int, asked: bool) -> Answer:
         chosen = self._asked(seen, info)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Final
 
 import msgspec
@@ -10,7 +11,6 @@ from wcsim.config.study import MOST_QUESTIONS, MOST_STEPS
 from wcsim.core.reading import escaped
 from wcsim.drive.driven import DriverKind
 from wcsim.drive.pictures import LARGEST_PX, SMALLEST_PX, CameraKind
-from wcsim.drive.recording.study_plan import StudyView
 from wcsim.errors import ProtocolError
 from wcsim.supervisor.kpi import KpiTotals
 
@@ -202,124 +202,32 @@ def of_page(data: str | bytes) -> PageMessage:
     return message
 
 
-class Shows(msgspec.Struct, tag_field="say", tag=str.lower, frozen=True):
-    """Base of what a page hears."""
+def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True) -> dict[str, float | None]:
+    """Totals as pages show them; a film may not know what happened, and may be of a policy that never warns.
 
-
-class Notice(Shows, frozen=True):
-    """A line for the person."""
-
-    kind: str  # "good", "note", "bad", "refused"
-    told: str
-
-
-class PageRole(Shows, frozen=True, tag="role"):
-    """What this page may do."""
-
-    drives: bool
-    taken: bool  # another page drives
-    told: str = ""
-
-
-class Keeping(Shows, frozen=True):
-    """Whether the drive is kept in a file."""
-
-    on: bool
-    file: str
-    told: str
-
-
-class Study(Shows, frozen=True):
-    """A step of a study, and how it stands."""
-
-    view: StudyView
-
-
-class Busy(Shows, frozen=True):
-    """The street is not there yet, or will not be."""
-
-    told: str
-    waits: bool = True  # it is on its way; False when nothing is waited for any more
-
-
-class About(Shows, frozen=True):
-    """What is driven; said when a place has been opened, and to each page that comes."""
-
-    place: str
-    town: str
-    seed: int
-    policy: str
-    profile: str
-    points: list[tuple[float, float]]
-    towns: list[str]
-    profiles: list[str]
-    suites: dict[str, list[tuple[str, int]]]  # by set: part and town of each block, and its seats
-    levels: tuple[float, float] | None  # that which assists least, and most
-    own_level: float | None  # the one that the policy came with
-    tells_unsafe: bool
-    tick_s: float
-
-
-class Kpis(msgspec.Struct, frozen=True, kw_only=True):
-    """The numbers of a chair up to now; None is what a film does not know."""
-
-    kpi1: float | None
-    kpi2: float | None
-    ticks: int
-    way_m: float
-    crashes: int | None
-    drops: int | None
-    arrivals: int | None
-    helps: int
-    overrules: int | None
-    warnings: int | None
-    interventions: int | None
-
-
-def kpis_of(totals: KpiTotals, tick_s: float, *, knows: bool = True, warns: bool = True) -> Kpis:
-    """Totals as pages show them; a film may not know what happened, and may be of a policy that never warns."""
+    What is not known is None.
+    """
     named = ("crashes", "drops", "arrivals", "overrules", "interventions")
-    return Kpis(
-        kpi1=None if totals.kpi1 is None else round(totals.kpi1, 4),
-        kpi2=round(totals.kpi2, 1) if knows else None,
-        ticks=totals.ticks,
-        way_m=round(totals.speed_sum * tick_s, 1),
-        helps=totals.helps,
-        warnings=totals.warnings if warns else None,
+    return {
+        "kpi1": None if totals.kpi1 is None else round(totals.kpi1, 4),
+        "kpi2": round(totals.kpi2, 1) if knows else None,
+        "ticks": totals.ticks,
+        "way_m": round(totals.speed_sum * tick_s, 1),
+        "helps": totals.helps,
+        "warnings": totals.warnings if warns else None,
         **{name: getattr(totals, name) if knows else None for name in named},
-    )
+    }
 
 
-class DriveState(Shows, frozen=True, tag="state"):
-    """The drive as it is, once a tick."""
+def spoken(say: str, told: Mapping[str, object]) -> bytes:
+    """What a page hears, as JSON: an object whose `say` names the kind of the message.
 
-    tick: int
-    time_s: float
-    driver: DriverKind
-    paused: bool
-    waiting: str  # why nobody drives, "" while somebody does
-    let_go: bool  # the stick counts only once it has been at rest
-    alone: bool  # the simulated user still has the chair, before a handover
-    pace: float
-    stick: tuple[float, float]
-    commanded: tuple[float, float]
-    unsafe: list[int]
-    assisted: bool
-    level: float | None
-    help_s: float  # for which help is still on, 0 while it is not
-    warning: bool
-    intervening: bool
-    overruled: bool
-    on_road: bool  # the chair's middle is on a carriageway, a crossing too
-    speed_mps: float
-    left_m: float
-    bearing_deg: float  # of the way ahead, from the chair's heading to the left
-    crash: str
-    profile: str
-    kpis: Kpis
-    rate: float  # ticks a second, a mean
-
-
-def spoken(message: Shows) -> bytes:
-    """What a page hears, as JSON."""
-    return msgspec.json.encode(message)
+    - `notice`: a line for the person, `told`, of a `kind`: good, note, bad or refused.
+    - `role`: whether this page `drives`, whether another one has `taken` that, and a line.
+    - `keeping`: whether the drive is kept in a `file`, and a line.
+    - `study`: the `view` of a step, see `step_view`.
+    - `busy`: the street is not there yet, in a line; with `waits` False nothing is waited for any more.
+    - `about`, `state`: see `drive_about`, `drive_state`, and of a film `film_about`, `film_state`.
+    - `marks`: all marks of a film's time line, see `FilmMark`.
+    """
+    return msgspec.json.encode({"say": say, **told})

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from wcsim.drive.pictures import Moment, PageLooks, StreetPictures, clamped, mom
 from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
 from wcsim.drive.recording.study_lead import StudyHands, StudyLead
-from wcsim.drive.recording.study_plan import StepKind, StudyView
+from wcsim.drive.recording.study_plan import StepKind
 from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
 from wcsim.drive.stick_watch import STANDS_STILL_S, StickWatch
@@ -97,7 +97,7 @@ class PageRunner(ABC):
             try:
                 self._does.get(type(message), _nothing)(message)
             except WcsimError as error:
-                self._say(m.Notice(kind="refused", told=str(error)))
+                self._say("notice", kind="refused", told=str(error))
             if message.slow:
                 self._pipe.send_bytes(DONE)
             if not isinstance(message, m.Stick | m.Ready | m.End):
@@ -112,8 +112,11 @@ class PageRunner(ABC):
         self._ready = self._stale = False
         self._drawn_s = now_s
 
-    def _say(self, message: m.Shows) -> None:
-        self._pipe.send_bytes(JSON + m.spoken(message))
+    def _say(self, say: str, **told: object) -> None:
+        self._pipe.send_bytes(JSON + m.spoken(say, told))
+
+    def _busy(self, told: str) -> None:
+        self._say("busy", told=told, waits=True)
 
     def _log(self, told: str) -> None:
         self._pipe.send_bytes(LINE + told.encode())
@@ -170,6 +173,15 @@ class DriveOrder:
 
     start: DriveStart
     keep: Path | OpenStudy | None = None  # a new file for the first world that is kept, or a study
+
+    word: ClassVar = "drive"  # for it in messages
+    page: ClassVar = "index.html"  # its file
+    begins: ClassVar = "starting the simulator, then the street; the page shows the progress"
+    over: ClassVar = "The drive has ended. Start wcsim drive again."  # said by a page when the process has ended
+
+    def run(self, pipe: Connection) -> None:
+        """What the drive's process does."""
+        run_page(DriveRunner(pipe, self.start, self.keep), pipe)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -344,18 +356,18 @@ class DriveRunner(PageRunner):
     def _note(self, record: DriveRecord) -> None:
         notice = notice_of(record)
         if notice is not None:
-            self._say(notice)
+            self._say("notice", kind=notice[0], told=notice[1])
 
     def _tell_kept(self, news: RecorderStatus) -> None:
-        self._say(m.Keeping(on=news.on, file=news.file, told=news.told))
+        self._say("keeping", on=news.on, file=news.file, told=news.told)
         if news.log:
             self._log(news.log)
 
     def _state(self) -> None:
         if self.session is not None:
             state = drive_state(self.session, self.clock, self.waiting, self._watch.must_rest)
-            self._told_waiting = state.waiting
-            self._say(state)
+            self._told_waiting = state["waiting"]
+            self._say("state", **state)
 
     # --- what the page wants ---
 
@@ -397,16 +409,16 @@ class DriveRunner(PageRunner):
         check_offered(DriveStart(town=self._start.town, profile=said.profile), self._start)
         checked(DriveStart(town=session.place.start.town, profile=said.profile))
         self._begin_anew(lambda: session.change_user(said.profile))
-        self._say(drive_about(session))
+        self._say("about", **drive_about(session))
 
     def _begin_anew(self, begin: Callable[[], None], told: str = "") -> None:
         if told:
-            self._say(m.Busy(told=told))
+            self._busy(told)
         try:
             begin()
         finally:
             if told and self.session is not None:  # nothing is waited for any more, also where it was refused
-                self._say(drive_about(self.session))
+                self._say("about", **drive_about(self.session))
         self._watch.require_rest()
         self.clock.held_s = 0.0
 
@@ -430,16 +442,16 @@ class DriveRunner(PageRunner):
             self._open_place(start)
         except WcsimError as error:
             self.close()
-            self._say(m.Notice(kind="bad", told=str(error)))
-            self._say(m.Busy(told=str(error), waits=False))  # for pages that come later: nothing is waited for
+            self._say("notice", kind="bad", told=str(error))
+            self._say("busy", told=str(error), waits=False)  # for pages that come later: nothing is waited for
 
     def _open_place(self, start: DriveStart) -> DriveSession:
         """The same; raises what `DriveSession` does, and then something may be open that is to be closed."""
-        self._say(m.Busy(told="Opening the street ..."))
+        self._busy("Opening the street ...")
         self.close()
         self._pictures = None
         self._watch.require_rest()
-        self.session = session = DriveSession(start, (self._note,), lambda told: self._say(m.Busy(told=told)))
+        self.session = session = DriveSession(start, (self._note,), self._busy)
         if self._names is not None:
             session.add_observer(SessionRecorder(session, self._names, self._tell_kept))
         session.face_way()
@@ -447,7 +459,7 @@ class DriveRunner(PageRunner):
         self._drawn_episode = -1
         self.clock.opened(self._now_s())
         self._stale, self._unseen, self._told_failure = True, True, False
-        self._say(drive_about(session))
+        self._say("about", **drive_about(session))
         self._state()
         self._log(f"{session.place.told}: ready to drive")
         return session
@@ -465,7 +477,7 @@ class DriveRunner(PageRunner):
             self._lead = StudyLead(self._study, hands)
         except WcsimError as error:
             self._log(str(error))
-            self._say(m.Notice(kind="bad", told=str(error)))
+            self._say("notice", kind="bad", told=str(error))
             self._over = True
             return
         self._does.update(dict.fromkeys(_SET_BY_STUDY, _refuse_in_study))
@@ -479,10 +491,10 @@ class DriveRunner(PageRunner):
             self.close()
             raise
 
-    def _show_study(self, view: StudyView) -> None:
-        if view.kind is not StepKind.DRIVE:
+    def _show_study(self, view: dict[str, Any]) -> None:
+        if view["kind"] is not StepKind.DRIVE:
             self._watch.require_rest()
-        self._say(m.Study(view=view))
+        self._say("study", view=view)
 
     def _leads(self) -> StudyLead:
         if self._lead is None:
@@ -495,78 +507,70 @@ def _refuse_in_study(_: m.PageMessage) -> None:
     raise WcsimError("the study sets this; it cannot be changed while the study runs")
 
 
-def drive_about(session: DriveSession) -> m.About:
-    """What is driven, and what else could be."""
+def drive_about(session: DriveSession) -> dict[str, Any]:
+    """What is driven, and what else could be; said when a place has been opened, and to each page that comes."""
     suites = {
         name: [(f"{block.part}, {block.town}", len(block.episodes)) for block in open_suite(name).file.blocks]
         for name in shipped()
     }
     assistance = session.assistance
-    return m.About(
-        place=session.place.told,
-        town=session.place.town.name,
-        seed=session.place.start.seed,
-        policy=assistance.name,
-        profile=session.profile,
-        points=[(x, y) for x, y in session.actions.points.tolist()],
-        towns=[town.name for town in list_towns()],
-        profiles=list(profile_names()),
-        suites=suites,
-        levels=assistance.levels,
-        own_level=assistance.own_level,
-        tells_unsafe=assistance.tells_unsafe,
-        tick_s=session.tick_s,
-    )
+    return {
+        "place": session.place.told,
+        "town": session.place.town.name,
+        "seed": session.place.start.seed,
+        "policy": assistance.name,
+        "profile": session.profile,
+        "points": session.actions.points.tolist(),
+        "towns": [town.name for town in list_towns()],
+        "profiles": profile_names(),
+        "suites": suites,  # by set: part and town of each block, and its seats
+        "levels": assistance.levels,  # that which assists least, and most; None for a policy without
+        "own_level": assistance.own_level,
+        "tells_unsafe": assistance.tells_unsafe,
+        "tick_s": session.tick_s,
+    }
 
 
-def drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool) -> m.DriveState:
-    """The drive as it is; see `m.DriveState`. All rests at the beginning of an episode."""
+def drive_state(session: DriveSession, clock: _DriveClock, waiting: str, let_go: bool) -> dict[str, Any]:
+    """The drive as it is, once a tick. All rests at the beginning of an episode."""
     last = session.last or _RESTS
-    return m.DriveState(
-        tick=session.ticks,
-        time_s=round(session.time_s, 3),
-        driver=session.driver,
-        paused=clock.paused,
-        waiting=waiting,
-        let_go=let_go,
-        alone=not session.handed_over,
-        pace=clock.pace,
-        stick=xy_of(last.stick),
-        commanded=xy_of(last.commanded),
-        unsafe=list(session.unsafe),
-        assisted=session.assistance.on,
-        level=session.assistance.level,
-        help_s=round(session.help_left_s, 3),
-        warning=last.warning,
-        intervening=last.intervening,
-        overruled=last.overruled,
-        on_road=session.client.events.on_carriageway,
-        speed_mps=round(last.speed_mps, 3),
-        left_m=round(session.left_m, 1),
-        bearing_deg=round(deg(session.bearing_rad)),
-        crash=session.crash,
-        profile=session.profile,
-        kpis=m.kpis_of(session.metrics, session.tick_s),
-        rate=round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,
-    )
+    return {
+        "tick": session.ticks,
+        "time_s": round(session.time_s, 3),
+        "driver": session.driver,
+        "paused": clock.paused,
+        "waiting": waiting,  # why nobody drives, "" while somebody does
+        "let_go": let_go,  # the stick counts only once it has been at rest
+        "alone": not session.handed_over,  # the simulated user still has the chair, before a handover
+        "pace": clock.pace,
+        "stick": xy_of(last.stick),
+        "commanded": xy_of(last.commanded),
+        "unsafe": session.unsafe,
+        "assisted": session.assistance.on,
+        "level": session.assistance.level,
+        "help_s": round(session.help_left_s, 3),  # for which help is still on, 0 while it is not
+        "warning": last.warning,
+        "intervening": last.intervening,
+        "overruled": last.overruled,
+        "on_road": session.client.events.on_carriageway,  # the chair's middle, also on a crossing
+        "speed_mps": round(last.speed_mps, 3),
+        "left_m": round(session.left_m, 1),
+        "bearing_deg": round(deg(session.bearing_rad)),  # of the way ahead, from the chair's heading to the left
+        "crash": session.crash,
+        "profile": session.profile,
+        "kpis": m.kpis_of(session.metrics, session.tick_s),
+        "rate": round(1.0 / clock.gap_s, 1) if clock.gap_s > 0.0 else 0.0,  # ticks a second, a mean
+    }
 
 
-def notice_of(record: DriveRecord) -> m.Notice | None:
-    """What a person wants to hear of a record, if anything; the state says the ticks, and a crash."""
+def notice_of(record: DriveRecord) -> tuple[str, str] | None:
+    """Kind and words of what a person wants to hear of a record; the state says the ticks, and a crash."""
     if not isinstance(record, Note):
         return None
     if record.detail == ELSEWHERE:
-        return m.Notice(kind="note", told="No place before the crash is free. You start somewhere else.")
-    if record.kind in _NOTICES:
-        kind, told = _NOTICES[record.kind]
-        return m.Notice(kind=kind, told=told)
+        return "note", "No place before the crash is free. You start somewhere else."
     if record.kind == EventKind.HELP:
-        return m.Notice(kind="note", told=record.detail)
+        return "note", record.detail
     if record.kind == EventKind.POLICY_FAILED:
-        return m.Notice(kind="bad", told=f"The assistance failed and is off: {record.detail}")
-    return None
-
-
-def run_drive(pipe: Connection, order: DriveOrder) -> None:
-    """What the drive's process does."""
-    run_page(DriveRunner(pipe, order.start, order.keep), pipe)
+        return "bad", f"The assistance failed and is off: {record.detail}"
+    return _NOTICES.get(record.kind)

@@ -20,7 +20,7 @@ from wcsim.core.closing import Closing
 from wcsim.drive.assistance import Answer, Assistance
 from wcsim.drive.driven import DriveObserver, DriveRecord, DriverKind, EventKind, happened_in
 from wcsim.drive.starting import DriveStart, OpenPlace, open_place
-from wcsim.log.records import Admitted, DriveTick, Note, Respawned
+from wcsim.log.records import Admitted, DriveTick, Note, Respawned, left_at
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import F64, ClientSnapshot, Joystick, Route, StartSpec
@@ -270,8 +270,7 @@ class DriveSession(Closing):
         self._step += 1
 
     def _driven(self, stick: Joystick, intent: Joystick | None, sticks: F64, answer: Answer, wish: Wish) -> DriveTick:
-        client, points = self.client, self.actions.points
-        events, plant = client.events, client.plant
+        points = self.actions.points
         return DriveTick(
             tick=self.ticks,
             time_s=self.time_s,
@@ -286,15 +285,7 @@ class DriveSession(Closing):
             intervening=answer.intervening,
             overruled=wish.overrule,
             helped=wish.help,
-            p_WB_m=plant.p_WB_m.copy(),
-            yaw_rad=plant.yaw_rad,
-            roll_rad=plant.roll_rad,
-            pitch_rad=plant.pitch_rad,
-            speed_mps=float(plant.v_B_mps[0]),
-            arrived=events.arrived,
-            gave_up=events.gave_up,
-            crashed=events.crashed,
-            truncated=events.truncated,
+            **left_at(self.client),
         )
 
     def _tell(self, driven: DriveTick, distance: float) -> None:

@@ -12,7 +12,6 @@ from wcsim.agents.evaluation.suite.drive import BlockOrder, in_scene, open_tight
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
-from wcsim.bridge.replay.replayed import MadeScene
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
@@ -160,12 +159,8 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
         episode=f"{suite.file.set} {start.block}.{start.seat}",
-        scene=_scene_of(block) if tight else "",
+        scene=f"{block.town} {block.seed} {block.scene_sha256}" if tight else "",
     )
-
-
-def _scene_of(block: BlockFile) -> str:
-    return MadeScene(family=block.town, seed=block.seed, sha256=str(block.scene_sha256)).told()
 
 
 def _block(suite: Suite, start: DriveStart) -> BlockFile:

@@ -31,14 +31,10 @@ class StickWatch:
     """
 
     def __init__(self) -> None:
-        self._stick, self._overrule, self._must_rest = AT_REST, False, True
+        self._stick, self._overrule = AT_REST, False
+        self.must_rest = True  # the stick does not count before it has been at rest
         self._pressed = False  # the button that overrules, since the last wish
         self._heard_s = self._here_s = -math.inf  # the newest message, and the newest of a page that nobody has left
-
-    @property
-    def must_rest(self) -> bool:
-        """Whether the stick does not count before it has been at rest."""
-        return self._must_rest
 
     def hear(self, stick: Joystick, overrule: bool, now_s: float, *, away: bool = False) -> None:
         """A message has come; after a long loss nobody may have looked at the stick meanwhile.
@@ -49,12 +45,12 @@ class StickWatch:
             now_s: Of the clock.
             away: The page is hidden, or has lost the focus.
         """
-        self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
+        self.must_rest = self.must_rest or now_s - self._heard_s > GONE_S
         self._stick, self._overrule, self._heard_s = stick, overrule, now_s
         self._pressed = self._pressed or overrule
         self._here_s = self._here_s if away else now_s
         if rests(stick.x, stick.y):
-            self._must_rest = False
+            self.must_rest = False
 
     def let_go(self) -> None:
         """The page is gone: the stick is at rest from now on, and so is the button."""
@@ -64,7 +60,7 @@ class StickWatch:
 
     def require_rest(self) -> None:
         """Another episode begins."""
-        self._must_rest = True
+        self.must_rest = True
         self.forget_press()
 
     def forget_press(self) -> None:
@@ -91,6 +87,6 @@ class StickWatch:
         """What the person wants in this tick; a button that was pressed since the one before counts for a tick."""
         pressed, self._pressed = self._pressed, False
         if self.lost(now_s):
-            self._must_rest = self._must_rest or now_s - self._heard_s > GONE_S
+            self.must_rest = self.must_rest or now_s - self._heard_s > GONE_S
             return Wish()
-        return Wish(stick=AT_REST if self._must_rest else self._stick, overrule=self._overrule or pressed)
+        return Wish(stick=AT_REST if self.must_rest else self._stick, overrule=self._overrule or pressed)

@@ -11,13 +11,14 @@ import os
 import re
 import struct
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from itertools import chain
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from wcsim.core.reading import FileKind, escaped, opened
 from wcsim.errors import FileError, JournalError, WcsimError
-from wcsim.log.framing import torn_bytes, whole_records
+from wcsim.log.framing import Record, torn_bytes, whole_records
 from wcsim.log.records import (
     ActorBody,
     Header,
@@ -78,11 +79,14 @@ _MADE_BY: Final = {
 class LogScan:
     """One reading of a log; `end` is where the last record that was read ends, `after` its CRC."""
 
-    def __init__(self, path: Path, expected: LogKind | None = None) -> None:
-        """Read the header. Raises JournalError when it is none of this version, or of another kind than expected."""
-        self._path = path
-        with opened(path, LOG_FILE) as file:
-            self.header, self.end, self.after = read_first(file, path)
+    def __init__(self, path: Path, expected: LogKind | None = None, file: BinaryIO | None = None) -> None:
+        """Read the header; from `file` where the path is open, or may come to name another one.
+
+        Raises JournalError when it is none of this version, or of another kind than expected.
+        """
+        self._path, self._file = path, file
+        with self._opened() as first:
+            self.header, self.end, self.after = _read_first(first, path)
         if expected is not None and expected != self.header.kind:
             raise JournalError(
                 f"{escaped(path)}: is not a {expected} but a {self.header.kind}; expected {_MADE_BY[expected]}"
@@ -91,33 +95,40 @@ class LogScan:
 
     def to_end(self) -> None:
         """Find where the last whole record ends, without a look at what the records say. Raises JournalError."""
-        for _ in self._payloads():
-            pass
+        for end, item in self._items():
+            self.end, self.after = end, item.crc
 
     def records(self, ticks: bool = True) -> Iterator[LogRecord]:
-        """Those after the header. Raises JournalError for a whole record that no log holds, and for damage."""
+        """Those after the last one that was read. Raises JournalError for one that no log holds, and for damage."""
         told: dict[str, ActorBody] = {}
-        for payload in self._payloads():
-            if not ticks and is_tick(payload):
-                continue
-            record = read_record(payload, self._path, self.end)
-            yield _with_bodies(record, told, self._path) if isinstance(record, WorldState) else record
+        for end, item in self._items():
+            wanted = ticks or not is_tick(item.payload)
+            record = _read_record(item.payload, self._path, self.end) if wanted else None
+            self.end, self.after = end, item.crc  # who stops here, and asks again, gets the next one
+            if record is not None:
+                yield _with_bodies(record, told, self._path) if isinstance(record, WorldState) else record
 
-    def _payloads(self) -> Iterator[bytes]:
-        with opened(self._path, LOG_FILE) as file:
+    def _opened(self) -> AbstractContextManager[BinaryIO]:
+        return opened(self._path, LOG_FILE) if self._file is None else nullcontext(self._file)
+
+    def _items(self) -> Iterator[tuple[int, Record]]:
+        """Each record, and where it ends."""
+        with self._opened() as file:
             torn: int | None = -1
             while torn == -1:
                 start = file.seek(self.end)
                 for item in whole_records(file, self.after):
-                    yield item.payload
-                    self.end, self.after = start + item.end, item.crc
+                    yield start + item.end, item
                 torn = torn_bytes(file, self.end, self.after)
         if torn is None:
-            raise damaged(self._path, self.end)
+            raise JournalError(
+                f"{escaped(self._path)}: is damaged at byte {self.end}; restore it from a copy, or record it again in "
+                "a new file"
+            )
         self.torn_bytes = torn
 
 
-def read_first(file: BinaryIO, path: Path) -> tuple[Header, int, int]:
+def _read_first(file: BinaryIO, path: Path) -> tuple[Header, int, int]:
     """The header of a log, where it ends, and its CRC. Raises JournalError when there is none of this version."""
     first = next(whole_records(file), None)
     if first is None:
@@ -131,19 +142,12 @@ def read_first(file: BinaryIO, path: Path) -> tuple[Header, int, int]:
         raise JournalError(f"{escaped(path)}: {error}") from None
 
 
-def read_record(payload: bytes, path: Path, end: int) -> LogRecord:
+def _read_record(payload: bytes, path: Path, end: int) -> LogRecord:
     """A record that begins at byte `end` of a log. Raises JournalError when no log holds it."""
     try:
         return record_of(payload)
     except WcsimError as error:
         raise JournalError(f"{escaped(path)}: after {end} bytes: {error}") from None
-
-
-def damaged(path: Path, end: int) -> JournalError:
-    """What is said of a log in which more follows after its last whole record."""
-    return JournalError(
-        f"{escaped(path)}: is damaged at byte {end}; restore it from a copy, or record it again in a new file"
-    )
 
 
 def is_log(path: Path) -> bool:

@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 
 from wcsim.core.reading import MOST_JSON_BYTES
 from wcsim.errors import WcsimError
-from wcsim.types import F64, ActorKind, Command, Joystick, SeatSpec, StartSpec
+from wcsim.types import F64, ActorKind, ClientSnapshot, Command, Joystick, SeatSpec, StartSpec
 
 MAGIC: Final = "wcsim-log-1"
 MOST_SEATS: Final = 64  # of a world
@@ -221,6 +221,14 @@ class DriveTick(_Record, frozen=True, kw_only=True, tag="k", eq=False):
 
     def __eq__(self, other: object) -> bool:
         return type(other) is DriveTick and _ENCODER.encode(self) == _ENCODER.encode(other)
+
+
+def left_at(after: ClientSnapshot) -> dict[str, Any]:
+    """The fields of a `DriveTick` that say where it left the chair, and whether something ended."""
+    plant, events = after.plant, after.events
+    turns = {name: getattr(plant, name) for name in ("yaw_rad", "roll_rad", "pitch_rad")}
+    ends = {name: getattr(events, name) for name in ("arrived", "gave_up", "crashed", "truncated")}
+    return {"p_WB_m": plant.p_WB_m.copy(), "speed_mps": float(plant.v_B_mps[0]), **turns, **ends}
 
 
 class Note(_Record, frozen=True, kw_only=True, tag="n"):

@@ -10,8 +10,8 @@ from typing import BinaryIO, Final
 
 from wcsim.core.closing import Closing
 from wcsim.core.reading import opened
-from wcsim.log.framing import torn_bytes, whole_records
-from wcsim.log.reader import LOG_FILE, damaged, part_files, read_first, read_record
+from wcsim.errors import JournalError
+from wcsim.log.reader import LOG_FILE, LogScan, part_files
 from wcsim.log.records import Header, Input
 
 _LOCKS: Final = Path("/proc/locks")
@@ -28,7 +28,7 @@ class LogTail(Closing):
         self.header: Header | None = None  # once there is a log
         self._path, self._held = path, ExitStack()
         self._file: BinaryIO | None = None
-        self._end, self._after = 0, 0
+        self._scan: LogScan | None = None  # of that file
 
     def read(self, most: int = 1000) -> list[Input]:
         """The records that have come, oldest first, so many at the most; none where nothing has come.
@@ -36,7 +36,7 @@ class LogTail(Closing):
         Raises:
             JournalError: It is no log, or damaged.
         """
-        if self._file is None and not self._open():
+        if self._scan is None and not self._open():
             return []
         found = self._records(most)
         if found or not self._is_over():
@@ -50,7 +50,7 @@ class LogTail(Closing):
     def close(self) -> None:
         """Close the file; reading goes on with the newest part."""
         self._held.close()
-        self._file = None
+        self._file = self._scan = None
 
     def is_written(self) -> bool | None:
         """Whether a process has the log open for writing; None where that cannot be known.
@@ -71,32 +71,27 @@ class LogTail(Closing):
         parts = part_files(self._path)
         if not parts:
             return False
-        file = self._held.enter_context(opened(parts[-1], LOG_FILE))
-        if parts[-1].stat().st_size == 0:
-            self._held.close()
-            return False
+        self._file = self._held.enter_context(opened(parts[-1], LOG_FILE))
         try:
-            self.header, self._end, self._after = read_first(file, parts[-1])
-        except BaseException:
-            self._held.close()
-            raise
-        self._file = file
-        return True
+            if parts[-1].stat().st_size:
+                self._scan = LogScan(parts[-1], file=self._file)
+                self.header = self._scan.header
+        finally:
+            if self._scan is None:
+                self.close()
+        return self._scan is not None
 
     def _records(self, most: int) -> list[Input]:
-        file, found = self._file, list[Input]()
-        if file is None:
-            return found
-        start = file.seek(self._end)
-        for item in whole_records(file, self._after):
-            record = read_record(item.payload, self._path, self._end)
-            if isinstance(record, Input):
-                found.append(record)
-            self._end, self._after = start + item.end, item.crc
-            if len(found) >= most:
-                break
-        if not found and torn_bytes(file, self._end, self._after) is None:
-            raise damaged(self._path, self._end)
+        found = list[Input]()
+        try:
+            for record in () if self._scan is None else self._scan.records():
+                if isinstance(record, Input):
+                    found.append(record)
+                if len(found) >= most:
+                    break
+        except JournalError:
+            if not found:  # else at the next look
+                raise
         return found
 
     def _is_over(self) -> bool:

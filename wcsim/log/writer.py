@@ -33,7 +33,7 @@ from wcsim.log.records import (
 )
 
 
-def keep_torn(path: Path, data: bytes) -> Path:
+def _keep_torn(path: Path, data: bytes) -> Path:
     """Write what will be cut off a file into `NAME.torn` beside it, or `NAME.torn-2`, ...; returns which.
 
     Zeros, which a file system leaves where it had no time to write, are not worth a file: then it is the file itself.
@@ -131,7 +131,7 @@ class LogWriter(Closing):
             self.cut_bytes = scan.torn_bytes
             if scan.torn_bytes:
                 file.seek(scan.end)
-                keep_torn(path, file.read(min(scan.torn_bytes, MOST_TORN_BYTES)))  # what is longer is zeros
+                _keep_torn(path, file.read(min(scan.torn_bytes, MOST_TORN_BYTES)))  # what is longer is zeros
                 file.truncate(scan.end)
             self._end, self._after = file.seek(scan.end), scan.after
         except BaseException:

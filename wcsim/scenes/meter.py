@@ -15,7 +15,7 @@ import numpy as np
 from wcsim.config.scene import SceneFile, SceneSeat
 from wcsim.core import frames
 from wcsim.core.boxes import Box, box_of, boxes_touch, gap_to_box
-from wcsim.scenes.facts import ALONE_M, FASTEST_MPS, SceneFacts
+from wcsim.scenes.facts import ALONE_M, FASTEST_MPS, Facts
 from wcsim.types import (
     F64,
     ActorKind,
@@ -30,7 +30,7 @@ from wcsim.types import (
     WalkGraph,
     WayKind,
 )
-from wcsim.users.crossing import Crossing, is_red
+from wcsim.users.crossing import is_red
 
 Group = Literal["vehicle", "rider", "person", "chair"]
 
@@ -164,7 +164,7 @@ class _WayMeter:
         """Note the light of each crossing that a chair's front has reached now."""
         on = {edge.sumo_id: edge for edge in self._lights if _is_on(edge, front_W_m)}
         for edge in (edge for name, edge in on.items() if name not in self._on[seat]):
-            red = is_red(_crossing(edge), snapshot.signals)
+            red = is_red(edge, snapshot.signals)
             self.red_starts += red
             self.green_starts += not red
         self._on[seat] = set(on)
@@ -192,18 +192,6 @@ def _length_m(edge: WalkEdge) -> float:
     return float(np.hypot(*(edge.points_W_m[-1] - edge.points_W_m[0])))
 
 
-def _crossing(edge: WalkEdge) -> Crossing:
-    ends = [(float(x), float(y)) for x, y in (edge.points_W_m[0], edge.points_W_m[-1])]
-    return Crossing(
-        start_m=0.0,
-        end_m=_length_m(edge),
-        start_W_m=ends[0],
-        end_W_m=ends[1],
-        tls_id=edge.tls_id,
-        tls_links=edge.tls_links,
-    )
-
-
 STANDS_MPS = 0.05
 _SETTLED_S = 0.5  # a chair is put down a little above the ground; what it feels then is not of the scene
 
@@ -223,36 +211,30 @@ class SceneMeter:
         self._others.add(snapshot)
         self._way.add(snapshot)
 
-    def facts(self) -> SceneFacts:
+    def facts(self) -> Facts:
         """What it came to."""
         chairs, others, way = self._chairs, self._others, self._way
-        return SceneFacts(
-            crashed=any(chair.crashed for chair in chairs),
-            arrivals=sum(chair.arrived for chair in chairs),
-            travelled_m=sum(chair.travelled_m for chair in chairs),
-            climb_m=max(chair.climb_m for chair in chairs),
-            drop_m=max(chair.drop_m for chair in chairs),
-            rolled_back_m=max(chair.rolled_back_m for chair in chairs),
-            aside_m=max(chair.aside_m for chair in chairs),
-            narrowest_m=way.narrowest_m,
-            max_roll_deg=frames.deg(max(chair.roll_rad for chair in chairs)),
-            max_pitch_deg=frames.deg(max(chair.pitch_rad for chair in chairs)),
-            jolt_mps2=max(chair.jolt_mps2 for chair in chairs),
-            standing_s=sum(chair.standing_s for chair in chairs),
-            red_starts=way.red_starts,
-            green_starts=way.green_starts,
-            closest_actor_m=min(others.closest_m.values()),
-            closest_vehicle_m=others.closest_m["vehicle"],
-            closest_rider_m=others.closest_m["rider"],
-            closest_person_m=others.closest_m["person"],
-            closest_chair_m=others.closest_m["chair"],
-            overtaken=len(others.overtook),
-            slowest_mps=others.slowest_mps,
-            gave_way=len(others.gave_way),
-            went_on=len(others.went_on),
-            made_way_m=others.made_way_m,
-            actors_seen=len(others.seen),
-        )
+        largest = ("climb_m", "drop_m", "rolled_back_m", "aside_m", "jolt_mps2")
+        return {
+            "crashed": any(chair.crashed for chair in chairs),
+            "arrivals": sum(chair.arrived for chair in chairs),
+            "travelled_m": sum(chair.travelled_m for chair in chairs),
+            **{name: max(getattr(chair, name) for chair in chairs) for name in largest},
+            "narrowest_m": way.narrowest_m,
+            "max_roll_deg": frames.deg(max(chair.roll_rad for chair in chairs)),
+            "max_pitch_deg": frames.deg(max(chair.pitch_rad for chair in chairs)),
+            "standing_s": sum(chair.standing_s for chair in chairs),
+            "red_starts": way.red_starts,
+            "green_starts": way.green_starts,
+            "closest_actor_m": min(others.closest_m.values()),
+            **{f"closest_{group}_m": gap_m for group, gap_m in others.closest_m.items()},
+            "overtaken": len(others.overtook),
+            "slowest_mps": others.slowest_mps,
+            "gave_way": len(others.gave_way),
+            "went_on": len(others.went_on),
+            "made_way_m": others.made_way_m,
+            "actors_seen": len(others.seen),
+        }
 
 
 class _ChairMeter:

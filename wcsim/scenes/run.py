@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import subprocess
@@ -28,10 +29,10 @@ from wcsim.errors import TownError, WcsimError
 from wcsim.log.records import Header, changed
 from wcsim.log.writer import LogWriter
 from wcsim.physics.wheelchair.plant import plant_spec
-from wcsim.scenes.facts import SceneFacts, facts_from_line, facts_line
+from wcsim.scenes.facts import Facts
 from wcsim.scenes.meter import SceneMeter
 from wcsim.towns.scene_folders.build import build_scene, scene_config, seat_specs
-from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot, StartSpec
+from wcsim.types import ClassId, ClientSnapshot, Joystick, Snapshot
 from wcsim.types.chair import AT_REST
 from wcsim.view.map import street_video
 from wcsim.view.pictures import captioned
@@ -52,7 +53,7 @@ _FILM_CAMERA = CameraConfig(width_px=480, height_px=360, rgb=True)
 _FILM_SPAN_M = 40.0
 
 
-def _run_scene(folder: Path, trace: Path) -> SceneFacts:
+def _run_scene(folder: Path, trace: Path) -> Facts:
     """Build and run the scene in `folder`, write its trace, and return what happened.
 
     Raises TownError when the scene cannot be built or run.
@@ -102,7 +103,7 @@ def play(world: World, scene: SceneFile) -> Iterator[RolloutStep]:
         yield step
 
 
-def run_in_child(folder: Path, trace: Path) -> SceneFacts:
+def run_in_child(folder: Path, trace: Path) -> Facts:
     """The same as `_run_scene` in a process of its own, with the C library pinned, so that hashes are comparable."""
     command = [sys.executable, "-m", "wcsim.scenes.run", str(folder), str(trace)]
     try:
@@ -120,7 +121,8 @@ def run_in_child(folder: Path, trace: Path) -> SceneFacts:
         reason = (done.stderr.strip().splitlines() or ["no message"])[-1][:800]
         known = done.returncode == _BAD_SCENE
         raise TownError(reason if known else f"{folder}: its process ended with exit code {done.returncode}: {reason}")
-    return facts_from_line(done.stdout)
+    facts: Facts = json.loads(done.stdout.strip().splitlines()[-1])
+    return facts
 
 
 def _ticks(world: World, scene: SceneFile) -> int:
@@ -144,14 +146,11 @@ def _header(world: World, scene: SceneFile) -> Header:
     )
 
 
-def _starts(world: World) -> tuple[StartSpec, ...]:
-    return tuple(seat.spec.start for seat in world.seats if seat.spec.start is not None)
-
-
 def _check_starts(world: World, scene: SceneFile, folder: Path) -> None:
     """Refuse a chair that would start beside the street or inside something. Raises TownError."""
     grid = world.street.grid
-    for i, (start, wanted) in enumerate(zip(_starts(world), scene.seats, strict=True)):
+    starts = [seat.spec.start for seat in world.seats if seat.spec.start is not None]
+    for i, (start, wanted) in enumerate(zip(starts, scene.seats, strict=True)):
         here_W_m = np.array(start.p_W_m)
         inside = float(grid.clearance_at(here_W_m)) <= 0.0
         if inside or int(grid.class_at(here_W_m)) not in _STREET:
@@ -194,7 +193,7 @@ def _main() -> int:
     except WcsimError as error:
         sys.stderr.write(f"{error}\n")
         return _BAD_SCENE
-    sys.stdout.write(facts_line(facts) + "\n")
+    sys.stdout.write(json.dumps(facts) + "\n")
     return 0
 
 

@@ -50,7 +50,7 @@ def spent(town: str, ticks: int, warmup_s: float) -> tuple[list[float], list[flo
 
 def actors_of(world: World) -> tuple[ActorState, ...]:
     """Everything that SUMO moves, wherever it is: whoever has no mirror radius mirrors it all."""
-    return world._sumo.actors(np.zeros((1, 2)), EVERYWHERE_M)
+    return world.sumo.actors(np.zeros((1, 2)), EVERYWHERE_M)
 
 
 @pytest.mark.proof

@@ -24,8 +24,7 @@ def by_wcsim(town: Town, seconds: float, folder: Path, look: bool = False, seed:
         for _ in range(round(seconds / 0.1)):
             world.tick(())
             if look:
-                world.everyone()
-                world.mishaps()
+                world.sumo.everyone()
     made = {path.name: path for path in (folder / "sumo").iterdir()}
     names = {output: OWN_NAMES.get(output, (f"{output}.xml",)) for output in OUTPUTS}
     return {output: next(made[name] for name in names[output] if name in made) for output in OUTPUTS}

@@ -11,7 +11,7 @@ from tests.bridge.reaction.roads import StraightRoads, actor, chair, walker
 from tests.support.samples import strip_street
 from tests.support.worlds import hashes, open_world
 from wcsim.bridge.ego.randomization import _draw
-from wcsim.bridge.reaction.attention import Attention, AttentionModel, street_habits
+from wcsim.bridge.reaction.attention import Attention, AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.pedestrians import PedestrianAvoidance
@@ -37,15 +37,15 @@ def config(*settings: str) -> WorldConfig:
 @pytest.mark.parametrize("kind", DRIVERS)
 def test_the_share_of_a_class_is_met_over_a_thousand_and_others_keep_theirs(kind):
     other = ActorKind.CAR if kind is not ActorKind.CAR else ActorKind.BUS
-    habits = street_habits(config(f"world.attention={{{kind.value}=0.3}}"), seed=4)
+    habits = AttentionModel(config(f"world.attention={{{kind.value}=0.3}}"), seed=4)
     assert share(habits, kind) == pytest.approx(0.3, abs=0.05)
     assert share(habits, other) == pytest.approx(0.95, abs=0.03)
-    careless = street_habits(config("world.street=careless"), seed=4)
+    careless = AttentionModel(config("world.street=careless"), seed=4)
     assert share(careless, kind) == pytest.approx(STREETS["careless"][0], abs=0.05)
 
 
 def test_by_default_the_same_ones_look_as_ever():
-    habits, plain = street_habits(WorldConfig(), seed=7), Attention(0.95, 7)
+    habits, plain = AttentionModel(WorldConfig(), seed=7), Attention(0.95, 7)
     cars = [actor(name=f"v:{k}") for k in range(MANY)]
     assert [habits.looks(car) for car in cars] == [plain.looks(car.id) for car in cars]
     assert {habits.reaction_s(car) for car in cars} == {0.7}
@@ -55,7 +55,7 @@ def test_by_default_the_same_ones_look_as_ever():
 def brakes_after_s(settings: WorldConfig, kind: ActorKind = ActorKind.CAR) -> float:
     """Seconds from when a chair stands in the way of one who looks to its first order to go slower."""
     everybody = settings.model_copy(update={"attention": {kind.value: 1.0}})
-    street, roads = StreetReaction(everybody, street_habits(everybody, 1)), StraightRoads()
+    street, roads = StreetReaction(everybody, AttentionModel(everybody, 1)), StraightRoads()
     driver = actor(kind, speed=10.0)
     for tick in range(100):
         orders = street.react(roads.put(driver), (chair(15.0),), roads)
@@ -78,7 +78,7 @@ VARY = VaryConfig(reaction={"all": (1.0, 2.0), "bus": (3.0, 4.0)}, attention={"b
 
 def test_ranges_are_drawn_for_each_episode_the_class_s_own_before_that_of_all():
     car, bus, tram = (actor(kind) for kind in (ActorKind.CAR, ActorKind.BUS, ActorKind.TRAM))
-    street = street_habits(config("world.reaction={tram=0.5}"), 3)
+    street = AttentionModel(config("world.reaction={tram=0.5}"), 3)
     episodes = [street.towards(_draw(VARY, 1, 7, 0, k)) for k in range(40)]
     drawn = np.array([(one.reaction_s(car), one.reaction_s(bus), one.reaction_s(tram)) for one in episodes])
     assert 1.0 <= drawn[:, 0].min() < 1.2 and 1.8 < drawn[:, 0].max() <= 2.0
@@ -91,7 +91,7 @@ def test_ranges_are_drawn_for_each_episode_the_class_s_own_before_that_of_all():
 
 
 def test_who_looks_at_a_share_looks_at_every_larger_one():
-    street = street_habits(config(), 3)
+    street = AttentionModel(config(), 3)
     cars = [actor(name=f"v:{k}") for k in range(200)]
     few, many = (street.towards(Drawn(attention=(("all", part),))) for part in (0.3, 0.6))
     looking = [{car.id for car in cars if habits.looks(car)} for habits in (few, many, street)]
@@ -100,7 +100,7 @@ def test_who_looks_at_a_share_looks_at_every_larger_one():
 
 def towards(**drawn: float) -> AttentionModel:
     """Habits of a street in which everybody looks, towards a chair with these for everybody."""
-    street = street_habits(config("world.attention_share=1.0"), 1)
+    street = AttentionModel(config("world.attention_share=1.0"), 1)
     found = street.towards(Drawn(**{name: (("all", value),) for name, value in drawn.items()}))
     assert found is not None
     return found

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from tests.bridge.reaction.roads import actor, chair, walker
-from wcsim.bridge.reaction.crowd import CHAIR, SWEEP_S, VEHICLE, crowd_of, queue_behind, vehicles_near
+from wcsim.bridge.reaction.crowd import SWEEP_S, crowd_of, vehicles_near
 
 
 def test_the_crowd_is_who_is_near_a_chair_or_aside_and_who_is_near_these():
@@ -36,10 +36,3 @@ def test_a_vehicle_is_minded_where_it_will_be_and_one_far_off_is_not():
     (still,) = vehicles_near((actor(x=1.0, speed=0.0),), crowd)
     assert not still.moves
     assert still.sweep == still.box
-
-
-def test_who_stands_behind_somebody_who_cannot_go_on_only_queues():
-    behind = {"p:a": CHAIR, "p:b": "p:a", "p:c": "p:b", "p:x": "p:y", "p:y": "p:x", "p:t": VEHICLE}
-    assert queue_behind(behind, {"p:a"}) == {"p:b", "p:c"}
-    assert queue_behind(behind, {VEHICLE}) == {"p:t"}
-    assert queue_behind(behind, set()) == set()

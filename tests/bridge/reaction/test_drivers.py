@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.bridge.reaction.roads import LANE_M, StraightRoads, actor, chair, walker
-from wcsim.bridge.reaction.attention import Attention, street_habits
+from wcsim.bridge.reaction.attention import Attention, AttentionModel
 from wcsim.bridge.reaction.commands import LET_GO
 from wcsim.bridge.reaction.drivers import StreetReaction
 from wcsim.bridge.reaction.swept_path import LaneShape
@@ -17,7 +17,7 @@ from wcsim.types import ActorKind
 
 def street(reaction_s=0.0, share=1.0, seed=1) -> StreetReaction:
     config = WorldConfig(reaction_s=reaction_s, attention_share=share)
-    return StreetReaction(config, street_habits(config, seed))
+    return StreetReaction(config, AttentionModel(config, seed))
 
 
 def order_for(vehicle, chairs, roads=None, reaction=None):

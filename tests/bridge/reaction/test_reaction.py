@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.reaction.battery import BatteryOrder, run_battery, stand
-from benchmarks.reaction.engineless_world import ReactionStage
+from benchmarks.reaction.engineless_world import ReactionStage, queue_behind
 from benchmarks.reaction.places import ChairPlace
 from benchmarks.reaction.streets import SMALL_STREETS, build_small_street
-from wcsim.bridge.reaction.commands import LET_GO, ActorCommand
+from wcsim.bridge.reaction.commands import CHAIR, LET_GO, VEHICLE, ActorCommand
 from wcsim.config import WorldConfig
 from wcsim.towns.street import load_street
 
@@ -148,3 +148,10 @@ def test_a_sample_of_the_battery(tmp_path, streets):
     assert battery.deflect_overlaps == 0
     assert battery.blocked_s_max <= 60.0
     assert len(told) == 6
+
+
+def test_who_stands_behind_somebody_who_cannot_go_on_only_queues():
+    behind = {"p:a": CHAIR, "p:b": "p:a", "p:c": "p:b", "p:x": "p:y", "p:y": "p:x", "p:t": VEHICLE}
+    assert queue_behind(behind, {"p:a"}) == {"p:b", "p:c"}
+    assert queue_behind(behind, {VEHICLE}) == {"p:t"}
+    assert queue_behind(behind, set()) == set()

@@ -12,9 +12,6 @@ from tests.support.samples import write_recording
 from tests.support.worlds import open_world, quick_config
 from wcsim.bridge.replay.replayed import first_inputs, verify
 from wcsim.bridge.user_drives import (
-    Given,
-    UserDriveOrder,
-    _seat_tick,
     drawn_user,
     drive_header,
     record_user,
@@ -26,7 +23,7 @@ from wcsim.bridge.world_rollout import rollout
 from wcsim.core.seeding import generator
 from wcsim.errors import ConfigError, TownError
 from wcsim.log.drive import read_drive
-from wcsim.log.records import Admitted, DriveTick, Respawned, changed
+from wcsim.log.records import Admitted, DriveTick, Respawned, changed, left_at
 from wcsim.log.writer import LogWriter
 from wcsim.towns.scenario.town import content_hash, find_town
 from wcsim.types import Command, Joystick, SeatSpec
@@ -38,8 +35,7 @@ from wcsim.users.recorded import find_user
 def driven(corner: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("drives") / "a.drive"
     user = drawn_user(profile("tremor"), 5)
-    order = UserDriveOrder(town=find_town(str(corner)), config=quick_config(), user=user, ticks=60, seed=2)
-    record_user(order, path)
+    record_user(path, find_town(str(corner)), quick_config(), user, ticks=60, seed=2)
     return path
 
 
@@ -121,8 +117,9 @@ def test_a_persons_drive_with_a_cut_episode_is_made_again(corner, tmp_path):
             before = world.snapshot.clients[0].first or world.snapshot.clients[0]
             step = next(rollout(world))
             (command,), (after,) = step.commands, step.after.clients
-            given = Given(commanded=command.joystick, chosen=command.joystick, action=-1)
-            recorder.append(_seat_tick(before, after, given, None, np.zeros((0, 2)), 0.1))
+            at = {"tick": after.tick, "episode": after.events.episode, "time_s": after.tick * 0.1}
+            given = command.joystick
+            recorder.append(DriveTick(**at, stick=before.user, commanded=given, chosen=given, **left_at(after)))
     drive = read_drive(path)
     assert (drive.about.driver, drive.about.episode, len(drive.episodes)) == ("person", "dev 1.0", 2)
     assert not drive.knows_intents
@@ -144,8 +141,7 @@ def test_a_driver_of_the_model_beside_a_person_wants_what_the_person_wants(corne
     """A user of the model, whose intents are known, stands for the person; both know the same street."""
     user = replace(drawn_user(profile("competent"), 3), noise=0.0)
     config = quick_config("world.demand_scale=0")
-    order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=120, seed=4)
-    record_user(order, tmp_path / "a.drive")
+    record_user(tmp_path / "a.drive", find_town(str(corner)), config, user, ticks=120, seed=4)
     drive = read_drive(tmp_path / "a.drive")
     hidden = replace_ticks(drive, {tick.tick: changed(tick, intent=None) for tick in drive.ticks})
     seen = seen_drive(hidden)

@@ -81,7 +81,7 @@ def test_departed_arrived_parked_riding_and_teleported_ones(tmp_path, caplog):
             teleported |= set(libsumo.simulation.getStartingTeleportIDList())
             rode = rode or ("rides" in libsumo.person.getIDList() and libsumo.person.getVehicle("rides") != "")
         assert teleported == {"jammed"} and rode
-        assert loop.sumo.so_far[0] == 1
+        assert loop.sumo.mishaps[0] == 1
         (line,) = (record.getMessage() for record in caplog.records if "jam" in record.getMessage())
         assert re.fullmatch(r"jam: SUMO teleported jammed, which stood too long on edge SC, at 1\d\.\d s", line)
         assert {"v:parked", "v:broken"} <= before, "who stands stays in the mirror"

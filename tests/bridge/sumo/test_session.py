@@ -103,8 +103,8 @@ def test_a_collision_is_counted_once_however_long_it_lasts(corner, monkeypatch):
         counted = []
         for _ in told:
             sumo.step()
-            counted.append(sumo.collisions())
-        assert counted == [1, 1, 0, 0, 1] and sumo.so_far == (0, 3)
+            counted.append(sumo.mishaps[1])
+        assert counted == [1, 2, 2, 2, 3]
         monkeypatch.undo()
 
 

@@ -159,11 +159,11 @@ def test_the_example_turns_every_light_red_and_back(monkeypatch):
     place = RunPlace(hook="own_signals:AllRedAtTimes")
     with World(find_town("monaco"), quick_config("world.tick_s=0.2"), (), 1, place) as here:
         here.tick(())
-        red = {light.colours for light in here._sumo.signals(np.zeros((1, 2)), math.inf)}
+        red = {light.colours for light in here.sumo.signals(np.zeros((1, 2)), math.inf)}
         assert red and set("".join(red)) == {"r"}
         for _ in range(80):
             here.tick(())
-        assert set("".join(light.colours for light in here._sumo.signals(np.zeros((1, 2)), math.inf))) > {"r"}
+        assert set("".join(light.colours for light in here.sumo.signals(np.zeros((1, 2)), math.inf))) > {"r"}
 
 
 def test_the_example_keeps_a_crossing_green_while_a_chair_is_on_it(tmp_path, monkeypatch):

@@ -6,10 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from wcsim.drive import messages as m
 from wcsim.drive.driven import DriverKind
+from wcsim.drive.messages import spoken
 from wcsim.drive.serving.server import PAGE
 
 ADDRESS = "http://127.0.0.1:9/"
@@ -19,20 +17,21 @@ PATIENCE_MS = 60_000
 STEADY = 4  # so many alike, one after the other, are what the page says of its stick now
 REST = (0.0, 0.0)
 
-ABOUT = m.About(
-    place="a corner", town="corner", seed=21, policy="dwa", profile="competent", points=[REST], towns=["corner"],
-    profiles=["competent"], suites={}, levels=(0.0, 2.0), own_level=1.0, tells_unsafe=True, tick_s=0.1,
-)  # fmt: skip
-KPIS = m.Kpis(
-    kpi1=0.0, kpi2=1.0, ticks=1, way_m=0.0, crashes=0, drops=0, arrivals=0, helps=0, overrules=0,
-    warnings=0, interventions=0,
-)  # fmt: skip
-STATE = m.DriveState(
-    tick=1, time_s=0.1, driver=DriverKind.PERSON, paused=False, waiting="", let_go=False, alone=False, pace=1.0,
-    stick=REST, commanded=REST, unsafe=[], assisted=True, level=1.0, help_s=0.0, warning=False,
-    intervening=False, overruled=False, on_road=False, speed_mps=0.0, left_m=9.0, bearing_deg=0.0, crash="",
-    profile="competent", kpis=KPIS, rate=10.0,
-)  # fmt: skip
+ABOUT: dict[str, Any] = {
+    "place": "a corner", "town": "corner", "seed": 21, "policy": "dwa", "profile": "competent", "points": [REST],
+    "towns": ["corner"], "profiles": ["competent"], "suites": {}, "levels": (0.0, 2.0), "own_level": 1.0,
+    "tells_unsafe": True, "tick_s": 0.1,
+}  # fmt: skip
+KPIS = {
+    "kpi1": 0.0, "kpi2": 1.0, "ticks": 1, "way_m": 0.0, "crashes": 0, "drops": 0, "arrivals": 0, "helps": 0,
+    "overrules": 0, "warnings": 0, "interventions": 0,
+}  # fmt: skip
+STATE = {
+    "tick": 1, "time_s": 0.1, "driver": DriverKind.PERSON, "paused": False, "waiting": "", "let_go": False,
+    "alone": False, "pace": 1.0, "stick": REST, "commanded": REST, "unsafe": [], "assisted": True, "level": 1.0,
+    "help_s": 0.0, "warning": False, "intervening": False, "overruled": False, "on_road": False, "speed_mps": 0.0,
+    "left_m": 9.0, "bearing_deg": 0.0, "crash": "", "profile": "competent", "kpis": KPIS, "rate": 10.0,
+}  # fmt: skip
 
 
 class PageAlone:
@@ -63,9 +62,9 @@ class PageAlone:
         self.page.goto(ADDRESS)
         self.until(lambda: self._socket is not None)
 
-    def hear(self, message: Any) -> None:
+    def hear(self, say: str, **told: object) -> None:
         """The server says something."""
-        self._socket.send(msgspec.json.encode(message).decode())
+        self._socket.send(spoken(say, told).decode())
 
     def until(self, is_so: Any) -> None:
         for _ in range(PATIENCE_MS // 20):
@@ -102,17 +101,17 @@ class Stage(PageAlone):
     def open(self) -> None:
         """Read the page, again too."""
         super().open()
-        self.hear(ABOUT)
+        self.hear("about", **ABOUT)
         self.role(drives=True)
         self.state()
 
     def role(self, *, drives: bool) -> None:
-        self.hear(m.PageRole(drives=drives, taken=not drives, told="" if drives else "Another page is driving."))
+        self.hear("role", drives=drives, taken=not drives, told="" if drives else "Another page is driving.")
         self.page.wait_for_selector(f"body[data-drives={str(drives).lower()}]")
 
     def state(self, **changes: object) -> None:
         """The drive is as it is."""
-        self.hear(msgspec.structs.replace(STATE, **changes))
+        self.hear("state", **{**STATE, **changes})
         self.catch_up()
 
     def sticks(self) -> set[tuple[float, float]]:

@@ -30,9 +30,9 @@ def test_the_lamp_says_who_decides_where_that_is_known(browser: Any) -> None:
     context = browser.new_context()
     page = PageAlone(context, "play.html")
     for about, told in ((ABOUT, DECIDES), (JOURNAL, [("", "not known")])):
-        page.hear(film_about(about, (), "", -1))
+        page.hear("about", **film_about(about, (), "", -1))
         for happened, words in told:
-            page.hear(film_state(film_of(1, {0: happened}), Player(), 0, {0: "ann"}, ("", "", True)))
+            page.hear("state", **film_state(film_of(1, {0: happened}), Player(), 0, {0: "ann"}, ("", "", True)))
             page.until(lambda words=words: page.text("#lamp-who span") == words)
     assert page.errors == []
     context.close()

@@ -6,15 +6,13 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import msgspec
 import pytest
 
 from tests.drive.page.stage import ABOUT, KPIS, PageAlone, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT as FILM
 from tests.drive.playing.films import chair, frame
-from wcsim.drive import messages as m
-from wcsim.drive.playing.play_messages import Player, film_about, film_marks, film_state
+from wcsim.drive.playing.play_messages import Player, film_about, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
 pytestmark = [
@@ -22,7 +20,7 @@ pytestmark = [
     pytest.mark.timeout(900),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: install Debian's package chromium"),
 ]
-BUSY = m.Busy(told="Opening the street ...")
+BUSY = "Opening the street ..."
 
 
 @pytest.fixture
@@ -44,7 +42,7 @@ def test_the_hint_goes_when_the_chair_drives_or_is_in_danger(stage: Stage) -> No
         assert not hint.is_visible()
     stage.state(bearing_deg=180.0, speed_mps=0.3)
     assert "behind you" in hint.inner_text(), "who turns is still told to"
-    stage.state(kpis=msgspec.structs.replace(KPIS, way_m=1.5))
+    stage.state(kpis=KPIS | {"way_m": 1.5})
     assert not hint.is_visible()
 
 
@@ -66,7 +64,7 @@ def test_a_lamp_says_that_the_chair_is_on_the_road(stage: Stage) -> None:
 
 
 def test_the_place_has_the_seed_of_the_street(stage: Stage) -> None:
-    assert stage.page.input_value("#seed") == str(ABOUT.seed) == "21"
+    assert stage.page.input_value("#seed") == str(ABOUT["seed"]) == "21"
 
 
 def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
@@ -75,9 +73,9 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
         made.add(frame(at, chair(0, at, "crashed" * (at == 1), reason="hit a scooter" * (at == 1))))
     player = Player()
     player.seek(2, range(3))
-    film.hear(film_about(FILM, (), "", -1))
-    film.hear(film_marks(made))
-    film.hear(film_state(made, player, 0, {0: "ann"}, ("", "", False)))
+    film.hear("about", **film_about(FILM, (), "", -1))
+    film.hear("marks", marks=made.there)
+    film.hear("state", **film_state(made, player, 0, {0: "ann"}, ("", "", False)))
     film.until(lambda: film.text("#big") == "The chair hit a scooter.")
     film.page.click("#on-crash")
     film.until(lambda: film.text("#notice") == "This is the last crash.")
@@ -88,9 +86,9 @@ def test_a_notice_of_a_film_does_not_lie_on_its_crash(film: PageAlone) -> None:
 
 def test_both_pages_count_the_seconds_that_a_street_takes(stage: Stage, film: PageAlone) -> None:
     for page in (stage, film):
-        page.hear(BUSY)
-        page.until(lambda page=page: re.fullmatch(re.escape(BUSY.told) + r" \(\d+ s\)", page.text("#big")))
-    film.hear(m.Busy(told="The town is gone.", waits=False))
+        page.hear("busy", told=BUSY, waits=True)
+        page.until(lambda page=page: re.fullmatch(re.escape(BUSY) + r" \(\d+ s\)", page.text("#big")))
+    film.hear("busy", told="The town is gone.", waits=False)
     film.until(lambda: film.text("#big") == "The town is gone.")
     film.page.wait_for_timeout(1200)
     assert film.text("#big") == "The town is gone."

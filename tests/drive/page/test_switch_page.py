@@ -9,8 +9,7 @@ import pytest
 from tests.drive.page.stage import REST, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.page.test_stick_page import AHEAD, STILL, crash, leave
-from wcsim.drive import messages as m
-from wcsim.drive.recording.study_plan import StepKind, StudyView
+from wcsim.drive.recording.study_plan import StepKind
 
 pytestmark = [
     pytest.mark.browser,
@@ -137,8 +136,9 @@ def test_one_switch_drives_again_after_the_page_was_opened_again(stage: Stage) -
 
 def test_what_one_participant_of_a_study_steers_with_is_not_the_next_ones(stage: Stage) -> None:
     def meet(participant: int) -> str:
-        view = StudyView(step=0, kind=StepKind.READ, participant=participant, title="Alone", button="Start driving")
-        stage.hear(m.Study(view=view))
+        view = {"step": 0, "kind": StepKind.READ, "participant": participant, "title": "Alone", "told": [], "where": ""}
+        more = {"wait_s": 0.0, "left_s": None, "arrivals_left": None, "questions": [], "trouble": ""}
+        stage.hear("study", view={**view, **more, "button": "Start driving", "ready": True})
         stage.catch_up()
         assert stage.text("#study-number") == f"Participant {participant}"
         assert stage.page.input_value("#study-steer") == stage.page.input_value("#steer-by")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 from wcsim.core.files import numbered_names
 from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.recording.study_lead import StudyHands, StudyLead
-from wcsim.drive.recording.study_plan import StepKind, StudyView
+from wcsim.drive.recording.study_plan import StepKind
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart
 from wcsim.types import Joystick
@@ -70,20 +71,24 @@ class Participant:
     """Somebody who reads, drives and answers; it stands for runner and page."""
 
     def __init__(self, study: OpenStudy) -> None:
-        self.views: list[StudyView] = []
+        self.views: list[SimpleNamespace] = []
         self.said: list[str] = []
         self.now_s = 100.0
         self.session: DriveSession | None = None
         self.broken = False
         self._held = ExitStack()
         hands = StudyHands(
-            open=self._open, close=self.close, show=self.views.append, say=self.said.append, clock=lambda: self.now_s
+            open=self._open,
+            close=self.close,
+            show=lambda view: self.views.append(SimpleNamespace(**view)),
+            say=self.said.append,
+            clock=lambda: self.now_s,
         )
         self.lead = StudyLead(study, hands)
         self.lead.begin()
 
     @property
-    def view(self) -> StudyView:
+    def view(self) -> SimpleNamespace:
         return self.views[-1]
 
     def _open(self, start: DriveStart, path: Path) -> DriveSession:

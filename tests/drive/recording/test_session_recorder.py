@@ -12,7 +12,7 @@ import pytest
 
 from wcsim.bridge.ego import ego
 from wcsim.bridge.replay import replayed
-from wcsim.bridge.replay.replayed import made_scene_of, town_of_scene, verify
+from wcsim.bridge.replay.replayed import made_scene, verify
 from wcsim.bridge.user_drives import seen_drive, with_shadow
 from wcsim.core.files import check_new_file, numbered_names
 from wcsim.drive import starting
@@ -165,7 +165,7 @@ def test_a_person_is_patient_and_a_user_is_not(corner: Path, tmp_path: Path, mon
     made = same_again(tmp_path / "a.drive")
     gave_up = [number for number, tick in enumerate(made.ticks) if tick.gave_up]
     assert gave_up and gave_up[0] >= 90, "who stood for 9 s was a person"
-    monkeypatch.setattr(replayed, "let_wait", lambda *_: None)
+    monkeypatch.setattr(replayed, "_let_wait", lambda *_: None)
     assert verify(made).mismatches > 10
 
 
@@ -263,10 +263,10 @@ def test_a_drive_in_a_generated_scene_is_made_again(tmp_path: Path, profile: str
 
 def test_a_scene_that_this_wcsim_draws_otherwise_is_refused() -> None:
     with pytest.raises(TownError, match="this wcsim generates another"):
-        town_of_scene(made_scene_of(f"car-door 7 {'0' * 64}"))
+        made_scene(f"car-door 7 {'0' * 64}")
     for text in ("car-door 7", f"../car 7 {'0' * 64}", f"car-doors 7 {'0' * 64}"):
         with pytest.raises(TownError, match="which this wcsim does not know"):
-            made_scene_of(text)
+            made_scene(text)
 
 
 def test_of_a_person_the_simulated_stretches_are_left_out_of_what_was_wanted(kept: Kept, tmp_path: Path) -> None:

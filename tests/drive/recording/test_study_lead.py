@@ -56,7 +56,7 @@ def test_a_participant_goes_through_all_of_it(corner: Path, tmp_path: Path, begi
     assert (person.session.assistance.on, person.session.assistance.level) == (True, 1.5)
     person.press()
     person.press()  # "end here", at once
-    assert [question.answers for question in person.view.questions] == [tuple("1234567"), ("yes", "no")]
+    assert [question["answers"] for question in person.view.questions] == [tuple("1234567"), ("yes", "no")]
     for wrong in ((1,), (7, 0), (0, 2)):
         with pytest.raises(WcsimError, match="reload the page"):
             person.answer(*wrong)

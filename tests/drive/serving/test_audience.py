@@ -3,10 +3,10 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from wcsim.drive import messages as m
+from wcsim.drive.messages import spoken
 from wcsim.drive.serving.server import Audience, PageLine
 
-NOTICE = m.spoken(m.Notice(kind="note", told="read me"))
+NOTICE = spoken("notice", {"kind": "note", "told": "read me"})
 
 
 class SlowPage:

@@ -100,7 +100,7 @@ XY = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class _Start:
     """Where an episode begins; a seat with a fixed start keeps its user's exact parameters too."""
 
     p_W_m: F64  # (3,) on the ground
@@ -128,7 +128,7 @@ class Ego:
         self._rig: CameraRig
         self.user: SimulatedUser | RecordedUser  # of this episode, as the rest: from `spawn` on
         self.route: Route
-        self._start: Start
+        self._start: _Start
         self._next_start: StartSpec | None = None  # of the next episode alone
         self.fitting: DrawnChair | None = None
         self.habits: AttentionModel | None = None  # of the others towards this chair, when they were drawn
@@ -138,7 +138,7 @@ class Ego:
         self._seed = 0
         self._keys: dict[str, int] = {}  # of its sensors, by name
         self._episode = -1
-        self._spawned = self._stands = False
+        self.spawned = self._stands = False  # its chair has a place in the street; it stands there
         self._step = 0
         self._progress_m = self._progressed_m = 0.0
         self._shown: tuple[PlantState, ActorState] | None = None
@@ -158,15 +158,10 @@ class Ego:
         return self._person if isinstance(self._person, UserProfile) else None
 
     @property
-    def spawned(self) -> bool:
-        """Whether this seat's chair has a place in the street."""
-        return self._spawned
-
-    @property
     def plant(self) -> PlantState:
         """Where its chair is and how it moves; until it has been put at its start, at rest there."""
         plant = self.chair.state()
-        if self._stands or not self._spawned:
+        if self._stands or not self.spawned:
             return plant
         start = self._start
         return replace(plant, p_WB_m=start.p_W_m, yaw_rad=start.yaw_rad, v_B_mps=np.zeros(3))
@@ -180,7 +175,7 @@ class Ego:
         """Put a new wheelchair into an engine; the old one has gone. `begun` episodes of the epoch were others'."""
         self._seed = seed
         self._episode = begun - 1
-        self._spawned = self._stands = False
+        self.spawned = self._stands = False
         self._rig = rig
         others = {"cameras": self._config.cameras, **self._config.sensors.on()}
         tick_s = self._config.world.tick_s
@@ -197,9 +192,12 @@ class Ego:
         # A generator for each episode: its start does not depend on how much earlier ones drew.
         rng = seeding.generator(self._seed, "seat", self.index, self._episode + 1)
         fixed, self._next_start = self._next_start or self.spec.start, None
-        start = self._draw_start(rng, taken) if fixed is None else self._fixed_start(fixed)
+        if fixed is None:
+            start = self._draw_start(rng, taken)
+        else:
+            start = self._start_at(fixed.p_W_m, fixed.yaw_rad, fixed.goal_W_m)
         self._episode += 1
-        self._spawned, self._stands = True, False
+        self.spawned, self._stands = True, False
         self._step = 0
         self._progress_m = 0.0
         self._start = start
@@ -415,14 +413,11 @@ class Ego:
             obstacles_W_m=self._obstacles.on_way(self.route, self.user.route_progress_m),
         )
 
-    def _fixed_start(self, spec: StartSpec) -> Start:
-        return self._start_at(spec.p_W_m, spec.yaw_rad, spec.goal_W_m)
-
-    def _start_at(self, xy: XY, yaw_rad: float, goal: XY) -> Start:
+    def _start_at(self, xy: XY, yaw_rad: float, goal: XY) -> _Start:
         p_W_m = np.array([*xy, float(self._street.grid.height_at(np.array(xy)))])
-        return Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
+        return _Start(p_W_m=p_W_m, yaw_rad=yaw_rad, route=self._router.route(xy, goal))
 
-    def _draw_start(self, rng: np.random.Generator, taken: TakenNear) -> Start:
+    def _draw_start(self, rng: np.random.Generator, taken: TakenNear) -> _Start:
         """A start on flat walkable ground, `CLEAR_SPAWN_M` from everything that moves; relaxed when nothing is free."""
         clear_m = CLEAR_SPAWN_M
         for attempt in range(1, SPAWN_TRIES + 1):

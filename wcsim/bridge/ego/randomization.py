@@ -53,9 +53,11 @@ class Randomization:
             self._spec = plant_spec(config.chair)
             self._step_s = config.world.tick_s / config.world.usual_substeps
             _check_names(self._vary)
-            _check_plants(self._vary, self._spec, self._step_s)
-            _check_cameras(self._vary, self._cameras, self._spec)
-            _check_sensors(self._vary, self._sensors)
+            for key, check in _ends(config, self._spec, self._step_s):
+                try:
+                    check()
+                except ConfigError as error:
+                    raise ConfigError(f"{key}: {error}") from None
 
     def fitting(self, seed: int, episode: int) -> DrawnChair | None:
         """The chair of an episode, None when all are alike.
@@ -166,36 +168,31 @@ def _check_names(vary: VaryConfig) -> None:
             raise ConfigError(f"vary.plant.{name}: vary.user_mass_kg draws it too; expected only one of them")
 
 
-def _check_plants(vary: VaryConfig, spec: PlantSpec, step_s: float) -> None:
-    """Both ends of every range by itself; whether all together can stand is seen when they are drawn."""
+def _ends(config: RunConfig, spec: PlantSpec, step_s: float) -> Iterator[tuple[str, Callable[[], object]]]:
+    """Both ends of every range by itself, as a name and a check; whether all together can stand is seen when drawn."""
+    vary, cameras = config.vary, config.cameras
     for name, span in vary.plant.items():
         for value in span:
-            _under(f"vary.plant.{name}", partial(_check_plant, spec, name, value, step_s))
+            yield f"vary.plant.{name}", partial(_check_plant, spec, name, value, step_s)
     for kg in vary.user_mass_kg or ():
-        _under("vary.user_mass_kg", partial(_with_drawn, spec, Drawn(user_mass_kg=kg)))
+        yield "vary.user_mass_kg", partial(_with_drawn, spec, Drawn(user_mass_kg=kg))
     for factor in vary.friction or ():
-        _under("vary.friction", partial(_with_drawn, spec, Drawn(friction=factor)))
+        yield "vary.friction", partial(_with_drawn, spec, Drawn(friction=factor))
+    for camera in cameras:
+        for shift_m in vary.camera_shift_m or ():
+            yield "vary.camera_shift_m", partial(_mounted, camera, (shift_m, shift_m, shift_m), 0.0, 0.0)
+        for turn_deg in vary.camera_turn_deg or ():
+            yield "vary.camera_turn_deg", partial(_mounted, camera, (0.0, 0.0, 0.0), turn_deg, turn_deg)
+    if vary.camera_shift_m is not None:
+        grown = tuple(_grown_boxes(spec, vary.camera_shift_m))
+        yield "vary.camera_shift_m, boxes larger by it", partial(refuse_cameras_inside, cameras, grown)
+    for name, span in vary.sensors.items():
+        for value in span:
+            yield f"vary.sensors.{name}", partial(_retuned, config.sensors, ((name, value),))
 
 
 def _check_plant(spec: PlantSpec, name: str, value: float, step_s: float) -> None:
     check_springs(varied(spec, {name: value}), step_s)
-
-
-def _check_sensors(vary: VaryConfig, sensors: SensorsConfig) -> None:
-    for name, span in vary.sensors.items():
-        for value in span:
-            _under(f"vary.sensors.{name}", partial(_retuned, sensors, ((name, value),)))
-
-
-def _check_cameras(vary: VaryConfig, cameras: tuple[CameraConfig, ...], spec: PlantSpec) -> None:
-    for camera in cameras:
-        for shift_m in vary.camera_shift_m or ():
-            _under("vary.camera_shift_m", partial(_mounted, camera, (shift_m, shift_m, shift_m), 0.0, 0.0))
-        for turn_deg in vary.camera_turn_deg or ():
-            _under("vary.camera_turn_deg", partial(_mounted, camera, (0.0, 0.0, 0.0), turn_deg, turn_deg))
-    if vary.camera_shift_m is not None:
-        grown = tuple(_grown_boxes(spec, vary.camera_shift_m))
-        _under("vary.camera_shift_m, boxes larger by it", partial(refuse_cameras_inside, cameras, grown))
 
 
 def _grown_boxes(spec: PlantSpec, span_m: tuple[float, float]) -> Iterator[_Box]:
@@ -207,14 +204,6 @@ def _grown_boxes(spec: PlantSpec, span_m: tuple[float, float]) -> Iterator[_Box]
         yield _Box(
             centre_m=(cx - middle_m, cy - middle_m, cz - middle_m), size_m=(sx + width_m, sy + width_m, sz + width_m)
         )
-
-
-def _under(key: str, check: Callable[[], object]) -> None:
-    """Run a check under the name of a range."""
-    try:
-        check()
-    except ConfigError as error:
-        raise ConfigError(f"{key}: {error}") from None
 
 
 def _first(values: list[float]) -> float | None:

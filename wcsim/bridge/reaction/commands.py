@@ -14,6 +14,7 @@ from wcsim.types import F64, ActorState, ClassId, Ground
 
 ROADWAY = (ClassId.ROAD, ClassId.CROSSWALK, ClassId.RAIL_TRACK)
 LET_GO = -1.0
+CHAIR, VEHICLE = "", "v:"  # what somebody stands before, when it is nobody on foot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,6 +62,7 @@ class Blocked:
     actor_id: str
     for_s: float
     could_pass: bool  # there is room beside the chair, or another lane
+    behind: str = CHAIR  # who stands in between; CHAIR for nobody, VEHICLE for one that SUMO has
 
 
 def in_street(chair: ActorState, ground: Ground, habits: AttentionModel | None = None) -> ChairInStreet:

@@ -17,7 +17,6 @@ NEAR_VEHICLE_M = 4.0
 MOVES_M = 3.0  # more than anybody's offset changes within a tick
 SWEEP_S = 1.5  # people beside a moving vehicle mind where it will be for so long
 MOVING_MPS = 0.1
-CHAIR, VEHICLE = "", "v:"  # what somebody stands before, when it is nobody on foot
 
 Offsets = Mapping[str, tuple[float, float]]
 
@@ -151,16 +150,3 @@ def _vehicle(actor: ActorState, reach_m: float) -> Vehicle:
 def near(vehicles: Sequence[Vehicle], x: float, y: float) -> list[Vehicle]:
     """Those of the vehicles that somebody at (x, y) minds."""
     return [v for v in vehicles if abs(v.box[0] - x) + abs(v.box[1] - y) < v.reach_m]
-
-
-def queue_behind(behind: dict[str, str], ends: set[str]) -> set[str]:
-    """Who stands behind one of `ends`, or behind somebody who does; `behind` names for each the one before it."""
-    queue: set[str] = set()
-    for first in behind:
-        name, way = first, {first}
-        # People may stand behind one another in a ring, hence the set of those on the way.
-        while (name := behind.get(name, CHAIR)) and name not in way and name not in ends and name not in queue:
-            way.add(name)
-        if name in ends or name in queue:
-            queue |= way
-    return queue

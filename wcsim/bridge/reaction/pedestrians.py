@@ -20,18 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wcsim.bridge.reaction.attention import Attention
-from wcsim.bridge.reaction.commands import LET_GO, ActorCommand, Blocked, ChairInStreet
-from wcsim.bridge.reaction.crowd import (
-    CHAIR,
-    PEOPLE_AHEAD_M,
-    VEHICLE,
-    Vehicle,
-    Walker,
-    crowd_of,
-    near,
-    queue_behind,
-    vehicles_near,
-)
+from wcsim.bridge.reaction.commands import CHAIR, LET_GO, VEHICLE, ActorCommand, Blocked, ChairInStreet
+from wcsim.bridge.reaction.crowd import PEOPLE_AHEAD_M, Vehicle, Walker, crowd_of, near, vehicles_near
 from wcsim.core.boxes import Box, gap_to_box
 from wcsim.core.jit import exact_kernel
 from wcsim.types import U8, ActorState, ClassId, Ground, StreetGrid
@@ -218,11 +208,9 @@ class PedestrianAvoidance:
         self._standing_s: dict[str, float] = {}  # who is held, and for how long
         self._stuck: set[str] = set()  # who found no way past a chair
         self._seen: set[str] = set()  # everybody near a chair a tick ago
-        self._queueing: set[str] = set()  # who stands behind somebody that cannot go on, or will not in SUMO
-        self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago,
-        self._bare: dict[str, tuple[float, float]] = {}  # and where SUMO had them
+        self._holders: dict[str, str] = {}  # whom each of these stands before
+        self._places: dict[str, tuple[float, float]] = {}  # where they were a tick ago
         self._speeds: dict[str, float] = {}  # as SUMO has them
-        self._halted: set[str] = set()  # whom SUMO does not move, whatever speed it tells
 
     def shifted(self, actors: Sequence[ActorState]) -> tuple[ActorState, ...]:
         """The actors where they really walk; `deflect_m` is the offset's part to their left."""
@@ -233,7 +221,7 @@ class PedestrianAvoidance:
     def blocked(self) -> tuple[Blocked, ...]:
         """The persons that stand because of a chair, or of somebody who steps aside for one."""
         return tuple(
-            Blocked(actor_id=name, for_s=for_s, could_pass=name not in self._stuck and name not in self._queueing)
+            Blocked(actor_id=name, for_s=for_s, could_pass=name not in self._stuck, behind=self._holders[name])
             for name, for_s in self._standing_s.items()
         )
 
@@ -248,19 +236,9 @@ class PedestrianAvoidance:
         others = _Others(
             self._boxes(chairs, self._tick_s), crowd, vehicles_near(actors, crowd) if self._offsets else ()
         )
-        still = {
-            walker.id
-            for walker in crowd
-            if (walker.speed_mps < 0.1 or walker.id in self._halted) and walker.id not in self._standing_s
-        }
-        standing_s: dict[str, float] = {}
-        behind: dict[str, str] = {}
-        for walker in crowd:
-            holder = self._held_by(walker, others)
-            if holder is not None:
-                standing_s[walker.id] = self._standing_s.get(walker.id, 0.0) + self._tick_s
-                behind[walker.id] = holder
-        self._queueing = queue_behind(behind, still | self._stuck | {VEHICLE})
+        holders = ((walker.id, self._held_by(walker, others)) for walker in crowd)
+        self._holders = {name: holder for name, holder in holders if holder is not None}
+        standing_s = {name: self._standing_s.get(name, 0.0) + self._tick_s for name in self._holders}
         go_on = [name for name in self._standing_s if name not in standing_s]
         self._standing_s = standing_s
         orders = [ActorCommand(actor_id=name, speed_mps=0.0) for name in standing_s]
@@ -271,9 +249,7 @@ class PedestrianAvoidance:
         crowd = crowd_of(actors, chairs, self._offsets, shifted=False)
         others = _Others(self._boxes(chairs, 0.0), crowd, vehicles_near(actors, crowd) if crowd else ())
         self._stuck.intersection_update([walker.id for walker in crowd])
-        bare = {walker.id: (walker.x, walker.y) for walker in crowd}
-        self._halted = {name for name, place in bare.items() if self._bare.get(name) == place}
-        self._bare, self._speeds = bare, {walker.id: walker.speed_mps for walker in crowd}
+        self._speeds = {walker.id: walker.speed_mps for walker in crowd}
         for walker in crowd:
             self._stay_clear(walker, others)
         # The nearer to a chair, the earlier: the others see where these have gone. The id decides between equals.

@@ -77,8 +77,14 @@ class RosBag(Closing):
             w: (3,) its angular velocity.
         """
         exact = np.zeros(36)
-        at = self._made("geometry_msgs/msg/Pose", position=self._point(pose[0]), orientation=self._quaternion(pose[1]))
-        twist = self._made("geometry_msgs/msg/Twist", linear=self._vector(v), angular=self._vector(w))
+        at = self._made(
+            "geometry_msgs/msg/Pose",
+            position=self._numbers("Point", pose[0]),
+            orientation=self._numbers("Quaternion", pose[1]),
+        )
+        twist = self._made(
+            "geometry_msgs/msg/Twist", linear=self._numbers("Vector3", v), angular=self._numbers("Vector3", w)
+        )
         self._write(
             topic,
             "nav_msgs/msg/Odometry",
@@ -95,7 +101,9 @@ class RosBag(Closing):
         A message of /tf_static repeats those before it: who comes late to a played bag gets the last one alone.
         """
         moved = self._made(
-            "geometry_msgs/msg/Transform", translation=self._vector(pose[0]), rotation=self._quaternion(pose[1])
+            "geometry_msgs/msg/Transform",
+            translation=self._numbers("Vector3", pose[0]),
+            rotation=self._numbers("Quaternion", pose[1]),
         )
         stamped = self._made(
             "geometry_msgs/msg/TransformStamped",
@@ -116,11 +124,11 @@ class RosBag(Closing):
             "sensor_msgs/msg/Imu",
             time_s,
             header=self._header(time_s, frame),
-            orientation=self._quaternion(q),
+            orientation=self._numbers("Quaternion", q),
             orientation_covariance=unknown,
-            angular_velocity=self._vector(w),
+            angular_velocity=self._numbers("Vector3", w),
             angular_velocity_covariance=unknown,
-            linear_acceleration=self._vector(a),
+            linear_acceleration=self._numbers("Vector3", a),
             linear_acceleration_covariance=unknown,
         )
 
@@ -182,17 +190,9 @@ class RosBag(Closing):
         stamp = self._made("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
         return self._made("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
-    def _point(self, p: F64) -> Any:
-        x, y, z = p.tolist()
-        return self._made("geometry_msgs/msg/Point", x=x, y=y, z=z)
-
-    def _vector(self, v: F64) -> Any:
-        x, y, z = v.tolist()
-        return self._made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-    def _quaternion(self, q: F64) -> Any:
-        x, y, z, w = q.tolist()
-        return self._made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+    def _numbers(self, kind: str, values: F64) -> Any:
+        """A message of geometry_msgs that has x, y, z, and for a quaternion w."""
+        return self._made(f"geometry_msgs/msg/{kind}", **dict(zip("xyzw", values.tolist(), strict=False)))
 
 
 def _stamp_ns(time_s: float) -> int:

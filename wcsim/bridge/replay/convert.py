@@ -28,7 +28,7 @@ from wcsim.core.reading import escaped
 from wcsim.errors import ConfigError, WcsimError
 from wcsim.log.drive import read_drive
 from wcsim.log.reader import read_header, read_states
-from wcsim.log.records import Header, Input, Ticked, WorldState
+from wcsim.log.records import Header, Input, Ticked, WorldState, changed
 from wcsim.types import F64, ActorKind, ClientSnapshot, Drawn
 
 _CHAIR_TYPE = ActorKind.WHEELCHAIR.value
@@ -58,10 +58,10 @@ def write_fcd(trace: Path, out: Path, epoch: int = 0) -> int:
     sized = header.chair_box_m is not None or not any(len(record.plants) for record in chosen)
     if not sized or any(record.actor_ids and not record.bodies for record in chosen):
         raise WcsimError(f"{trace}: is of an older version without the sizes of actors and chairs; record it again")
-    return write_steps(header, chosen, out)
+    return _write_steps(header, chosen, out)
 
 
-def write_steps(header: Header, records: Iterable[WorldState], out: Path) -> int:
+def _write_steps(header: Header, records: Iterable[WorldState], out: Path) -> int:
     """Write ticks of one epoch as an FCD file; returns their number."""
     steps = 0
     with out.open("w", encoding="utf-8") as file:
@@ -135,7 +135,7 @@ def convert_to_fcd(log: Path, out: Path, epoch: int = 0, hook: str = "") -> int:
         return write_fcd(log, out, epoch)
     with closing(replayed(log, epoch, None, hook)) as steps:
         world, _ = next(steps)
-        written = write_steps(_trace_header(header, world), _ticks(steps), out)
+        written = _write_steps(_trace_header(header, world), _ticks(steps), out)
     if not written:
         raise WcsimError(f"{log}: has no tick of epoch {epoch}; choose another --epoch")
     return written
@@ -204,16 +204,12 @@ def _ticks(steps: Iterable[tuple[World, Input]]) -> Iterator[WorldState]:
     for world, record in steps:
         require_equal(world, record)
         if isinstance(record, Ticked):
-            yield state_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.everyone()))
+            yield state_of(world.snapshot, record.commands, as_recorded(world.snapshot, world.sumo.everyone()))
 
 
 def _trace_header(header: Header, world: World) -> Header:
-    return Header(
-        town=world.town.name,
-        seed=header.seed,
-        tick_s=header.tick_s,
-        seats=header.seats,
-        fingerprint=header.fingerprint,
+    return changed(
+        header,
         origin_m=world.town.file.origin_m,
         origin_z_m=world.street.net_origin_m[2],
         chair_box_m=chair_box_m(world.config.chair),

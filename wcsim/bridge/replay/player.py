@@ -81,37 +81,27 @@ class LogPlayer(Generic[W]):
     def __init__(self, make: MakesEpoch[W], capacity: int) -> None:
         self.seats = Seats()
         self._make, self._capacity = make, capacity
-        self._world: W | None = None
-
-    @property
-    def world(self) -> W | None:
-        """The world of now."""
-        return self._world
-
-    @property
-    def plays(self) -> bool:
-        """Whether there is a world now."""
-        return self._world is not None
+        self.world: W | None = None  # of now
 
     def close(self) -> None:
         """End the world, if there is one."""
-        if self._world is not None:
-            self._world.close()
-            self._world = None
+        if self.world is not None:
+            self.world.close()
+            self.world = None
 
     def play(self, record: Input) -> W:
         """Do what a record says; raises WcsimError when it does not follow from those before."""
         self.seats.note(record)
         if isinstance(record, EpochBegun):
             self.close()
-            self._world = self._make(self.seats.specs(self._capacity), record.seed, record.epoch)
-            return self._world
-        if self._world is None:
+            self.world = self._make(self.seats.specs(self._capacity), record.seed, record.epoch)
+            return self.world
+        if self.world is None:
             raise WcsimError(f"{record} comes before the first epoch; the log is damaged")
         if not isinstance(record, Ended):
-            _require_now(self._world, record)
-            _do(self._world, record)
-        return self._world
+            _require_now(self.world, record)
+            _do(self.world, record)
+        return self.world
 
 
 def _do(world: SeatWorld, record: Admitted | Dismissed | Respawned | WorldTick) -> None:

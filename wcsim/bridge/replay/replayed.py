@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -41,52 +40,35 @@ _NAME: Final = re.compile(r"([a-z-]{1,40}) (\d{1,18}) ([0-9a-f]{64})")
 _SCENE, _TOWN, _STICK = "scene", "town", "stick.csv"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MadeScene:
-    """What a drive's header says of it."""
+def made_scene(told: str) -> Path:
+    """The folder of a generated scene and of its street, by what a drive's header says: family, seed, hash.
 
-    family: str
-    seed: int
-    sha256: str  # over the scene's files
-
-    def told(self) -> str:
-        """As the header has it.
-
-        >>> made_scene_of(MadeScene(family="car-door", seed=7, sha256="0" * 64).told()).seed
-        7
-        """
-        return f"{self.family} {self.seed} {self.sha256}"
-
-
-def made_scene_of(text: str) -> MadeScene:
-    """The scene that a header names. Raises TownError when it names none that this wcsim knows."""
-    found = _NAME.fullmatch(text)
+    Raises TownError when this wcsim knows no such scene, or generates another one of that seed.
+    """
+    found = _NAME.fullmatch(told)
     if found is None or found[1] not in FAMILIES:
         raise TownError(
-            f"the drive was in the scene {escaped(text, 80)}, which this wcsim does not know; expected one of "
+            f"the drive was in the scene {escaped(told, 80)}, which this wcsim does not know; expected one of "
             f"{', '.join(FAMILIES)}, with seed and hash: use the wcsim that recorded it"
         )
-    return MadeScene(family=found[1], seed=int(found[2]), sha256=found[3])
+    family, seed, sha256 = found[1], int(found[2]), found[3]
 
+    def make(folder: Path) -> None:
+        got = scene_digest(write_scene(family, seed, folder / _SCENE))
+        if got != sha256:
+            raise TownError(
+                f"the drive was in the scene {family} {seed} ({sha256[:12]}), this wcsim generates another one "
+                f"({got[:12]}); expected the same: use the wcsim that recorded it"
+            )
+        build_scene(folder / _SCENE, folder / _TOWN)
 
-def town_of_scene(scene: MadeScene) -> Town:
-    """Its street. Raises TownError when this wcsim draws another scene of that seed."""
-    return find_town(str(_folder_of(scene) / _TOWN))
-
-
-def user_of_scene(scene: MadeScene) -> str:
-    """The recorded joystick that sits in it, as a seat names it. Raises what `town_of_scene` does."""
-    return f"{RECORDED}{_folder_of(scene) / _SCENE / _STICK}"
+    return _held(f"{family}-{seed}-{sha256[:16]}", make)
 
 
 def town_of_folder(scene: Path) -> Town:
     """The street of a scene's folder. Raises TownError where it cannot be built."""
     name = f"{scene.name}-{scene_digest(scene)[:16]}"
     return find_town(str(_held(name, lambda made: build_scene(scene, made / _TOWN)) / _TOWN))
-
-
-def _folder_of(scene: MadeScene) -> Path:
-    return _held(f"{scene.family}-{scene.seed}-{scene.sha256[:16]}", partial(_make, scene))
 
 
 def _held(name: str, make: Callable[[Path], object]) -> Path:
@@ -99,30 +81,15 @@ def _held(name: str, make: Callable[[Path], object]) -> Path:
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as work:
             made = Path(work) / "made"
             make(made)
-            _put(made, folder)
+            try:
+                made.rename(folder)
+            except OSError:
+                if not folder.is_dir():  # else somebody else was there first
+                    raise
     except OSError as error:
         told = f"{escaped(folder)}: cannot be written ({error.strerror}); free some space, or clear the cache"
         raise TownError(told) from None
     return folder
-
-
-def _make(scene: MadeScene, folder: Path) -> None:
-    got = scene_digest(write_scene(scene.family, scene.seed, folder / _SCENE))
-    if got != scene.sha256:
-        raise TownError(
-            f"the drive was in the scene {scene.family} {scene.seed} ({scene.sha256[:12]}), this wcsim generates "
-            f"another one ({got[:12]}); expected the same: use the wcsim that recorded it"
-        )
-    build_scene(folder / _SCENE, folder / _TOWN)
-
-
-def _put(made: Path, folder: Path) -> None:
-    """Into its place, unless somebody else was there first."""
-    try:
-        made.rename(folder)
-    except OSError:
-        if not folder.is_dir():
-            raise
 
 
 def first_inputs(spec: SeatSpec, seed: int) -> tuple[Input, ...]:
@@ -130,22 +97,23 @@ def first_inputs(spec: SeatSpec, seed: int) -> tuple[Input, ...]:
     return Admitted(epoch=0, tick=0, seat=0, spec=spec), EpochBegun(epoch=0, seed=seed)
 
 
-def drive_inputs(drive: DriveRecording) -> Iterator[Input]:
+def _drive_inputs(drive: DriveRecording) -> Iterator[Input]:
     """What was done; the user of a generated scene, which its log does not name, sits where the scene was made again.
 
     Raises TownError for a scene that cannot be made here.
     """
     for record in drive.records:
         if isinstance(record, Admitted) and not record.spec.profile:
-            yield changed(record, spec=replace(record.spec, profile=user_of_scene(made_scene_of(drive.about.scene))))
+            stick = made_scene(drive.about.scene) / _SCENE / _STICK
+            yield changed(record, spec=replace(record.spec, profile=f"{RECORDED}{stick}"))
         elif not isinstance(record, Note):
             yield record
 
 
-def let_wait(world: World, drive: DriveRecording, record: Input) -> None:
+def _let_wait(world: World, drive: DriveRecording, tick: DriveTick) -> None:
     """Before a tick who sits beside a person gets the patience of then."""
-    if isinstance(record, DriveTick) and not drive.about.profile:
-        set_patience(world.seats[0].user, patient=record.by_person)
+    if not drive.about.profile:
+        set_patience(world.seats[0].user, patient=tick.by_person)
 
 
 def set_patience(user: SimulatedUser | RecordedUser, *, patient: bool) -> None:
@@ -161,10 +129,9 @@ def town_of_drive(header: Header) -> Town:
     """
     refused: TownError | None = None
     scene = "" if header.drive is None else header.drive.scene
-    find, places = (_made, (scene,)) if scene else (find_town, (header.town_name, header.town))
-    for place in places:
+    for place in ("",) if scene else (header.town_name, header.town):
         try:
-            town = find(place)
+            town = find_town(str(made_scene(scene) / _TOWN) if scene else place)
         except TownError as error:
             refused = refused or error
             continue
@@ -176,10 +143,6 @@ def town_of_drive(header: Header) -> Town:
             f"({here[:12]}); expected the same town: restore its files"
         )
     raise refused or TownError("the drive names no town; record it again")
-
-
-def _made(scene: str) -> Town:
-    return town_of_scene(made_scene_of(scene))
 
 
 Log = Path | DriveRecording
@@ -221,11 +184,11 @@ def replayed(
     """
     header = read_header(log, "journal") if isinstance(log, Path) else log.header
     player = LogPlayer(worlds_of(header, hook), header.seats)
-    inputs = iter_inputs(log) if isinstance(log, Path) else drive_inputs(log)
+    inputs = iter_inputs(log) if isinstance(log, Path) else _drive_inputs(log)
 
     def look(world: World | None, record: Input) -> None:
-        if world is not None and isinstance(log, DriveRecording):
-            let_wait(world, log, record)
+        if world is not None and isinstance(log, DriveRecording) and isinstance(record, DriveTick):
+            _let_wait(world, log, record)
         before(world, record)
 
     try:
@@ -249,7 +212,7 @@ def _played(
         late = isinstance(record, WorldTick) and until_tick is not None and record.tick > until_tick
         if late or not wanted:
             player.close()
-        if player.plays or (begins and wanted):
+        if player.world is not None or (begins and wanted):
             before(player.world, record)
             yield player.play(record), record
         else:
@@ -306,7 +269,7 @@ def count_ticks(log: Log, epoch: int | None = None) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verified:
+class _Verified:
     """How a comparison of all ticks ended."""
 
     ticks: int = 0  # compared
@@ -322,13 +285,13 @@ def verify(
     last_tick: int | None = None,
     progress: Callable[[int], object] = lambda ticks: None,
     hook: str = "",
-) -> Verified:
+) -> _Verified:
     """Compare the ticks from `first_tick` to `last_tick` of one or all epochs; raises what `replayed` raises.
 
     Of a journal their hashes; of a drive place, heading, speed and ends, and the stick of who was simulated.
     `progress` hears the number of ticks so far.
     """
-    result, asked = Verified(), list[Joystick]()
+    result, asked = _Verified(), list[Joystick]()
     of_person = isinstance(log, DriveRecording) and not log.about.profile
 
     def before(world: World | None, _: Input) -> None:

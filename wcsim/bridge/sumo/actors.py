@@ -18,42 +18,19 @@ import numpy as np
 from wcsim.core import frames
 from wcsim.types import F64, ActorKind, ActorLook, ActorState, SignalState
 
-KIND_OF_CLASS = {
-    "private": ActorKind.CAR,
-    "passenger": ActorKind.CAR,
-    "taxi": ActorKind.CAR,
-    "evehicle": ActorKind.CAR,
-    "hov": ActorKind.CAR,
-    "vip": ActorKind.CAR,
-    "authority": ActorKind.CAR,
-    "army": ActorKind.CAR,
-    "emergency": ActorKind.CAR,
-    "custom1": ActorKind.CAR,
-    "custom2": ActorKind.CAR,
-    "ignoring": ActorKind.CAR,
-    "delivery": ActorKind.TRUCK,
-    "truck": ActorKind.TRUCK,
-    "trailer": ActorKind.TRUCK,
-    "bus": ActorKind.BUS,
-    "coach": ActorKind.BUS,
-    "tram": ActorKind.TRAM,
-    "rail_urban": ActorKind.TRAM,
-    "rail": ActorKind.TRAM,
-    "rail_electric": ActorKind.TRAM,
-    "rail_fast": ActorKind.TRAM,
-    "subway": ActorKind.TRAM,
-    "motorcycle": ActorKind.MOTORCYCLE,
-    "moped": ActorKind.MOTORCYCLE,
-    "bicycle": ActorKind.BICYCLE,
-    "scooter": ActorKind.SCOOTER,
-    "pedestrian": ActorKind.PEDESTRIAN,
-    "wheelchair": ActorKind.WHEELCHAIR,
-    "container": ActorKind.OTHER,
-    "ship": ActorKind.OTHER,
-    "cable_car": ActorKind.OTHER,
-    "aircraft": ActorKind.OTHER,
-    "drone": ActorKind.OTHER,
+_CLASSES_OF_KIND = {
+    ActorKind.CAR: "private passenger taxi evehicle hov vip authority army emergency custom1 custom2 ignoring",
+    ActorKind.TRUCK: "delivery truck trailer",
+    ActorKind.BUS: "bus coach",
+    ActorKind.TRAM: "tram rail_urban rail rail_electric rail_fast subway",
+    ActorKind.MOTORCYCLE: "motorcycle moped",
+    ActorKind.BICYCLE: "bicycle",
+    ActorKind.SCOOTER: "scooter",
+    ActorKind.PEDESTRIAN: "pedestrian",
+    ActorKind.WHEELCHAIR: "wheelchair",
+    ActorKind.OTHER: "container ship cable_car aircraft drone",
 }
+KIND_OF_CLASS = {name: kind for kind, names in _CLASSES_OF_KIND.items() for name in names.split()}
 """SUMO's vClass to our kind; a class that is not listed becomes OTHER, a box of SUMO's own length, width and height.
 
 SUMO reads a class name that it does not know as "ignoring", and draws and moves it like a car.

@@ -100,11 +100,7 @@ class SumoSession(Closing):
         """Start SUMO. Raises WorldInUseError while another session lives in this process, SumoError when it fails."""
         refuse_second_world()
         self._options = options
-        self._teleports = 0
-        self._so_far = (0, 0)
-        self._come: frozenset[str] = frozenset()
-        self._colliding: frozenset[tuple[str, str]] = frozenset()
-        self._collisions = 0
+        self._begin_anew()
         self._open = True
         self.pilot = VehicleControl(libsumo, options.origin_m)
         self.buttons = SignalControl(libsumo)
@@ -118,15 +114,11 @@ class SumoSession(Closing):
             self.close()
             raise
 
-    @property
-    def teleports(self) -> int:
-        """Vehicles that SUMO took out of a jam during the last step."""
-        return self._teleports
-
-    @property
-    def come(self) -> frozenset[str]:
-        """Who came into being in the last step, as in `ActorState.id`: departed, or ended a teleport."""
-        return self._come
+    def _begin_anew(self) -> None:
+        self.teleports = 0  # vehicles that SUMO took out of a jam during the last step
+        self.come: frozenset[str] = frozenset()  # in the last step, as in `ActorState.id`: departed, or off a teleport
+        self.mishaps = (0, 0)  # since the scenario began, warm-up included: teleports, and collisions that began
+        self._colliding: frozenset[tuple[str, str]] = frozenset()
 
     def step(self, chairs: Callable[[], tuple[HookChair, ...]] = tuple) -> None:
         """Advance SUMO by one step, with the user's hook around it, and log jams that it dissolved.
@@ -145,13 +137,12 @@ class SumoSession(Closing):
         # After a jump an actor may be nearer than its speed allows: the reader looks at all of them again.
         unsure = bool(jammed or landed or self._jumpers or self._hook is not None)
         self._reader.stepped(vehicles, people, unsure=unsure)
-        self._teleports = len(jammed)
+        self.teleports = len(jammed)
         pairs = frozenset(_pair_of(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions())
         # SUMO lists a collision in every step that it lasts: only new pairs count.
-        self._collisions = len(pairs - self._colliding)
+        self.mishaps = self.mishaps[0] + self.teleports, self.mishaps[1] + len(pairs - self._colliding)
         self._colliding = pairs
-        self._so_far = (self._so_far[0] + self._teleports, self._so_far[1] + self._collisions)
-        self._come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
+        self.come = frozenset([*("v:" + name for name in (*vehicles, *landed)), *("p:" + name for name in people)])
         for name in sorted(jammed):
             log.warning("jam: SUMO teleported %s, which stood too long%s, at %.1f s", name, _stood(name), self.time_s())
 
@@ -163,8 +154,7 @@ class SumoSession(Closing):
         self._reader.forget()
         self.pilot.forget()
         self.buttons.forget()
-        self._teleports, self._so_far, self._come = 0, (0, 0), frozenset()
-        self._collisions, self._colliding = 0, frozenset()
+        self._begin_anew()
         # `load` takes options alone, where `start` wants the program's name before them.
         self._guarded(lambda: libsumo.load(self._options.arguments()[1:]))
         # Another object: what a hook has learned is of the run that is over.
@@ -190,19 +180,6 @@ class SumoSession(Closing):
         """Take an actor out of the street that SUMO has just put on top of somebody."""
         self.pilot.turn_away(actor_id)
         self._reader.forget_actor(actor_id)
-
-    def collisions(self) -> int:
-        """Collisions among SUMO's own vehicles and persons that began in the last step, each counted once."""
-        return self._collisions
-
-    def mishaps(self) -> tuple[int, int]:
-        """Vehicles that SUMO took out of a jam during the last step, and collisions that began in it."""
-        return self.teleports, self.collisions()
-
-    @property
-    def so_far(self) -> tuple[int, int]:
-        """`mishaps` since the scenario began, the time in which the traffic warmed up included."""
-        return self._so_far
 
     def counts(self) -> tuple[int, int]:
         """Vehicles and persons that are in the street now."""

@@ -76,7 +76,7 @@ def record_drive(options: UserRecordOptions) -> int:
     config = resolve("quick", (*SMALL_CAMERA, *options.set))
     town = find_town(options.town)
 
-    from wcsim.bridge.user_drives import UserDriveOrder, drawn_user, record_user  # loads the simulators
+    from wcsim.bridge.user_drives import drawn_user, record_user  # loads the simulators
 
     user, ticks = drawn_user(base, options.seed), max(2, round(60.0 * options.minutes / config.world.tick_s))
 
@@ -84,8 +84,7 @@ def record_drive(options: UserRecordOptions) -> int:
         if done % round(_TELL_EVERY_S / config.world.tick_s) == 0:
             print(f"{done * config.world.tick_s / 60.0:.0f} of {options.minutes:g} minutes", file=sys.stderr)
 
-    order = UserDriveOrder(town=town, config=config, user=user, ticks=ticks, seed=options.seed)
-    crashes = record_user(order, options.out, show)
+    crashes = record_user(options.out, town, config, user, ticks=ticks, seed=options.seed, progress=show)
     print(f"wrote {options.out}: {ticks} ticks of a {user.name} user in {town.name}, {counted(crashes, 'crash')}")
     told = {"town": town.name, "seed": options.seed, "ticks": ticks, "crashes": crashes, "user": asdict(user)}
     write_json(options.json, told)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
 from wcsim.drive import messages as m
-from wcsim.drive.playing.film_states import FilmAbout, FilmChair
-from wcsim.drive.playing.tick_film import FilmMark, TickFilm
+from wcsim.drive.playing.film_states import FilmAbout
+from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.supervisor.actions import action_set
 from wcsim.supervisor.kpi import KpiTotals
 
@@ -25,51 +25,6 @@ class FailedLine(msgspec.Struct, frozen=True):
     block: int
     seat: int
     told: str
-
-
-class PlayAbout(m.Shows, tag="about", frozen=True, kw_only=True):
-    """What is shown."""
-
-    film: FilmAbout
-    points: list[tuple[float, float]]
-    failed: list[FailedLine]
-    policy: str  # of the episode that is open, as the next
-    block: int
-
-
-class PlayMarks(m.Shows, tag="marks", frozen=True, kw_only=True):
-    """All marks of the time line."""
-
-    marks: list[FilmMark]
-
-
-class ChairLine(msgspec.Struct, frozen=True, kw_only=True):
-    """A chair among others."""
-
-    seat: int
-    name: str
-    chair: FilmChair | None  # None while it is not in the street
-    kpis: m.Kpis
-
-
-class PlayState(m.Shows, tag="state", frozen=True, kw_only=True):
-    """The film as it stands."""
-
-    at: int
-    first: int
-    count: int
-    reading: bool  # more is to come
-    told: str  # what goes on
-    ended: str  # how the film ended
-    paused: bool
-    pace: float
-    live: bool
-    epoch: int
-    tick: int
-    seat: int  # that is followed
-    crash: str  # of that chair, in words, shown a while
-    chairs: list[ChairLine]
-    size_mb: float
 
 
 class Player:
@@ -129,20 +84,15 @@ class Player:
         self.pace = min(max(times, SLOWEST), FASTEST)
 
 
-def film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> PlayAbout:
+def film_about(about: FilmAbout, failed: Sequence[FailedLine], policy: str, block: int) -> dict[str, Any]:
     """What a film is; `policy` and `block` of an episode that was asked for."""
     points = action_set(about.actions).points.tolist() if about.actions else []
-    return PlayAbout(film=about, points=points, failed=list(failed), policy=policy, block=block)
-
-
-def film_marks(film: TickFilm) -> PlayMarks:
-    """The marks of a film."""
-    return PlayMarks(marks=[mark for mark in film.marks if mark.at >= film.first])
+    return {"film": about, "points": points, "failed": failed, "policy": policy, "block": block}
 
 
 def film_state(
     film: TickFilm, player: Player, seat: int, names: Mapping[int, str], words: tuple[str, str, bool]
-) -> PlayState:
+) -> dict[str, Any]:
     """How a film stands.
 
     Args:
@@ -152,37 +102,37 @@ def film_state(
         names: Of the seats.
         words: What goes on, how it ended, and whether more is to come.
     """
-    shot = film.shot(player.at)
+    shot, about = film.shot(player.at), film.about
     chairs = {chair.seat: chair for chair in shot.frame.chairs}
     told, ended, reading = words
-    about = film.about
-    return PlayState(
-        at=player.at,
-        first=film.first,
-        count=film.count,
-        reading=reading,
-        told=told,
-        ended=ended,
-        paused=player.paused,
-        pace=player.pace,
-        live=player.live,
-        epoch=shot.frame.epoch,
-        tick=shot.frame.tick,
-        seat=seat,
-        crash=_crash(film, player.at, seat),
-        chairs=[
-            ChairLine(
-                seat=each,
-                name=names.get(each, f"chair {each}"),
-                chair=chairs.get(each),
-                kpis=m.kpis_of(
-                    shot.sums.get(each, KpiTotals()), about.tick_s, knows=bool(about.actions), warns=about.warns
-                ),
-            )
-            for each in sorted({*names, *chairs})
-        ],
-        size_mb=round(film.packed_bytes / 2**20, 1),
-    )
+    lines = [
+        {
+            "seat": each,
+            "name": names.get(each, f"chair {each}"),
+            "chair": chairs.get(each),  # None while it is not in the street
+            "kpis": m.kpis_of(
+                shot.sums.get(each, KpiTotals()), about.tick_s, knows=bool(about.actions), warns=about.warns
+            ),
+        }
+        for each in sorted({*names, *chairs})
+    ]
+    return {
+        "at": player.at,
+        "first": film.first,
+        "count": film.count,
+        "reading": reading,
+        "told": told,
+        "ended": ended,
+        "paused": player.paused,
+        "pace": player.pace,
+        "live": player.live,
+        "epoch": shot.frame.epoch,
+        "tick": shot.frame.tick,
+        "seat": seat,
+        "crash": _crash(film, player.at, seat),
+        "chairs": lines,
+        "size_mb": round(film.packed_bytes / 2**20, 1),
+    }
 
 
 def _crash(film: TickFilm, at: int, seat: int) -> str:

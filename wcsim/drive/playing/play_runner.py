@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from wcsim.config import CameraConfig, parse_json
 from wcsim.drive import messages as m
@@ -35,6 +35,17 @@ class PlayStart:
     source: FilmSource
     seat: int = -1  # whom to follow, -1 for the first
     failed: tuple[pm.FailedLine, ...] = ()
+
+    word: ClassVar = "film"  # as of `DriveOrder`, as the next
+    page: ClassVar = "play.html"
+    begins: ClassVar = "starting the player, then loading the recording"
+    over: ClassVar = "The player has ended. Start the command again."
+
+    def run(self, pipe: Connection) -> None:
+        """What the player's process does."""
+        if self.source.gives_way:
+            run_at_low_priority()
+        run_page(PlayRunner(pipe, self), pipe)
 
 
 class PlayRunner(PageRunner):
@@ -138,7 +149,7 @@ class PlayRunner(PageRunner):
         if said.kind == "mark" and self._film is not None:
             self._film.mark("gap", said.told)
         elif said.kind == "bad":
-            self._say(m.Notice(kind="bad", told=said.told))
+            self._say("notice", kind="bad", told=said.told)
             self._log(said.told)
         elif said.kind == "end":
             self._ended, self._told = said.told, ""
@@ -152,18 +163,18 @@ class PlayRunner(PageRunner):
         self._source = None
         if not self._ended:
             self._ended = "The process that loads this film has ended; the terminal shows why."
-            self._say(m.Notice(kind="bad", told=self._ended))
+            self._say("notice", kind="bad", told=self._ended)
         self._changed = True
         if self._film is None or not self._film.count:
-            self._say(m.Busy(told=self._ended, waits=False))
+            self._say("busy", told=self._ended, waits=False)
 
     def _state(self, film: TickFilm, now_s: float) -> None:
         words = (self._told, self._ended, self._source is not None)
-        self._say(pm.film_state(film, self._player, self._seat, self._names, words))
+        self._say("state", **pm.film_state(film, self._player, self._seat, self._names, words))
         self._said_s, self._changed = now_s, False
         if film.marked != self._marked and now_s - self._marked_s > _MARKS_S:
             self._marked, self._marked_s = film.marked, now_s
-            self._say(pm.film_marks(film))
+            self._say("marks", marks=film.there)
 
     def _show(self, film: TickFilm) -> None:
         moment = film.moment(self._player.at, self._seat, self._player.jumped)
@@ -208,7 +219,7 @@ class PlayRunner(PageRunner):
     def _open(self, source: FilmSource) -> None:
         """Start the process of a source."""
         waits = "; it takes longer while the training uses the CPU" if source.gives_way else ""
-        self._say(m.Busy(told=f"Opening the street{waits} ..."))
+        self._busy(f"Opening the street{waits} ...")
         self._film, self._told, self._ended = None, "", ""
         self._names, self._marked, self._opened = {}, 0, source
         context = get_context("spawn")
@@ -227,13 +238,6 @@ class PlayRunner(PageRunner):
             return
         self._pictures, self._film = StreetPictures(street, front), TickFilm(about)
         self._player = pm.Player(live=about.live)
-        self._say(pm.film_about(about, self._start.failed, self._opened.policy, self._opened.block))
-        self._say(pm.film_marks(self._film))  # none yet, and no more of the film before
+        self._say("about", **pm.film_about(about, self._start.failed, self._opened.policy, self._opened.block))
+        self._say("marks", marks=self._film.there)  # none yet, and no more of the film before
         self._stale = self._changed = True
-
-
-def run_play(pipe: Connection, start: PlayStart) -> None:
-    """What the player's process does."""
-    if start.source.gives_way:
-        run_at_low_priority()
-    run_page(PlayRunner(pipe, start), pipe)

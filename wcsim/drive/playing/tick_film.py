@@ -6,8 +6,9 @@ An hour of a chair in Helsinki takes some 10 MB (docs/watching.md).
 from __future__ import annotations
 
 import math
-from collections import OrderedDict, deque
-from collections.abc import Set
+from collections import deque
+from collections.abc import Mapping, Set
+from functools import lru_cache, partial
 from typing import Final, NamedTuple
 
 import msgspec
@@ -52,6 +53,9 @@ class _FilmTick(msgspec.Struct, frozen=True, array_like=True):
     sums: dict[int, KpiTotals]
 
 
+_TICKS: Final = msgspec.msgpack.Decoder(list[_FilmTick])
+
+
 class FilmMark(NamedTuple):
     """Something on the time line."""
 
@@ -77,15 +81,19 @@ class TickFilm:
         self.marked = 0  # ever
         self._blocks: dict[int, bytes] = {}
         self._newest: list[_FilmTick] = []
-        self._unpacked: OrderedDict[int, list[_FilmTick]] = OrderedDict()
+        self._unpacked = lru_cache(_OPEN)(partial(_unpacked, self._blocks))
         self._sums: dict[int, KpiTotals] = {}
         self._alone: dict[int, int] = {}  # ticks of an episode before its handover, by seat
-        self._decoder = msgspec.msgpack.Decoder(list[_FilmTick])
 
     @property
     def span(self) -> range:
         """The frames that are there."""
         return range(self.first, self.count)
+
+    @property
+    def there(self) -> list[FilmMark]:
+        """The marks of the frames that are there."""
+        return [mark for mark in self.marks if mark.at >= self.first]
 
     def add(self, frame: FilmFrame) -> None:
         """One tick more."""
@@ -107,13 +115,7 @@ class TickFilm:
         block, row = divmod(at, _BLOCK)
         if block == self.count // _BLOCK:
             return self._newest[row]
-        if block not in self._unpacked:
-            raw = zstandard.ZstdDecompressor().decompress(self._blocks[block])
-            self._unpacked[block] = self._decoder.decode(raw)
-            while len(self._unpacked) > _OPEN:
-                self._unpacked.popitem(last=False)
-        self._unpacked.move_to_end(block)
-        return self._unpacked[block][row]
+        return self._unpacked(block)[row]
 
     def moment(self, at: int, seat: int, jumped: bool) -> Moment | None:
         """What there is to draw of a frame for a chair; None when that chair is not in it."""
@@ -139,7 +141,6 @@ class TickFilm:
         while self.packed_bytes > self._most_bytes and len(self._blocks) > 1:
             oldest = next(iter(self._blocks))
             self.packed_bytes -= len(self._blocks.pop(oldest))
-            self._unpacked.pop(oldest, None)
             self.first = (oldest + 1) * _BLOCK
 
     def _count(self, chair: FilmChair) -> None:
@@ -162,6 +163,10 @@ class TickFilm:
     def _note(self, mark: FilmMark) -> None:
         self.marks.append(mark)
         self.marked += 1
+
+
+def _unpacked(blocks: Mapping[int, bytes], block: int) -> list[_FilmTick]:
+    return _TICKS.decode(zstandard.ZstdDecompressor().decompress(blocks[block]))
 
 
 def _pose(chair: FilmChair) -> ChairPose:

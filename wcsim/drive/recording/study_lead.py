@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
 from wcsim.core.files import numbered_names
 from wcsim.core.reading import escaped
@@ -19,7 +20,6 @@ from wcsim.drive.recording.study_plan import (
     StepKind,
     StudyPart,
     StudyStep,
-    StudyView,
     answer_choices,
     answer_column,
     append_row,
@@ -33,6 +33,8 @@ from wcsim.drive.session import DriveSession
 from wcsim.drive.starting import DriveStart
 from wcsim.errors import WcsimError
 from wcsim.log.drive import wcsim_version
+
+_COUNTED: Final = ("arrivals", "given_up", "crashes", "warnings", "interventions", "helps")
 
 
 def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: str, ended: str) -> Row:
@@ -63,19 +65,9 @@ def _block_row(study: OpenStudy, part: StudyPart, session: DriveSession, file: s
         "kpi2": f"{metrics.kpi2:.2f}",
         "distance_m": f"{session.way_m:.2f}",
         "speed_mps": f"{session.way_m / moving_s:.4f}" if moving_s else "",
-        "arrivals": str(metrics.arrivals),
-        "given_up": str(metrics.given_up),
-        "crashes": str(metrics.crashes),
-        "warnings": str(metrics.warnings),
-        "interventions": str(metrics.interventions),
-        "helps": str(metrics.helps),
         "overrulings": str(metrics.overrules),
+        **{name: str(getattr(metrics, name)) for name in _COUNTED},
     }
-
-
-def _end_row(study: OpenStudy) -> Row:
-    """The row of the answers after all blocks."""
-    return _head(study, END)
 
 
 def _head(study: OpenStudy, block: str) -> dict[str, str]:
@@ -98,7 +90,7 @@ class StudyHands:
 
     open: Callable[[DriveStart, Path], DriveSession]  # in the stead of the one before, kept in that file; WcsimError
     close: Callable[[], None]  # the drive that is open, if any
-    show: Callable[[StudyView], object]
+    show: Callable[[dict[str, Any]], object]  # as of `step_view`
     say: Callable[[str], object]  # a line for whoever started the study
     clock: Callable[[], float]  # monotonic seconds
 
@@ -119,7 +111,7 @@ class StudyLead:
         parts = dict.fromkeys(step.part for step in steps if step.part is not None)
         self._rows = {part.block.name: row for part in parts for row in self._left_over(part)}  # driven, not asked yet
         self._steps = remaining_steps(study.file, study.participant, done, self._rows)
-        self._at, self._view = 0, StudyView(step=0, kind=StepKind.END, participant=study.participant, title="")
+        self._at, self._view = 0, dict[str, Any]()
         self._session: DriveSession | None = None
         self._file, self._failed, self._rested_s = "", False, 0.0
         self._shown_s = -1  # whole seconds that are left of a drive, or of a rest, as they were shown last
@@ -183,7 +175,7 @@ class StudyLead:
                 )
             told[answer_column(question)] = "" if number == _NO_ANSWER else words[number]
         part = self.step.part
-        self._write(_end_row(self._study) if part is None else self._rows[part.block.name], told)
+        self._write(_head(self._study, END) if part is None else self._rows[part.block.name], told)
         if part is not None:
             self._forget(part)
         self._next()
@@ -311,5 +303,5 @@ class StudyLead:
         self._show(wait_s=left_s)
 
     def _show(self, **changes: object) -> None:
-        self._view = replace(self._view, **changes)  # type: ignore[arg-type]
+        self._view = {**self._view, **changes}
         self._hands.show(self._view)

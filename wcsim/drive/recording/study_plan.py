@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from wcsim.config.study import StudyBlock, StudyFile, StudyPlace, StudyQuestion
 from wcsim.core.reading import FileKind, counted, escaped, read_text
@@ -229,38 +229,8 @@ def _line(words: Sequence[str]) -> bytes:
     return line.getvalue().encode()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _QuestionView:
-    """A question and its answers."""
-
-    name: str
-    asks: str
-    answers: tuple[str, ...]
-    low: str = ""  # what the first means, of a scale
-    high: str = ""  # what the last means
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudyView:
-    """A step of a study as a page shows it."""
-
-    step: int
-    kind: StepKind
-    participant: int
-    title: str
-    told: tuple[str, ...] = ()
-    where: str = ""  # in the study: "Part 2 of 3"
-    button: str = ""  # "" for none
-    ready: bool = True  # the button may be pressed
-    wait_s: float = 0.0  # until it may
-    left_s: float | None = None  # of a drive
-    arrivals_left: int | None = None
-    questions: tuple[_QuestionView, ...] = ()
-    trouble: str = ""  # what went wrong, and what to do
-
-
-def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) -> StudyView:
-    """A step in words, before anything has happened in it."""
+def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) -> dict[str, Any]:
+    """A step as a page shows it, in words, before anything has happened in it."""
     part, count = step.part, len(study.blocks)
     where = "" if part is None else f"Part {part.number} of {count}" if part.number else "Practice"
     told: tuple[str, ...] = ()
@@ -280,16 +250,21 @@ def step_view(study: StudyFile, step: StudyStep, number: int, participant: int) 
     else:
         title, told = "This is the end", (*study.thanks, "Everything is saved.")
     questions = step_questions(study, step) if step.kind is StepKind.ASK else ()
-    return StudyView(
-        step=number,
-        kind=step.kind,
-        participant=participant,
-        title=title,
-        told=told,
-        where=where,
-        button=button,
-        questions=tuple(map(_question, questions)),
-    )
+    return {
+        "step": number,
+        "kind": step.kind,
+        "participant": participant,
+        "title": title,
+        "told": told,
+        "where": where,  # in the study: "Part 2 of 3"
+        "button": button,  # "" for none
+        "ready": True,  # the button may be pressed
+        "wait_s": 0.0,  # until it may
+        "left_s": None,  # of a drive
+        "arrivals_left": None,
+        "questions": [_question(question) for question in questions],
+        "trouble": "",  # what went wrong, and what to do
+    }
 
 
 def _how_long(step: StudyStep) -> str:
@@ -303,7 +278,7 @@ def _how_long(step: StudyStep) -> str:
     return f"You drive until you have arrived at {places}, for at most {minutes}. You can pause at any time."
 
 
-def _question(question: StudyQuestion) -> _QuestionView:
-    return _QuestionView(
-        name=question.name, asks=question.asks, answers=answer_choices(question), low=question.low, high=question.high
-    )
+def _question(question: StudyQuestion) -> dict[str, Any]:
+    """A question and its answers; `low` and `high` are what the first and the last mean, of a scale."""
+    shown = question.model_dump(include={"name", "asks", "low", "high"})
+    return {**shown, "answers": answer_choices(question)}

@@ -22,7 +22,7 @@ from http import HTTPStatus
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -33,8 +33,8 @@ from websockets.http11 import Request, Response
 from wcsim.core.closing import Closing
 from wcsim.core.reading import escaped
 from wcsim.drive import messages as m
-from wcsim.drive.playing.play_runner import PlayStart, run_play
-from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder, run_drive
+from wcsim.drive.playing.play_runner import PlayStart
+from wcsim.drive.runner import DONE, JSON, LINE, PICTURES, DriveOrder
 from wcsim.drive.serving.access_control import LOOPBACK, AccessControl, content_policy, new_token
 from wcsim.drive.stick_watch import rests
 from wcsim.errors import ConfigError, ProtocolError, WorkersError
@@ -174,7 +174,7 @@ class Audience:
             drives = page is self.driver
             taken = not drives and self.driver is not None
             told = "" if drives else _TAKEN if taken else "No page is driving."
-            page.put(m.spoken(m.PageRole(drives=drives, taken=taken, told=told)))
+            page.put(m.spoken("role", {"drives": drives, "taken": taken, "told": told}))
 
 
 log = logging.getLogger("wcsim.drive")
@@ -185,33 +185,6 @@ MOST_PAGES: Final = 8
 _PING_S: Final = 20.0  # a page that is gone without a word; its stick has long been at rest
 _MOST_REFUSED: Final = 20  # messages of a page that are no messages
 _SOON_S, _END_S = 0.5, 10.0  # for a process that hears, and for one that does not
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _PageKind:
-    """A page, and who is behind it."""
-
-    word: str  # for it in messages
-    page: str  # its file
-    run: Callable[[Connection, Any], None]  # what its process does, with what it begins with
-    begins: str  # what is done once the address is known, for whoever started it
-    ended: str  # what a page says when that process has ended
-
-
-_DRIVE: Final = _PageKind(
-    word="drive",
-    page="index.html",
-    run=run_drive,
-    begins="starting the simulator, then the street; the page shows the progress",
-    ended="The drive has ended. Start wcsim drive again.",
-)
-_PLAY: Final = _PageKind(
-    word="film",
-    page="play.html",
-    run=run_play,
-    begins="starting the player, then loading the recording",
-    ended="The player has ended. Start the command again.",
-)
 
 
 _MOST: Final = 256  # of steps, which add up
@@ -269,11 +242,6 @@ class ServeOrder:
     port: int = 8080  # 0 for a free one
     say: Callable[[str], object] = log.info  # hears of the address, and how each drive ended
 
-    @property
-    def kind(self) -> _PageKind:
-        """What is served."""
-        return _DRIVE if isinstance(self.start, DriveOrder) else _PLAY
-
 
 class _Process(Closing):
     """The drive's process, a thread that listens to it, and one that speaks to it.
@@ -284,8 +252,8 @@ class _Process(Closing):
     def __init__(self, order: ServeOrder, hear: Callable[[bytes], object], ended: Callable[[], object]) -> None:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        name = f"wcsim-{order.kind.word}"  # no daemon: a player starts the process that makes its film
-        self._process = context.Process(target=order.kind.run, args=(theirs, order.start), name=name)
+        name = f"wcsim-{order.start.word}"  # no daemon: a player starts the process that makes its film
+        self._process = context.Process(target=order.start.run, args=(theirs,), name=name)
         with unheard_by_children():  # Ctrl-C is for this process, which ends that one
             self._process.start()
         theirs.close()
@@ -384,8 +352,8 @@ class DriveServer:
         except OSError as error:
             raise _not_served(self._order, error) from None
         try:
-            self._order.say(f"{self._order.kind.word} at {self._address(server)}  (Ctrl-C to stop)")
-            self._order.say(self._order.kind.begins)
+            self._order.say(f"{self._order.start.word} at {self._address(server)}  (Ctrl-C to stop)")
+            self._order.say(self._order.start.begins)
             self._process = _Process(
                 self._order,
                 lambda data: loop.call_soon_threadsafe(self._told, data),
@@ -396,7 +364,7 @@ class DriveServer:
             server.close()
             await asyncio.to_thread(self._close)
         if self._died:
-            what = f"the {self._order.kind.word}'s process"
+            what = f"the {self._order.start.word}'s process"
             raise WorkersError(f"{what} has ended; the messages above say why: start it again")
 
     def _close(self) -> None:
@@ -437,7 +405,7 @@ class DriveServer:
             return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
         if wants_socket:
             return None
-        name = self._order.kind.page if path == "/" else path.removeprefix("/")
+        name = self._order.start.page if path == "/" else path.removeprefix("/")
         file = next((each for each in PAGE.iterdir() if each.name == name and each.suffix in _KINDS), None)
         if file is None:
             return connection.respond(HTTPStatus.NOT_FOUND, "there is no such page\n")
@@ -471,7 +439,7 @@ class DriveServer:
                 message = m.of_page(data)
             except ProtocolError as error:
                 refused += 1
-                line.put(m.spoken(m.Notice(kind="refused", told=str(error))))
+                line.put(m.spoken("notice", {"kind": "refused", "told": str(error)}))
                 if refused >= _MOST_REFUSED:
                     await connection.close(1008, "not a page of wcsim")
                     return
@@ -505,7 +473,7 @@ class DriveServer:
     def _ended(self) -> None:
         if not self._over.is_set():
             self._died = True
-            told = m.spoken(m.Notice(kind="bad", told=self._order.kind.ended))
+            told = m.spoken("notice", {"kind": "bad", "told": self._order.start.over})
             self._audience.tell(told)
             asyncio.get_running_loop().call_later(0.5, self._over.set)
 

@@ -16,7 +16,7 @@ from tests.support.journals import eventful_run, nudged, rewritten
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.run import SuiteOrder, drive_piece, piece_of, town_addresses
 from wcsim.bridge.sumo.session import world_in_this_process
-from wcsim.bridge.user_drives import UserDriveOrder, drawn_user, record_user
+from wcsim.bridge.user_drives import drawn_user, record_user
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.recordings import replay
 from wcsim.config import resolve
@@ -147,8 +147,7 @@ def test_a_torn_journal_is_shown_up_to_its_last_whole_tick(run: Path, tmp_path: 
 def test_a_drive_is_made_again(corner: Path, tmp_path: Path) -> None:
     config = resolve("quick")
     user = drawn_user(profile("tremor"), 3)
-    order = UserDriveOrder(town=find_town(str(corner)), config=config, user=user, ticks=40, seed=3)
-    record_user(order, tmp_path / "a.drive")
+    record_user(tmp_path / "a.drive", find_town(str(corner)), config, user, ticks=40, seed=3)
     shown = Filmed(replay_film(tmp_path / "a.drive"))
     ticks = read_drive(tmp_path / "a.drive").ticks
     frames = shown.frames()
