@@ -18,7 +18,7 @@ from wcsim.agents.policy_api import SeesTruth
 from wcsim.bridge.world import World
 from wcsim.config import RunConfig
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import observation_of
+from wcsim.supervisor.observation import observation_of
 from wcsim.towns.scenario.town import Town
 from wcsim.types import ActorState, ClientSnapshot, Command, Joystick, SeatSpec
 
