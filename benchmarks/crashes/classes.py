@@ -75,7 +75,7 @@ def classify(facts: CrashFacts, config: RewardConfig) -> CrashClass:
         return CrashClass.ROLLOVER
     if facts.reason == "acceleration":
         return CrashClass.JOLT
-    hit = hardest(facts.contacts, config)
+    hit = hardest(facts.reason, facts.contacts, config)
     if hit is None:
         return CrashClass.OTHER
     if hit.kind in GROUND_KINDS:

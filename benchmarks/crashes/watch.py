@@ -129,7 +129,7 @@ class SeatWatch:
     def _crash(self, client: ClientSnapshot, others: tuple[ActorState, ...]) -> Crash:
         plant, events, reward = client.plant, client.events, self._config.reward
         x, y, _ = self._middle(plant).tolist()
-        hit = hardest(client.contacts, reward) if events.crash_reason == "collision" else None
+        hit = hardest(events.crash_reason, client.contacts, reward)
         fell_s = None if self._fell_at is None else (client.tick - self._fell_at) * self._tick_s
         facts = CrashFacts(
             reason=events.crash_reason,

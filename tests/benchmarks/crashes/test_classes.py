@@ -92,11 +92,11 @@ def test_every_class_has_a_case_and_every_actor_a_class():
 def test_the_hardest_touch_that_counts_decides():
     scrape = touch("ground", impulse_Ns=5.0)
     wheel = touch("kerb", part="wheel", impulse_Ns=900.0)
-    assert hardest((wheel, scrape), REWARD) is None
+    assert hardest("collision", (wheel, scrape), REWARD) is None
     walker = touch("pedestrian", impulse_Ns=1.0, cause="other", actor_id="p:1")
-    assert hardest((wheel, scrape, walker), REWARD) is walker
+    assert hardest("collision", (wheel, scrape, walker), REWARD) is walker
     wall = touch("building", impulse_Ns=2.0)
-    assert hardest((walker, wall), REWARD) is wall
+    assert hardest("collision", (walker, wall), REWARD) is wall
 
 
 def test_fault_is_the_cause_of_the_hardest_touch_and_else_own():
