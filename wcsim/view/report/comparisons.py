@@ -122,7 +122,7 @@ def _lacking(pair: Paired) -> str:
     return f"{pair.difference:+.3f}; would need about {counted(pair.enough, 'episode')}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class _Weighting:
     """Another way to make one number of an episode."""
 
@@ -141,31 +141,31 @@ def _lawful(record: EpisodeRecord) -> bool:
 
 
 WEIGHTINGS: Final = (
-    _Weighting(heading="the score", says="as in the tables", of=lambda record: record.score),
+    _Weighting("the score", "as in the tables", lambda record: record.score),
     _Weighting(
-        heading="safety alone",
-        says="1 without an own crash or a red light, else 0: standing still is best",
-        of=lambda record: float(_lawful(record)),
+        "safety alone",
+        "1 without an own crash or a red light, else 0: standing still is best",
+        lambda record: float(_lawful(record)),
     ),
     _Weighting(
-        heading="geometric mean",
-        says="cube root of route x pace x obedience; 0 as in the score",
-        of=lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
+        "geometric mean",
+        "cube root of route x pace x obedience; 0 as in the score",
+        lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
     ),
     _Weighting(
-        heading="obedience counts double",
-        says="route x pace x obedience squared; 0 as in the score",
-        of=lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
+        "obedience counts double",
+        "route x pace x obedience squared; 0 as in the score",
+        lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
     ),
     _Weighting(
-        heading="red lights forgiven",
-        says="as the score, but not 0 after a red light",
-        of=lambda record: _product(record) if record.driven else 0.0,
+        "red lights forgiven",
+        "as the score, but not 0 after a red light",
+        lambda record: _product(record) if record.driven else 0.0,
     ),
     _Weighting(
-        heading="way alone",
-        says="share of the route completed, however the episode ended",
-        of=lambda record: record.score_parts[0] if record.steps else 0.0,
+        "way alone",
+        "share of the route completed, however the episode ended",
+        lambda record: record.score_parts[0] if record.steps else 0.0,
     ),
 )
 
