@@ -76,12 +76,8 @@ def tag(counted: str, number: int) -> str:
 
 def checkpoints(folder: Path) -> list[Path]:
     """Those of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
-    try:
-        with os.scandir(folder) as entries:
-            found = [folder / entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]
-    except OSError:
-        return []
-    return sorted((path for path in found if _is_name(path.name)), key=number_of)
+    found = (path for path in folder.glob("*-*") if _is_name(path.name) and path.is_dir() and not path.is_symlink())
+    return sorted(found, key=number_of)
 
 
 def number_of(path: Path) -> int:
