@@ -10,8 +10,9 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.evaluation.suite.run import Piece, drive_piece
+from wcsim.agents.evaluation.suite.run import drive_piece
 from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError
