@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Final
 
@@ -212,21 +212,19 @@ def _episodes(result: TestResult) -> Exhibit:
 DEMO_PAGE: Final = "demo.html"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DemoShown:
-    """What there is to show; files are beside the page."""
+def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
+    """Write the page; where it is.
 
-    learned: str  # how the network learned, in a sentence
-    result: TestResult
-    film: str  # name of the file
-    film_says: str
-    still_png: bytes
-    commands: Sequence[tuple[str, str]]  # to go on with, each with what it does
+    Args:
+        folder: Where it goes, beside the film.
+        result: Of the demo's test.
+        shown: How the network `learned` in a sentence, the `film`'s name and what it says (`film_says`), a picture of
+            it (`still_png`), and `commands` to go on with, each with what it does.
 
-
-def write_demo_page(folder: Path, what: DemoShown) -> Path:
-    """Write the page; where it is. Raises DiskFullError."""
-    tables = [_result_table(what.result, part) for part in what.result.parts]
+    Raises:
+        DiskFullError: It cannot be written.
+    """
+    tables = [_result_table(result, part) for part in result.parts]
     path = folder / DEMO_PAGE
-    write_bytes(path, page("demo.jinja", title="wcsim demo", demo=what, tables=tables).encode())
+    write_bytes(path, page("demo.jinja", title="wcsim demo", tables=tables, **shown).encode())
     return path
