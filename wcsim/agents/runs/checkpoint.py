@@ -41,20 +41,12 @@ Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _PassedOver:
-    """A checkpoint that was not used, and why."""
-
-    path: Path
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Restored(Generic[T]):
-    """What a learner was brought to, what `Restore` returned, and what was not used, newest first."""
+    """What a learner was brought to, what `Restore` returned, and what was not used, newest first, each with why."""
 
     path: Path
     value: T
-    passed_over: tuple[_PassedOver, ...]
+    passed_over: Mapping[Path, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +129,7 @@ def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
     Raises:
         PolicyError: There is none.
     """
-    passed: list[_PassedOver] = []
+    passed: dict[Path, str] = {}
     for path in reversed(checkpoints(folder)):
         try:
             state = _read_state(path)
@@ -150,10 +142,10 @@ def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
             value = restore(number_of(path), state, arrays)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             reason = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
-            passed.append(_PassedOver(path=path, reason=escaped(reason, 300)))
+            passed[path] = escaped(reason, 300)
             continue
-        return Restored(path=path, value=value, passed_over=tuple(passed))
-    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
+        return Restored(path=path, value=value, passed_over=passed)
+    faults = "; ".join(f"{path.name}: {reason}" for path, reason in passed.items()) or "none found"
     raise PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
 
 
@@ -168,10 +160,10 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     if not checkpoints(run.checkpoints):
         return None
     found = restore_newest(run.checkpoints, restore)
-    for item in found.passed_over:
-        kept = files.set_aside(item.path)
-        log(f"{item.path}: skipped ({item.reason}); continuing from {found.path.name}, renamed to {kept.name}")
-        run.event("passed_over", checkpoint=kept.name, reason=item.reason)
+    for path, reason in found.passed_over.items():
+        kept = files.set_aside(path)
+        log(f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to {kept.name}")
+        run.event("passed_over", checkpoint=kept.name, reason=reason)
     return found
 
 

@@ -92,25 +92,19 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
     Args:
         pairs: Of one part, with one rival.
     """
-    found = []
-    for word, chosen in (
-        ("higher score", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
-        ("lower score", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
-    ):
-        if chosen:
-            found.append(f"{word}: {', '.join(chosen)}")
-    left = [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated]
-    if left:
-        found.append(f"not different: {', '.join(left)}")
-    sure = [pair for pair in pairs if pair.mcnemar_p < _SURE]
-    for word, some in (
-        ("fewer own crashes", [pair for pair in sure if pair.saved > pair.lost]),
-        ("more own crashes", [pair for pair in sure if pair.saved < pair.lost]),
-    ):
-        if some:
-            told = ", ".join(f"{pair.policy} ({pair.saved} saved, {pair.lost} lost)" for pair in some)
-            found.append(f"{word}, p below {_SURE}: {told}")
-    return found
+    apart, sure = [pair for pair in pairs if pair.separated], [pair for pair in pairs if pair.mcnemar_p < _SURE]
+    told = {
+        "higher score": [pair.policy for pair in apart if pair.difference > 0.0],
+        "lower score": [pair.policy for pair in apart if pair.difference < 0.0],
+        "not different": [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated],
+        f"fewer own crashes, p below {_SURE}": [_counts(pair) for pair in sure if pair.saved > pair.lost],
+        f"more own crashes, p below {_SURE}": [_counts(pair) for pair in sure if pair.saved < pair.lost],
+    }
+    return [f"{word}: {', '.join(some)}" for word, some in told.items() if some]
+
+
+def _counts(pair: Paired) -> str:
+    return f"{pair.policy} ({pair.saved} saved, {pair.lost} lost)"
 
 
 def _lacking(pair: Paired) -> str:
