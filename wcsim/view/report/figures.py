@@ -282,18 +282,12 @@ def _levels_of(names: Iterable[str]) -> list[list[str]]:
 
 def _towns(result: TestResult, places: dict[str, int], made: Path) -> list[Exhibit]:
     """A map a town, some of which lie in `made`; tight places are scenes with coordinates of their own, on no map."""
-    towns = dict.fromkeys(e.town for episodes in result.episodes.values() for e in episodes if e.part != TIGHT)
-    found = []
-    for town in towns:
-        here = [
-            (name, e)
-            for name, episodes in result.episodes.items()
-            for e in episodes
-            if e.town == town and e.part != TIGHT and e.steps
-        ]
-        if here:
-            found.append(_town(town, here, places, made))
-    return found
+    here: dict[str, list[tuple[str, EpisodeRecord]]] = {}
+    for name, episodes in result.episodes.items():
+        for e in episodes:
+            if e.part != TIGHT and e.steps:
+                here.setdefault(e.town, []).append((name, e))
+    return [_town(town, driven, places, made) for town, driven in here.items()]
 
 
 def _way_rows(name: str, e: EpisodeRecord) -> list[list[Cell]]:
@@ -307,10 +301,7 @@ def _way_rows(name: str, e: EpisodeRecord) -> list[list[Cell]]:
 
 
 def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int], made: Path) -> Exhibit:
-    crashes = {
-        name: [e.end_m for who, e in here if who == name and e.own] for name in dict.fromkeys(n for n, _ in here)
-    }
-    points = [point for _, e in here for point in (*e.path_m, *((e.end_m,) if e.own else ()))]
+    points = [point for _, e in here for point in (*e.path_m, *([e.end_m] if e.own else []))]
     own = made / town
     ground = _ground_around(str(own) if _NAME.fullmatch(town) and own.is_dir() else town, points)
     missing = "" if ground is not None or not points else " The ground is not drawn: this town is not on this machine."
@@ -320,24 +311,7 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
         if image is not None:
             axes.imshow(image, extent=(west, east, south, north), interpolation="nearest")
         axes.grid(visible=False)
-        for name, e in here:
-            if len(e.path_m) > 1:
-                x, y = zip(*e.path_m, strict=True)
-                axes.plot(x, y, color=_colour_of(places[name]), linewidth=0.7, alpha=0.75)
-        for name, ends in crashes.items():
-            axes.scatter(
-                [x for x, _ in ends],
-                [y for _, y in ends],
-                marker="x",
-                s=22,
-                linewidths=1.3,
-                color=_colour_of(places[name]),
-                label=f"{_short(name)}: {counted(len(ends), 'own crash')}",
-            )
-        axes.set_aspect("equal")
-        axes.set_xlabel("east, m")
-        axes.set_ylabel("north, m")
-        _legend(axes, len(crashes))
+        _draw_ways(axes, here, places)
     return Exhibit(
         name=f"town-{town}",
         title=f"Paths in {town}",
@@ -347,6 +321,30 @@ def _town(town: str, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[
         rows=[row for name, e in here for row in _way_rows(name, e)],
         svg=out.getvalue(),
     )
+
+
+def _draw_ways(axes: Axes, here: Sequence[tuple[str, EpisodeRecord]], places: Mapping[str, int]) -> None:
+    """Ways and crashes of all policies."""
+    crashes: dict[str, list[tuple[float, float]]] = {}
+    for name, e in here:
+        crashes.setdefault(name, []).extend([e.end_m] if e.own else [])
+        if len(e.path_m) > 1:
+            x, y = zip(*e.path_m, strict=True)
+            axes.plot(x, y, color=_colour_of(places[name]), linewidth=0.7, alpha=0.75)
+    for name, ends in crashes.items():
+        axes.scatter(
+            [x for x, _ in ends],
+            [y for _, y in ends],
+            marker="x",
+            s=22,
+            linewidths=1.3,
+            color=_colour_of(places[name]),
+            label=f"{_short(name)}: {counted(len(ends), 'own crash')}",
+        )
+    axes.set_aspect("equal")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    _legend(axes, len(crashes))
 
 
 def _comfort(result: TestResult, places: Mapping[str, int]) -> list[Exhibit]:

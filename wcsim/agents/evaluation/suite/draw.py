@@ -24,7 +24,7 @@ from wcsim.core import seeding
 from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
-from wcsim.types import F64, ActorState, Outline, Route, Street, WayKind
+from wcsim.types import F64, Outline, Route, Street, WayKind
 from wcsim.users.crossing import KERB_GAP_M, Crossing, crossings
 from wcsim.users.profiles import UserProfile
 from wcsim.users.recorded import find_user
@@ -213,11 +213,7 @@ def _beside(place: DrawPlace, end_m: F64, rng: np.random.Generator) -> XY | None
 
 def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
     """Whether nothing that stands is in the way of a start; who moves is not there yet."""
-
-    def nobody(_p_W_m: F64, _reach_m: float) -> Sequence[ActorState]:
-        return ()
-
-    return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, nobody)
+    return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ())
 
 
 def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, Route]:

@@ -113,14 +113,9 @@ class _LastSteps:
     """Keeps the last steps of some seats."""
 
     def __init__(self, seats: frozenset[int], steps: int, draw: Draw | None) -> None:
-        self._seats, self._draw = seats, draw
+        self.seats, self._draw = seats, draw
         self.kept: dict[int, deque[PlayedStep]] = {seat: deque(maxlen=steps) for seat in seats}
         self.drawn: dict[int, Any] = {}
-
-    @property
-    def seats(self) -> frozenset[int]:
-        """Those that are looked at."""
-        return self._seats
 
     def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
         """Keep a step."""
