@@ -102,13 +102,13 @@ class Oracle:
         )
 
     def _verdict(
-        self, plant: PlantState, joystick: Joystick, others: Others, waiting: Sequence[Joystick], accel_mps2: float
+        self, plant: PlantState, joystick: Joystick, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
     ) -> Verdict:
         own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2)
         return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
 
-    def _near(self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0) -> Others:
+    def _near(self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0) -> _Others:
         """Who can meet the chair, or is within `FAR_M`; the roll-out of a command begins `later_s` from now."""
         reach_m, meets_s = self._reach_m + later_s * FASTEST_MPS, self._roll_s + later_s
         x, y, z = plant.p_WB_m.tolist()
@@ -127,10 +127,10 @@ class Oracle:
                 people.append((ax, ay, cos, sin, 0.5 * max(length, width), ahead, left, actor.deflect_m, 0.0))
             else:
                 boxes.append((ax, ay, cos, sin, 0.5 * length, 0.5 * width, vx, vy, 0.0))
-        return Others(*(np.array(rows, np.float64).reshape(-1, 9) for rows in (boxes, people)))
+        return _Others(*(np.array(rows, np.float64).reshape(-1, 9) for rows in (boxes, people)))
 
     def _roll_out(
-        self, plant: PlantState, commands: F64, others: Others, waiting: Sequence[Joystick], accel_mps2: float
+        self, plant: PlantState, commands: F64, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         first_s: F64 = roll_out(
@@ -157,7 +157,7 @@ class Oracle:
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 
-    def _clearance(self, plant: PlantState, others: Others) -> float:
+    def _clearance(self, plant: PlantState, others: _Others) -> float:
         grid = self._grid.around(plant.p_WB_m)
         origin_m = np.array(grid.origin_W_m, np.float64)
         gap = free_distance(
@@ -166,7 +166,7 @@ class Oracle:
         return min(float(gap), FAR_M)
 
 
-class Others(NamedTuple):
+class _Others(NamedTuple):
     """Those near a chair, as the kernels take them."""
 
     boxes: F64  # (n, 9) who drives, see `rollout`

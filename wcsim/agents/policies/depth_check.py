@@ -44,7 +44,7 @@ class CorridorWatch:
         stop_m = speed * (_REACTION_S + ahead_s) + speed * speed / (2.0 * self._chair.decel_mps2)
         reach_m = stop_m + self._outline.front_x_m + CLEAR_M
         seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
-        low, high = heights(points, roll, pitch)
+        low, high = _heights(points, roll, pitch)
         solid = seen & (low > _limit_m(points)) & (high < HEAD_M)
         if self._enough(solid & _in_corridor(points, speed, turn, reach_m, self._outline)):
             return True
@@ -97,7 +97,7 @@ def sees_in_a_mirror(camera: CameraConfig) -> bool:
     return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0 and camera.roll_deg == 0.0
 
 
-def heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
+def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
     """Smaller and larger of two heights of each point: above the chair's own plane, and above a level plane below it.
 
     On a ramp the first is right, just before or after it the second; something counts only when both agree.

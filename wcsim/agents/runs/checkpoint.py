@@ -50,7 +50,7 @@ class Restored(Generic[T]):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shared:
+class _Shared:
     """A file of arrays that a checkpoint has already, and the hash that it was written with, not compared with it."""
 
     path: Path
@@ -86,7 +86,7 @@ def save(
     folder: Path,
     name: str,
     state: Mapping[str, Any],
-    arrays: Mapping[str, Arrays | Shared],
+    arrays: Mapping[str, Arrays | _Shared],
     alive: Callable[[], object] = lambda: None,
 ) -> Path:
     """Write the checkpoint `folder/name` in one step, and drop all but it and the newest ones.
@@ -109,7 +109,7 @@ def save(
         hashes = {}
         for part, held in arrays.items():
             file = f"{part}{_END}"
-            if isinstance(held, Shared):
+            if isinstance(held, _Shared):
                 _link(held.path, target / file)
                 hashes[file] = held.sha256
             else:
@@ -167,11 +167,11 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     return found
 
 
-def newest_arrays(folder: Path, part: str) -> Shared | None:
+def newest_arrays(folder: Path, part: str) -> _Shared | None:
     """The arrays of that name in the newest checkpoint that has them; None where there is none."""
     for path in reversed(checkpoints(folder)):
         with contextlib.suppress(PolicyError, KeyError):
-            return Shared(path=path / f"{part}{_END}", sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]))
+            return _Shared(path=path / f"{part}{_END}", sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]))
     return None
 
 
