@@ -23,7 +23,7 @@ from wcsim.agents.export.guard import MEANING
 from wcsim.agents.export.onnx_export import export_policy
 from wcsim.agents.policy_api import MODEL_FILE, Observation
 from wcsim.agents.rounds.train_rounds import data_of
-from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS, shipped_folder, shipped_place, write_hashes
+from wcsim.agents.runs.policy_file import FILES, HELD, POLICY_JSON, WEIGHTS, shipped_folder, shipped_place
 from wcsim.agents.runs.run_folder import MANIFEST, RunFolder, open_run
 from wcsim.config import CameraConfig, CollectConfig
 from wcsim.core import files
@@ -57,7 +57,7 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
             if (to / "README.md").is_file():
                 shutil.copyfile(to / "README.md", target / "README.md")
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
-            write_hashes(target)
+            files.write_json(target / FILES, {"sha256": {name: files.sha256(target / name) for name in HELD}})
     return shipped_folder(to)
 
 

@@ -22,7 +22,7 @@ from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.drive.playing.play_messages import FailedLine, film_about
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.suite_page import DemoShown, write_demo_page
+from wcsim.view.report.suite_page import write_demo_page
 
 pytestmark = [
     pytest.mark.browser,
@@ -99,15 +99,9 @@ def test_the_report_of_a_hostile_training_shows_its_names(context: Any, tmp_path
 
 def test_the_page_of_a_hostile_demo_shows_its_names(context: Any, tmp_path: Path) -> None:
     hostile_result(tmp_path)
-    what = DemoShown(
-        learned=NAMES[0],
-        result=read_result(tmp_path),
-        film="film.mp4",
-        film_says=NAMES[1],
-        still_png=b"",
-        commands=[(NAMES[2], NAMES[3])],
-    )
-    assert NAMES[2] in shown(context, write_demo_page(tmp_path, what))
+    said = {"learned": NAMES[0], "film": "film.mp4", "film_says": NAMES[1], "still_png": b""}
+    page = write_demo_page(tmp_path, read_result(tmp_path), **said, commands=[(NAMES[2], NAMES[3])])
+    assert NAMES[2] in shown(context, page)
 
 
 @pytest.mark.parametrize("name", ["index.html", "play.html"])

@@ -11,7 +11,8 @@ from tests.users.kinematics import plant
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import judge, observation_of
+from wcsim.supervisor.judge import judge
+from wcsim.supervisor.observation import observation_of
 from wcsim.types import ClientSnapshot, Joystick
 
 ACTIONS = action_set("square81")

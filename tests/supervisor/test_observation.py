@@ -9,20 +9,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.plants import CALM
 from tests.support.yardstick import multiple
+from tests.users.kinematics import plant
+from wcsim.config import CameraConfig, EnvConfig, RunConfig, resolve
 from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import (
-    ObservationSpec,
     _imu_vector,
     decode_depth,
     encode_depth,
     imu_size,
+    observation_of,
     observation_space,
-    observe,
 )
 from wcsim.supervisor.palette import COLOURS, palette
-from wcsim.types import CameraFrame, ClassId, ImuFrame, Joystick, Measure, Reading, SensorFrame
+from wcsim.types import CameraFrame, ClassId, ClientSnapshot, ImuFrame, Joystick, Reading, SensorFrame
 
 RANGE_M = 40.0
 
@@ -48,7 +50,16 @@ def sensors(width=320, height=240) -> SensorFrame:
 
 
 def seen(form, frame, fold=True, camera="front"):
-    return observe(form, frame, Joystick(-0.25, 0.75), ObservationSpec(camera=camera, range_m=RANGE_M, fold=fold))
+    env = EnvConfig(observation=form, classes="cityscapes" if fold else "wcsim")
+    eye = CameraConfig(name=camera, range_m=RANGE_M, rgb=form == "compact_rgb")
+    return observation_of(snapshot(frame), RunConfig(env=env, cameras=(eye,)))
+
+
+def snapshot(frame):
+    still = plant(0.0, 0.0, 0.0)
+    return ClientSnapshot(
+        seat=0, tick=3, plant=still, sensors=frame, user=Joystick(-0.25, 0.75), contacts=(), events=CALM
+    )
 
 
 @pytest.mark.parametrize("form", get_args(Form))
@@ -172,15 +183,15 @@ def test_observation_is_quick(form, most):
     assert multiple(lambda: seen(form, frame)) < most  # about a seventh of that
 
 
-@pytest.mark.parametrize("form", get_args(Form))
-def test_a_further_sensor_is_seen_over_its_full_scale_under_its_name(form):
-    wheels = Measure(parts=("speed_mps", "turn_radps"), full_scale=(4.0, 2.0), mirror=(1.0, -1.0))
-    seen = {"camera": "front", "range_m": 40.0, "fold": True, "measures": {"wheels": wheels}}
-    frame = replace(sensors(), readings=(Reading(name="wheels", values=np.array([1.0, -9.0])),))
-    got = observe(form, frame, Joystick(0.0, 0.0), ObservationSpec(**seen))
-    assert got["wheels"].tolist() == [0.25, -1.0] and got["wheels"].dtype == np.float32
-    assert observation_space(form, 320, 240, measures={"wheels": wheels}).contains(got)
-    assert "wheels" not in observe(form, frame, Joystick(0.0, 0.0), ObservationSpec(**{**seen, "measures": {}}))
-    for strange in ((), (Reading(name="wheels", values=np.zeros(3)),)):
-        with pytest.raises(ConfigError, match="no sensor 'wheels' with 2 numbers"):
-            observe(form, replace(frame, readings=strange), Joystick(0.0, 0.0), ObservationSpec(**seen))
+def test_a_further_sensor_is_seen_over_its_full_scale_under_its_name():
+    config = resolve("quick", "sensors.odometry=typical")
+    said = config.sensors.measures()
+    scale = said["odometry"].full_scale
+    frame = replace(sensors(), readings=(Reading(name="odometry", values=np.array(scale) * (0.25, -9.0)),))
+    got = observation_of(snapshot(frame), config)
+    assert got["odometry"].tolist() == [0.25, -1.0] and got["odometry"].dtype == np.float32
+    assert observation_space(config.env.observation, 320, 240, measures=said).contains(got)
+    assert "odometry" not in observation_of(snapshot(frame), RunConfig())
+    for strange in ((), (Reading(name="odometry", values=np.zeros(3)),)):
+        with pytest.raises(ConfigError, match="no sensor 'odometry' with 2 numbers"):
+            observation_of(snapshot(replace(frame, readings=strange)), config)

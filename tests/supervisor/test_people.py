@@ -143,9 +143,9 @@ def test_a_person_is_round():
     """A body turns no thin side to the chair: it is as far away whichever way it looks."""
     for yaw in (0.0, 0.5 * math.pi, 1.0):
         other = person(5.0 + FRONT_M + RADIUS_M + 0.3, Y_M, yaw)
-        assert ORACLE.clearance(plant(5.0, Y_M, 0.0), (other,)) == pytest.approx(0.3)
+        assert ORACLE.assess(plant(5.0, Y_M, 0.0), STOP, (other,)).clearance_m == pytest.approx(0.3)
     corner = person(5.0 + FRONT_M + 0.3, Y_M + 0.5 * USUAL_OUTLINE.width_m + 0.4, 0.3)
-    assert ORACLE.clearance(plant(5.0, Y_M, 0.0), (corner,)) == pytest.approx(0.5 - RADIUS_M)
+    assert ORACLE.assess(plant(5.0, Y_M, 0.0), STOP, (corner,)).clearance_m == pytest.approx(0.5 - RADIUS_M)
 
 
 @pytest.mark.parametrize("gap", [0.2, 0.25, 0.3, 0.4, 0.6])

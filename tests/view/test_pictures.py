@@ -32,14 +32,11 @@ def test_depth_goes_from_red_to_blue_and_ends_in_black():
 def test_a_triptych_shows_three_panels_of_one_size():
     rgb = np.full((60, 80, 3), 90, np.uint8)
     classes, depth = np.full((60, 80), ClassId.ROAD, np.uint8), np.full((60, 80), 3.0, np.float32)
-    image = triptych(rgb, classes, depth, 40.0)
+    image = triptych(rgb, classes, depth)
     assert image.shape == (60, 240, 3) and image.dtype == np.uint8
     assert image[50, 70].tolist() == [90, 90, 90]
     assert image[50, 150].tolist() == [128, 64, 128]
     assert (rgb == 90).all()  # captions are written on a copy
-    assert triptych(None, classes, depth).shape == (60, 240, 3)
-    with pytest.raises(ConfigError, match="one size"):
-        triptych(rgb[:50], classes, depth)
 
 
 def test_a_caption_can_be_seen():

@@ -122,11 +122,10 @@ def snapshot(words: list[str]) -> int:
 
 def _keep_shot(out: Path, shot: Shot, place: str) -> None:
     """Write a moment as a picture, and say what it shows."""
-    from wcsim.view.pictures import triptych, write_png
+    from wcsim.view.pictures import write_png
 
-    picture = triptych(shot.rgb, shot.class_id, shot.depth_m)
     with result_file(out) as part:
-        write_png(part, picture)
+        write_png(part, shot.picture)
     print(f"{out}: {place}, after {shot.after_s:.1f} s, {shot.in_view} actor{'s' * (shot.in_view != 1)} near in view")
 
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from wcsim.agents.evaluation.suite.drive import BlockOrder, in_scene, open_tight, seat_of
+from wcsim.agents.evaluation.suite.drive import BlockOrder, Piece, in_scene, seat_of
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
-from wcsim.config import RunConfig, resolve
+from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
@@ -119,7 +119,7 @@ def _of_town(start: DriveStart) -> OpenPlace:
     return OpenPlace(
         start=start,
         town=town,
-        config=resolve(config, sensing(config, policy)),
+        config=sensing(config, policy),
         policy=policy,
         spec=spec,
         seed=start.seed,
@@ -140,22 +140,18 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})
     tight = block.part == TIGHT
-    order = BlockOrder(
-        index=start.block,
-        block=block,
-        town=open_tight(block, work) if tight else _town_of(suite, block),
-        config=resolve(config, sensing(config, policy)),
-        judged=False,
-    )
+    piece, config = Piece(index=start.block, block=block), sensing(config, policy)
     if tight:
-        order = in_scene(order, work)
+        order = in_scene(piece, config, work)
+    else:
+        order = BlockOrder(piece=piece, town=_town_of(suite, block), config=config, seed=block.seed)
     return OpenPlace(
         start=start,
         town=order.town,
         config=order.config,
         policy=policy,
         spec=seat_of(order, episode, policy),
-        seed=block.seed if order.world_seed is None else order.world_seed,
+        seed=order.seed,
         handover_step=episode.handover_step,
         told=f"{suite.file.set} {start.block}.{start.seat}, {block.part}, {block.town}",
         episode=f"{suite.file.set} {start.block}.{start.seat}",

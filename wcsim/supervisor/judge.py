@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wcsim.config import RunConfig
-from wcsim.supervisor.observation import Observation, ObservationSpec, observe
+from wcsim.supervisor.observation import Observation, observation_of
 from wcsim.supervisor.rewards import joystick_distance, reward
 from wcsim.types import F64, ClientSnapshot, Joystick, RewardTerms
 
@@ -45,17 +45,3 @@ def judge(snapshot: ClientSnapshot, action: int, asked: Joystick, points: F64, c
         # An episode that crashed has ended: nothing is left that could be cut off.
         truncated=events.truncated and not events.crashed,
     )
-
-
-def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
-    """The observation of a snapshot in the configured form; also for the first frame of an episode."""
-    eye = config.eye
-    seen = ObservationSpec(
-        camera=eye.name,
-        range_m=eye.range_m,
-        fold=config.env.classes == "cityscapes",
-        gyro=config.env.observe_gyro,
-        yaw=config.env.observe_yaw,
-        measures=config.sensors.measures(),
-    )
-    return observe(config.env.observation, snapshot.sensors, snapshot.user, seen)

@@ -134,7 +134,7 @@ class KpiMeter:
         whose = str(fault(events.crash_reason, contacts, self._reward))
         if whose == "other" and (self._stood_s >= _STOOD_S - 1e-9 or self._in_red):
             whose = "own"
-        hit = hardest(contacts, self._reward) if events.crash_reason == "collision" else None
+        hit = hardest(events.crash_reason, contacts, self._reward)
         partner = "" if hit is None else hit.kind
         return {"reason": events.crash_reason, "fault": whose, "partner": partner, "crash": events.crash}
 

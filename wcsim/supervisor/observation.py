@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, get_args
@@ -19,10 +18,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from wcsim.config import RunConfig
 from wcsim.config.env import Form
 from wcsim.errors import ConfigError
 from wcsim.supervisor.palette import class_fold_table, palette
-from wcsim.types import F32, U8, CameraFrame, ImuFrame, Joystick, Measure, SensorFrame
+from wcsim.types import F32, U8, CameraFrame, ClientSnapshot, ImuFrame, Measure, SensorFrame
 
 Observation = dict[str, npt.NDArray[Any]]
 Measures = Mapping[str, Measure]
@@ -42,11 +42,12 @@ _INFINITE = 0x7F800000 >> _MANTISSA_BITS_DROPPED  # infinity and NaN begin here
 def observation_space(
     form: Form, width: int, height: int, imu: int = _IMU_SIZE, measures: Measures = NO_MEASURES
 ) -> spaces.Dict:
-    """The Gymnasium space of `observe`; images are (C, height, width), `imu` numbers come from the IMU.
+    """The Gymnasium space of `observation_of`; images are (C, height, width), `imu` numbers come from the IMU.
 
     The sensors of `measures` have entries of their own, by name. Raises ConfigError for an unknown form.
     """
-    _check_form(form)
+    if form not in get_args(Form):
+        raise ConfigError(f"unknown observation form {form!r}; expected one of {', '.join(get_args(Form))}")
     vectors: dict[str, spaces.Space[Any]] = {
         "imu": spaces.Box(-1.0, 1.0, (imu,), np.float32),
         "joystick": spaces.Box(-1.0, 1.0, (2,), np.float32),
@@ -65,52 +66,35 @@ def observation_space(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ObservationSpec:
-    """What of a frame is seen."""
-
-    camera: str  # its name
-    range_m: float  # that camera's, by which depth is scaled
-    fold: bool  # whether wcsim's own classes become Cityscapes' (kerbs to sidewalk, crosswalk to road)
-    gyro: bool = False  # turn rates
-    yaw: bool = False  # the heading
-    measures: Measures = field(default_factory=lambda: NO_MEASURES)  # of further sensors, by name
-
-
-def observe(form: Form, sensors: SensorFrame, user: Joystick, seen: ObservationSpec) -> Observation:
-    """The observation of one frame.
-
-    Args:
-        form: "compact", "compact_rgb" or "table3".
-        sensors: What the chair's sensors say.
-        user: The user's joystick as it stands in this frame.
-        seen: What of it is seen.
+def observation_of(snapshot: ClientSnapshot, config: RunConfig) -> Observation:
+    """The observation of a snapshot in the configured form; also for the first frame of an episode.
 
     Returns:
         Arrays as in `observation_space`, contiguous and owned by the caller.
 
     Raises:
-        ConfigError: There is no such camera, sensor or form, or no colours where they are asked for.
+        ConfigError: There is no such camera or sensor, or no colours where they are asked for.
     """
-    _check_form(form)
-    frame = _frame(sensors, seen.camera)
-    vectors = {"imu": _imu_vector(sensors.imu, seen.gyro, seen.yaw), "joystick": np.array([user.x, user.y], np.float32)}
-    vectors |= {name: _measured(sensors, name, measure) for name, measure in seen.measures.items()}
-    if form != "table3":
-        seg = _fold(frame.class_id) if seen.fold else frame.class_id.copy()
-        images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, seen.range_m)[None]}
-        if form == "compact_rgb":
+    sensors, env, eye = snapshot.sensors, config.env, config.eye
+    frame, fold = _frame(sensors, eye.name), env.classes == "cityscapes"  # kerbs to sidewalk, crosswalk to road
+    imu = _imu_vector(sensors.imu, env.observe_gyro, env.observe_yaw)
+    vectors = {"imu": imu, "joystick": np.array([snapshot.user.x, snapshot.user.y], np.float32)}
+    vectors |= {name: _measured(sensors, name, measure) for name, measure in config.sensors.measures().items()}
+    if env.observation != "table3":
+        seg = _fold(frame.class_id) if fold else frame.class_id.copy()
+        images = {"seg": seg[None], "depth": encode_depth(frame.depth_m, eye.range_m)[None]}
+        if env.observation == "compact_rgb":
             if frame.rgb is None:
-                raise ConfigError(f"camera {seen.camera!r} draws no colours; expected its setting rgb=true")
+                raise ConfigError(f"camera {eye.name!r} draws no colours; expected its setting rgb=true")
             images["rgb"] = np.moveaxis(frame.rgb, 2, 0).copy()
         return {**images, **vectors}
-    colours = _planes(seen.fold)
+    colours = _planes(fold)
     index = frame.class_id.astype(np.intp)
     image = np.empty((3, *index.shape), np.float32)
     for plane, colour in zip(image, colours, strict=True):
         # NumPy buffers `out` with the mode `raise`, and class ids are never out of bounds.
         np.take(colour, index, out=plane, mode="clip")
-    depth = np.multiply(frame.depth_m, np.float32(1.0 / seen.range_m), dtype=np.float32)
+    depth = np.multiply(frame.depth_m, np.float32(1.0 / eye.range_m), dtype=np.float32)
     return {"segmentation": image, "depth": np.clip(depth, 0.0, 1.0, out=depth)[None], **vectors}
 
 
@@ -211,8 +195,3 @@ def _frame(sensors: SensorFrame, name: str) -> CameraFrame:
             return frame
     known = ", ".join(frame.name for frame in sensors.cameras) or "none"
     raise ConfigError(f"no camera {name!r} on this chair; it has: {known}")
-
-
-def _check_form(form: str) -> None:
-    if form not in get_args(Form):
-        raise ConfigError(f"unknown observation form {form!r}; expected one of {', '.join(get_args(Form))}")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,20 +18,12 @@ from wcsim.config import ChairConfig
 from wcsim.core.constants import OTHER_LEVEL_M
 from wcsim.core.joystick import limits_of, shaped_rows
 from wcsim.supervisor.rollout import HOLD_S, STEP_S, free_distance, roll_out, rolls_s
-from wcsim.types import F64, ActorKind, ActorState, Bool, Ground, Joystick, Outline, PlantState, Verdict
+from wcsim.types import F64, ActorKind, ActorState, Ground, Joystick, Outline, PlantState, Truth, Verdict
 
 REACH_M = 4.0  # at least so far a chair with its footprint may get in one roll-out,
 _LONGEST_ROLL_OUT_S = 2.5  # which may take so long at least; both more for who brakes softly
 FASTEST_MPS = 5.0  # of any chair
 FAR_M = 25.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Assessment(Verdict):
-    """Everything the oracle says of one moment."""
-
-    clearance_m: float
-    visible: Verdict | None  # with those alone who are known; None when it was not asked for
 
 
 class Oracle:
@@ -78,15 +69,6 @@ class Oracle:
         others = self._near(plant, actors, len(waiting) * self._tick_s)
         return bool(np.isfinite(self._roll_out(plant, commands, others, waiting, accel_mps2)[0]))
 
-    def safe_actions(self, plant: PlantState, actors: Iterable[ActorState]) -> Bool:
-        """(A,) bool: which actions end well."""
-        safe: Bool = np.isinf(self._roll_out(plant, self._commands, self._near(plant, actors), (), 0.0))
-        return safe
-
-    def clearance(self, plant: PlantState, actors: Iterable[ActorState]) -> float:
-        """Free distance in metres around the chair's footprint now, 0 when it touches, at most 25.5."""
-        return self._clearance(plant, self._near(plant, actors))
-
     def assess(
         self,
         plant: PlantState,
@@ -95,8 +77,8 @@ class Oracle:
         waiting: Sequence[Joystick] = (),
         known: Iterable[ActorState] | None = None,
         accel_mps2: float = 0.0,
-    ) -> _Assessment:
-        """All answers at once.
+    ) -> Truth:
+        """All answers at once, with the stick for the intent and no progress: of these a seat knows more.
 
         `waiting` are the commands that the chair obeys before the next one, one a tick; `known` are those of the
         actors with whom alone it is asked once more what ends badly; `accel_mps2` is what the drive asks for now: it
@@ -110,22 +92,45 @@ class Oracle:
             # The known ones are among the others: if they are as many, one roll-out answers both questions.
             same = few.many == others.many
             visible = said if same else self._verdict(plant, joystick, few, waiting, accel_mps2)
-        gap_m = self._clearance(plant, others)
-        return _Assessment(danger=said.danger, first_s=said.first_s, clearance_m=gap_m, visible=visible)
+        return Truth(
+            danger=said.danger,
+            first_s=said.first_s,
+            clearance_m=self._clearance(plant, others),
+            visible=visible,
+            intent=joystick,
+            progress_m=0.0,
+        )
 
     def _verdict(
-        self, plant: PlantState, joystick: Joystick, others: Others, waiting: Sequence[Joystick], accel_mps2: float
+        self, plant: PlantState, joystick: Joystick, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
     ) -> Verdict:
         own = shaped_rows(np.array([[joystick.x, joystick.y]]), self._chair)
         first_s = self._roll_out(plant, np.concatenate([self._commands, own]), others, waiting, accel_mps2)
         return Verdict(danger=bool(np.isfinite(first_s[-1])), first_s=first_s[:-1])
 
-    def _near(self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0) -> Others:
-        """Who can meet the chair; the roll-out of a command begins `later_s` from now."""
-        return _others_near(plant, actors, self._reach_m + later_s * FASTEST_MPS, self._roll_s + later_s)
+    def _near(self, plant: PlantState, actors: Iterable[ActorState], later_s: float = 0.0) -> _Others:
+        """Who can meet the chair, or is within `FAR_M`; the roll-out of a command begins `later_s` from now."""
+        reach_m, meets_s = self._reach_m + later_s * FASTEST_MPS, self._roll_s + later_s
+        x, y, z = plant.p_WB_m.tolist()
+        boxes, people = [], []
+        for actor in actors:
+            ax, ay, az = actor.p_W_m.tolist()
+            vx, vy, _ = actor.v_W_mps.tolist()
+            length, width, _ = actor.size_lwh_m
+            # |vx| + |vy| is never less than the speed, so nobody who can meet the chair is left out.
+            reach = max(reach_m + meets_s * (abs(vx) + abs(vy)), FAR_M) + 0.5 * (length + width)
+            if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
+                continue
+            cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
+            if actor.kind is ActorKind.PEDESTRIAN:
+                ahead, left = vx * cos + vy * sin, vy * cos - vx * sin
+                people.append((ax, ay, cos, sin, 0.5 * max(length, width), ahead, left, actor.deflect_m, 0.0))
+            else:
+                boxes.append((ax, ay, cos, sin, 0.5 * length, 0.5 * width, vx, vy, 0.0))
+        return _Others(*(np.array(rows, np.float64).reshape(-1, 9) for rows in (boxes, people)))
 
     def _roll_out(
-        self, plant: PlantState, commands: F64, others: Others, waiting: Sequence[Joystick], accel_mps2: float
+        self, plant: PlantState, commands: F64, others: _Others, waiting: Sequence[Joystick], accel_mps2: float
     ) -> F64:
         grid = self._grid.around(plant.p_WB_m)
         first_s: F64 = roll_out(
@@ -152,7 +157,7 @@ class Oracle:
         steps = np.arange(math.ceil(len(waiting) * self._tick_s / STEP_S - 1e-6))
         return np.ascontiguousarray(sticks[(steps * STEP_S / self._tick_s + 1e-6).astype(np.intp)])
 
-    def _clearance(self, plant: PlantState, others: Others) -> float:
+    def _clearance(self, plant: PlantState, others: _Others) -> float:
         grid = self._grid.around(plant.p_WB_m)
         origin_m = np.array(grid.origin_W_m, np.float64)
         gap = free_distance(
@@ -161,7 +166,7 @@ class Oracle:
         return min(float(gap), FAR_M)
 
 
-class Others(NamedTuple):
+class _Others(NamedTuple):
     """Those near a chair, as the kernels take them."""
 
     boxes: F64  # (n, 9) who drives, see `rollout`
@@ -171,27 +176,6 @@ class Others(NamedTuple):
     def many(self) -> int:
         """How many they are."""
         return len(self.boxes) + len(self.people)
-
-
-def _others_near(plant: PlantState, actors: Iterable[ActorState], reach_m: float, meets_s: float) -> Others:
-    """Who can meet the chair, which gets so far in so many seconds, or is within `FAR_M`."""
-    x, y, z = plant.p_WB_m.tolist()
-    boxes, people = [], []
-    for actor in actors:
-        ax, ay, az = actor.p_W_m.tolist()
-        vx, vy, _ = actor.v_W_mps.tolist()
-        length, width, _ = actor.size_lwh_m
-        # |vx| + |vy| is never less than the speed, so nobody who can meet the chair is left out.
-        reach = max(reach_m + meets_s * (abs(vx) + abs(vy)), FAR_M) + 0.5 * (length + width)
-        if not (abs(ax - x) < reach and abs(ay - y) < reach and abs(az - z) < OTHER_LEVEL_M):
-            continue
-        cos, sin = math.cos(actor.yaw_rad), math.sin(actor.yaw_rad)
-        if actor.kind is ActorKind.PEDESTRIAN:
-            ahead, left = vx * cos + vy * sin, vy * cos - vx * sin
-            people.append((ax, ay, cos, sin, 0.5 * max(length, width), ahead, left, actor.deflect_m, 0.0))
-        else:
-            boxes.append((ax, ay, cos, sin, 0.5 * length, 0.5 * width, vx, vy, 0.0))
-    return Others(*(np.array(rows, np.float64).reshape(-1, 9) for rows in (boxes, people)))
 
 
 def _state(plant: PlantState, accel_mps2: float = 0.0) -> F64:

@@ -103,7 +103,7 @@ def crash_reason(
     The first explains the others: a collision with what stands or moves in the street, a wheel that `dropped` off a
     kerb, a collision with ground or kerb, an acceleration, a tilt.
     """
-    collisions = [contact for contact in contacts if is_collision(contact, config)]
+    collisions = [contact for contact in contacts if _is_collision(contact, config)]
     # A chair that falls hits the ground: that touch follows from the fall, any other one does not.
     if dropped and all(contact.kind in GROUND_KINDS for contact in collisions):
         return "drop"
@@ -117,7 +117,7 @@ def crash_reason(
     return ""
 
 
-def is_collision(contact: Contact, config: RewardConfig) -> bool:
+def _is_collision(contact: Contact, config: RewardConfig) -> bool:
     """Whether a touch counts as a collision.
 
     Wheels, casters and anti-tips may touch ground and kerb. Anything else that touches ground or kerb counts above
@@ -134,16 +134,16 @@ _STANDING = {"ground": "the ground", "kerb": "a kerb", "static": "something that
 _LONGEST_ID = 100
 
 
-def hardest(contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
-    """The touch with the largest impulse of those that count as a collision, None when there is none."""
-    counting = [contact for contact in contacts if is_collision(contact, config)]
+def hardest(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Contact | None:
+    """The touch with the largest impulse of those that count as a collision; None of another crash."""
+    counting = [contact for contact in contacts if reason == "collision" and _is_collision(contact, config)]
     # At a tie the first one; contacts come sorted by kind, actor and part.
     return max(counting, key=lambda contact: contact.impulse_Ns, default=None)
 
 
 def fault(reason: str, contacts: Sequence[Contact], config: RewardConfig) -> Fault:
     """Whose a crash is: the cause of its hardest touch; without a collision the chair's own."""
-    hit = hardest(contacts, config) if reason == "collision" else None
+    hit = hardest(reason, contacts, config)
     return "own" if hit is None else hit.cause
 
 
@@ -159,7 +159,7 @@ def crash_words(reason: str, contacts: Sequence[Contact], config: RewardConfig) 
     >>> crash_words("collision", (hit,), RewardConfig()), crash_words("drop", (), RewardConfig())
     ('was hit by car flow.3', 'fell off a kerb')
     """
-    hit = hardest(contacts, config) if reason == "collision" else None
+    hit = hardest(reason, contacts, config)
     if hit is None:
         return _NO_TOUCH.get(reason, reason)
     name = re.sub(r"~\d+$", "", hit.actor_id.partition(":")[2])[:_LONGEST_ID]  # of something articulated: the whole

@@ -25,9 +25,9 @@ from wcsim.core.frames import rad
 from wcsim.errors import ConfigError
 from wcsim.supervisor.observation import decode_depth
 from wcsim.towns.scenario.town import Town
-from wcsim.types import F32, U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
+from wcsim.types import U8, CameraFrame, ClassId, Joystick, Route, SeatSpec, Snapshot
 from wcsim.view.map import MapView, street_video
-from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side
+from wcsim.view.pictures import captioned, class_colours, depth_colours, open_video, side_by_side, triptych
 
 _FILM_PX: Final = 480
 
@@ -101,11 +101,9 @@ _ALONE: Final = FilmDriver()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shot:
-    """One moment through the camera; arrays are copies."""
+    """One moment through the camera."""
 
-    rgb: U8  # (H, W, 3)
-    class_id: U8  # (H, W)
-    depth_m: F32  # (H, W)
+    picture: U8  # see `triptych`
     after_s: float
     in_view: int  # actors in the camera's field of view, near enough to be seen
 
@@ -178,9 +176,7 @@ class FilmedDrive:
         """What the camera sees now, so long after the beginning."""
         frame = self._frame()
         return Shot(
-            rgb=self._colours().copy(),
-            class_id=frame.class_id.copy(),
-            depth_m=frame.depth_m.copy(),
+            picture=triptych(self._colours(), frame.class_id, frame.depth_m),
             after_s=after_s,
             in_view=self._in_view(self.world.snapshot),
         )
@@ -239,7 +235,7 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named(driver.policy, own, seed, driver.network or None)
     truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
-    config = resolve(own, sensing(own, policy))
+    config = sensing(own, policy)
     return config, SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
 
 

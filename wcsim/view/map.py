@@ -23,18 +23,18 @@ from wcsim.view.pictures import open_video, side_by_side
 _HEIGHT_M = 400.0
 RANGE_M = 10_000.0  # haze grows with the share of the range
 
-_KIND_RGB: tuple[tuple[ActorKind, tuple[int, int, int]], ...] = (
-    (ActorKind.CAR, (36, 86, 190)),
-    (ActorKind.TRUCK, (24, 48, 120)),
-    (ActorKind.BUS, (14, 120, 150)),
-    (ActorKind.TRAM, (20, 130, 110)),
-    (ActorKind.MOTORCYCLE, (120, 70, 200)),
-    (ActorKind.BICYCLE, (190, 90, 20)),
-    (ActorKind.SCOOTER, (200, 130, 40)),
-    (ActorKind.PEDESTRIAN, (214, 40, 70)),
-    (ActorKind.WHEELCHAIR, (240, 200, 40)),
-    (ActorKind.OTHER, (110, 80, 120)),
-)
+_KIND_RGB: dict[ActorKind, tuple[int, int, int]] = {
+    ActorKind.CAR: (36, 86, 190),
+    ActorKind.TRUCK: (24, 48, 120),
+    ActorKind.BUS: (14, 120, 150),
+    ActorKind.TRAM: (20, 130, 110),
+    ActorKind.MOTORCYCLE: (120, 70, 200),
+    ActorKind.BICYCLE: (190, 90, 20),
+    ActorKind.SCOOTER: (200, 130, 40),
+    ActorKind.PEDESTRIAN: (214, 40, 70),
+    ActorKind.WHEELCHAIR: (240, 200, 40),
+    ActorKind.OTHER: (110, 80, 120),
+}
 _CHAIR_RGB = (250, 214, 40)
 ROUTE_RGB = (0, 72, 40)  # and a light edge: one of them stands out from grass, road and pavement
 _EDGE_RGB = (250, 250, 250)
@@ -84,10 +84,9 @@ class MapView:
             points = np.column_stack([route.points_W_m, np.full(len(route.points_W_m), ground)])
             for colour, thick in ((_EDGE_RGB, 5), (ROUTE_RGB, 3)):
                 cv2.polylines(image, [self._pixels(T_CW, points)], False, colour, thick, cv2.LINE_AA, 3)
-        colours = dict(_KIND_RGB)
         for actor in actors:
             corners = _oriented_box(actor.p_W_m, actor.yaw_rad, actor.size_lwh_m[:2])
-            self._box(image, T_CW, corners, colours[actor.kind])
+            self._box(image, T_CW, corners, _KIND_RGB[actor.kind])
         boxes = chair_instances(chairs)
         for place, yaw_rad, chair in zip(boxes.p_W_m, boxes.yaw_rad.tolist(), chairs, strict=True):
             self._box(image, T_CW, _oriented_box(place, yaw_rad, chair.outline.size_lwh_m[:2]), _CHAIR_RGB)

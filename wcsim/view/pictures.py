@@ -52,31 +52,10 @@ def captioned(image: U8, text: str) -> U8:
     return out
 
 
-def triptych(rgb: U8 | None, class_id: U8, depth_m: F32, range_m: float | None = None) -> U8:
-    """Colour, class and depth of one camera side by side, (H, 3 W, 3) uint8, with captions.
-
-    Args:
-        rgb: (H, W, 3), or None when the camera took no colours; the place is then dark.
-        class_id: (H, W) ClassId.
-        depth_m: (H, W).
-        range_m: the camera's range, see `depth_colours`.
-
-    Raises:
-        ConfigError: when the images are not of one size.
-    """
-    shape = class_id.shape
-    if depth_m.shape != shape or (rgb is not None and rgb.shape != (*shape, 3)):
-        raise ConfigError(
-            f"images of one camera must be of one size; got class {shape}, depth {depth_m.shape}, "
-            f"rgb {None if rgb is None else rgb.shape}: pass the arrays of one CameraFrame"
-        )
-    colour = captioned(np.full((*shape, 3), _STRIP_RGB, np.uint8), "no colour taken") if rgb is None else rgb
-    panels = [
-        captioned(colour, "camera") if rgb is not None else colour,
-        captioned(class_colours(class_id), "class"),
-        captioned(depth_colours(depth_m, range_m), "depth"),
-    ]
-    return np.hstack(panels)
+def triptych(rgb: U8, class_id: U8, depth_m: F32) -> U8:
+    """Colour (H, W, 3), class and depth (H, W) of one camera side by side, (H, 3 W, 3) uint8, with captions."""
+    panels = {"camera": rgb, "class": class_colours(class_id), "depth": depth_colours(depth_m)}
+    return np.hstack([captioned(panel, name) for name, panel in panels.items()])
 
 
 def write_png(path: Path, image: U8) -> None:

@@ -14,7 +14,7 @@ from wcsim.server.protocol.members import Member
 from wcsim.server.specs import ClientStatus, WorldStatus
 from wcsim.types import SeatSpec
 from wcsim.view.live_table import PAYS, _pays_of
-from wcsim.view.report.client_sections import HEADINGS, _waiting_rows
+from wcsim.view.report.training_page import _PAID, _waiting_rows
 
 
 def state(learned_s, waited_s, pid=1, names=("a", "b"), lives=(7, 8)):
@@ -92,7 +92,7 @@ def test_a_table_says_who_waits_for_whom(tmp_path):
     log = PaidTimesLog(tmp_path)
     log.add(state((5.0, 6.0), 2.0))
     headings, rows = _waiting_rows(log.times)
-    assert headings == (*HEADINGS, "for a s", "for b s")
+    assert headings == (*_PAID, "for a s", "for b s")
     assert rows == [["a", 1.0, 5.0, 2.0, 3.0, 1.0, 4.0, None, 2.0], ["b", 1.0, 6.0, 2.0, 3.0, 1.0, 4.0, 0.2, None]]
     assert PAYS.startswith("acts") and _pays_of(ClientStatus(name="a")) == "-"
 

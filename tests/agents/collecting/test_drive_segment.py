@@ -23,7 +23,7 @@ from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import observation_of
+from wcsim.supervisor.observation import observation_of
 from wcsim.types import Command, Joystick, Verdict
 
 KEY = SegmentKey(run=5, round=0, index=0)

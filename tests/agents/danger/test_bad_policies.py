@@ -71,7 +71,7 @@ def test_weights_of_another_hash_type_shape_or_form_are_refused(saved: Path):
     tensors = load_file(saved / WEIGHTS)
     save_file({**tensors, "base": tensors["base"].double()}, saved / "other")
     exchanged(saved, (saved / "other").read_bytes())
-    with pytest.raises(PolicyError, match=r"base is F64 \[\], expected F32"):
+    with pytest.raises(PolicyError, match=r"base is float64 \[\], expected float32"):
         load_danger(saved, "own", CONFIG)
     torch.save(tensors, saved / "foreign")
     foreign = (saved / "foreign").read_bytes()

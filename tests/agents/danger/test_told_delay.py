@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tests.agents.danger.sights import observation, small_config
@@ -76,5 +78,5 @@ def test_a_suite_tells_each_episodes_delay_before_it_begins(corner):
         return made[-1]
 
     varied = resolve(order.config, ("vary.action_delay_ticks=[3,3]",))
-    drive_block(type(order)(index=0, block=order.block, town=order.town, config=varied, judged=False), make)
+    drive_block(replace(order, config=varied), make)
     assert [policy.heard for policy in made] == [[3, "reset"], [3, "reset"]]

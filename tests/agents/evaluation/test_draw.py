@@ -3,7 +3,7 @@
 import math
 
 from tests.agents.evaluation.suite.lists import config
-from wcsim.agents.evaluation.suite.draw import Wanted, _reference_time_s, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, _reference_time_s, crossing_blocks, free_blocks
 from wcsim.towns.scenario.town import find_town
 from wcsim.towns.street import load_street
 from wcsim.types import WayKind
@@ -13,7 +13,7 @@ ROAD = Wanted(part="crossing", profiles=("competent", "inattentive"))
 
 
 def manhattan():
-    return place_of("manhattan", load_street(find_town("manhattan")), config())
+    return DrawPlace("manhattan", load_street(find_town("manhattan")), config())
 
 
 def test_ways_keep_apart_and_are_the_same_for_the_same_seed():

@@ -28,6 +28,7 @@ from wcsim.agents.learning.saved_policy import load_policy, save_policy
 from wcsim.agents.networks.names import NETWORK_NAMES
 from wcsim.agents.policies.onnx_policy import OnnxPolicy
 from wcsim.config import CameraConfig, LearnConfig, RunConfig, resolve
+from wcsim.config.run_file import GuardRule
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
@@ -117,16 +118,15 @@ def test_the_example_repeats_the_reference_with_numpy_and_the_runtime_alone(made
 
 def test_the_example_and_wcsim_do_the_same_with_bad_frames(made):
     folder, _, _ = made
-    actions = action_set("square81")
-    mine = GuardedPolicy(OnnxPolicy(folder, "mine", 81), actions, clock=lambda: 0.0)
+    mine = GuardedPolicy(OnnxPolicy(folder, "mine", 81), action_set("square81"), GuardRule())
     mine.reset()
     other, tripped = EXAMPLE["Driver"](folder, clock=lambda: 0.0), 0
     for tick, seen in enumerate(RIDE):
         seen = {key: seen[key] for key in other.meaning["inputs"]}
-        frames = None if tick == 20 else {**seen, "imu": np.full(5, np.nan, np.float32)} if tick == 5 else seen
-        age_s = 0.4 if tick == 7 else 0.0
-        assert mine.drive(frames, age_s) == tuple(other.step(frames, age_s))
-        tripped += mine.state.tripped
+        frames = {**seen, "imu": np.full(5, np.nan, np.float32)} if tick in (5, 20) else seen
+        mine.act(frames)
+        assert mine.stick == tuple(other.step(frames))
+        tripped += mine.tripped
     assert 10 < tripped < 30
 
 

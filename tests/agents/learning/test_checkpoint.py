@@ -106,7 +106,7 @@ def test_a_state_with_another_value_is_passed_over(bench, folder, key, sealed):
         files.write_sealed_json(file, {**data, key: BAD[key]})
     loaded = load_checkpoint(folder, bench.model)
     assert loaded.path.name == "step-00000080"
-    assert [item.path.name for item in loaded.passed_over] == ["step-00000120"]
+    assert [path.name for path in loaded.passed_over] == ["step-00000120"]
     assert content(bench.model, loaded.value.model_dump()) == bench.known[80]
 
 

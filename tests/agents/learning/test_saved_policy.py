@@ -98,7 +98,7 @@ def test_weights_of_another_shape_or_not_finite_are_refused(saved):
     tensors = load_file(saved / WEIGHTS)
     name = "advantage.bias"
     not_finite = torch.full((81,), float("nan"))
-    for wrong, says in ((torch.zeros(69), r"\[69\], expected F32 \[81\]"), (not_finite, "not finite")):
+    for wrong, says in ((torch.zeros(69), r"\[69\], expected float32 \[81\]"), (not_finite, "not finite")):
         save_file({**tensors, name: wrong}, saved / WEIGHTS)
         rewrite(saved, weights_sha256=files.sha256(saved / WEIGHTS))
         with pytest.raises(PolicyError, match=says):

@@ -12,8 +12,8 @@ from tests.support.yardstick import multiple
 from wcsim.agents.envs.wheelchair_env import WheelchairEnv
 from wcsim.agents.policies.baselines import baseline
 from wcsim.agents.policies.depth_check import viewing_rays
+from wcsim.agents.policies.dwa import _caution
 from wcsim.agents.policies.dynamic_window.arcs import arcs, follow, gaps, touches_after
-from wcsim.agents.policies.dynamic_window.braking import caution
 from wcsim.agents.policies.dynamic_window.street_memory import KEEP_BRIEFLY_S, StepMap
 from wcsim.agents.policies.dynamic_window.surroundings import _up_in_body
 from wcsim.agents.runs.policy_file import policy_name
@@ -269,7 +269,7 @@ def test_a_wall_goes_on_beside_the_chair_where_it_does_not_look():
 
 
 def test_levels_keep_wider_and_earlier_from_what_is_in_the_way():
-    cautions = [caution(level) for level in (0.0, 0.5, 1.0, 1.5, 2.0)]
+    cautions = [_caution(level) for level in (0.0, 0.5, 1.0, 1.5, 2.0)]
     for key in ("hold_s", "margin_m", "comfort_m"):
         values = [getattr(one, key) for one in cautions]
         assert values == sorted(values) and len(set(values)) == len(values)

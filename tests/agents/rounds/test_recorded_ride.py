@@ -24,7 +24,7 @@ from wcsim.drive.starting import DriveStart
 from wcsim.errors import ConfigError, JournalError
 from wcsim.log.drive import read_drive
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import observation_of
+from wcsim.supervisor.observation import observation_of
 from wcsim.types import Joystick
 
 TICKS = 40

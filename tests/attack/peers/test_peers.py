@@ -15,13 +15,13 @@ from tests.attack.peers.messages import hostile_request
 from tests.attack.peers.peers import Attacker, a_join, real_order, refusal
 from tests.attack.peers.wire import shapes
 from tests.server.servers import AHEAD, Server, stand_in_order
+from tests.support.samples import write_recording
 from wcsim.server.links.socket import SocketSeat, open_seat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.transport.keys import make_keys
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 from wcsim.users.profiles import recordings
-from wcsim.users.recorded import _write_recording
 
 AHEAD_A_LITTLE = Joystick(0.0, 0.05)  # within the dead band: the street stays the same
 NAN, INF = math.nan, math.inf
@@ -77,7 +77,7 @@ def test_a_join_names_no_file_of_the_server(town: Town, tmp_path: Path, local: b
 
 def test_a_recording_that_the_world_was_started_with_is_replayed(corner: Path, tmp_path: Path) -> None:
     file = tmp_path / "hand.csv"
-    _write_recording(file, np.arange(0.0, 5.0, 0.1), np.full((50, 2), [0.0, 0.7]))
+    write_recording(file, np.arange(0.0, 5.0, 0.1), np.full((50, 2), [0.0, 0.7]))
     profile = f"recorded:{file}"
     rules = Rules(capacity=1, expected=1, recordings=recordings(["competent", profile]))
     with Server(real_order(corner, tmp_path, rules=rules), tmp_path) as server:

@@ -26,8 +26,8 @@ from wcsim.cli.training.train_clients import Options, resolved
 from wcsim.config import resolve
 from wcsim.errors import PolicyError
 from wcsim.server.specs import RunInfo
-from wcsim.view.report.client_sections import client_sections
 from wcsim.view.report.learning_curve import Training
+from wcsim.view.report.training_page import _client_sections
 
 STEPS = ("--steps", 32, "--set", "learn.phase1_steps=16", "--set", "learn.checkpoint_every=8")
 
@@ -129,7 +129,7 @@ def test_the_lowest_kpi_1_of_the_first_phase_goes_on_or_whom_the_user_names(tmp_
     assert json.loads((tmp_path / "selection" / "choice.json").read_text()) == choice
     assert "KPI 1, last 2000 steps" in (told := capsys.readouterr().out) and "learns the second phase" in told
     assert phases_apart._choose(options, run, "fig6", None) == "fig6" == read_choice(tmp_path, ["patch", "fig6"])
-    (section,) = client_sections(Training(manifests={str(tmp_path): {}}, clients={}))
+    (section,) = _client_sections(Training(manifests={str(tmp_path): {}}, clients={}))
     (exhibit,) = section.exhibits
     assert exhibit.csv.splitlines() == ["client,KPI 1,learned on", "patch,0.3,", "fig6,0.35,second phase"]
     assert "The user chose fig6" in exhibit.says and section.title == "Which client learns the second phase"

@@ -7,7 +7,7 @@ import pytest
 from tests.drive.page.test_page import CHROMIUM, FLAGS
 from tests.view.report.results import record, with_episodes, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.view.report.suite_page import DemoShown, write_demo_page
+from wcsim.view.report.suite_page import write_demo_page
 
 
 @pytest.mark.browser
@@ -20,8 +20,8 @@ def test_no_column_is_cut_on_a_usual_screen(tmp_path):
     records = [replace(record(0), m=12_340.0, crossings=100, goals=100, red_entries=10)] * 100
     names = ("follow", "runs/demo/learned", "oracle-visible")
     result = with_episodes(read_result(tmp_path), dict.fromkeys(names, records))
-    shown = DemoShown(learned="It learned.", result=result, film="a.webm", film_says="", still_png=b"", commands=())
-    path = write_demo_page(tmp_path, shown)
+    shown = {"learned": "It learned.", "film": "a.webm", "film_says": "", "still_png": b"", "commands": ()}
+    path = write_demo_page(tmp_path, result, **shown)
     with sync_playwright() as play:
         chromium = play.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         page = chromium.new_page(viewport={"width": 1440, "height": 900})

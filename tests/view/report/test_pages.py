@@ -4,7 +4,6 @@ import jinja2
 import pytest
 
 from wcsim.view.report.pages import Exhibit, Figure, Section, ShownTable, page
-from wcsim.view.report.suite_page import DemoShown
 
 EVIL = '"><script>alert(1)</script>'
 
@@ -25,8 +24,8 @@ def test_what_is_no_markup_is_escaped_in_elements_attributes_and_cells():
     text = written(exhibit(), exhibit(tables=[cells]), exhibit(svg=b"<svg/>"))
     assert "<script>alert" not in text and text.count("&lt;script&gt;alert") == 18
     assert '<td data-key="&#34;&gt;&lt;script' in text and "<td>–</td>" in text
-    demo = DemoShown(learned=EVIL, result=None, film=EVIL, film_says=EVIL, still_png=b"", commands=[(EVIL, EVIL)])
-    assert "<script>alert" not in page("demo.jinja", title=EVIL, demo=demo, tables=[])
+    demo = {**dict.fromkeys(("learned", "film", "film_says"), EVIL), "still_png": b"", "commands": [(EVIL, EVIL)]}
+    assert "<script>alert" not in page("demo.jinja", title=EVIL, tables=[], **demo)
 
 
 def test_what_a_template_does_not_get_is_no_silent_gap():

@@ -21,8 +21,8 @@ from wcsim.config import RunConfig
 from wcsim.core.reading import escaped_value
 from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import judge, observation_of
-from wcsim.supervisor.observation import Observation
+from wcsim.supervisor.judge import judge
+from wcsim.supervisor.observation import Observation, observation_of
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm
 from wcsim.types import ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 

@@ -68,7 +68,7 @@ class _Zero(_Memoryless):
 
 
 @dataclass(slots=True, kw_only=True)
-class Random(_Memoryless):
+class _Random(_Memoryless):
     """Any action, drawn from a generator of its own, which goes on from episode to episode."""
 
     actions: ActionSet
@@ -159,7 +159,7 @@ def baseline(name: str, config: RunConfig, seed: int = 0) -> Policy:
     if name == "follow":
         return Follow(actions=actions)
     if name == "random":
-        return Random(actions=actions, seed=seed)
+        return _Random(actions=actions, seed=seed)
     if name == "zero":
         return _Zero(actions=actions)
     if name == "stop":

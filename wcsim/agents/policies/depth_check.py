@@ -44,29 +44,24 @@ class CorridorWatch:
         stop_m = speed * (_REACTION_S + ahead_s) + speed * speed / (2.0 * self._chair.decel_mps2)
         reach_m = stop_m + self._outline.front_x_m + CLEAR_M
         seen = (depth_m > 0.0) & (depth_m < 0.99 * self._range_m)  # 0: nothing was measured
-        return self._obstacle(points, seen, speed, turn, reach_m, roll, pitch) or self._drop(
-            points, speed, turn, reach_m, roll, pitch
-        )
-
-    def _obstacle(
-        self, points: F64, seen: Bool, speed: float, turn: float, reach_m: float, roll: float, pitch: float
-    ) -> bool:
-        limit = STEP_M + _SLOPE_PER_M * np.hypot(points[:, 0], points[:, 1])
-        low, high = heights(points, roll, pitch)
-        solid = seen & (low > limit) & (high < HEAD_M)
-        return self._enough(solid & _in_corridor(points, speed, turn, reach_m, self._outline))
-
-    def _drop(self, points: F64, speed: float, turn: float, reach_m: float, roll: float, pitch: float) -> bool:
-        """Rays that would meet level ground within the corridor, but go on below it."""
+        low, high = _heights(points, roll, pitch)
+        solid = seen & (low > _limit_m(points)) & (high < HEAD_M)
+        if self._enough(solid & _in_corridor(points, speed, turn, reach_m, self._outline)):
+            return True
+        # Rays that would meet level ground within the corridor, but go on below it.
         down = self._rays[:, 2] < -1e-3
         fall = np.where(down, -self._eye_B_m[2] / np.where(down, self._rays[:, 2], -1.0), 0.0)
         ground = self._eye_B_m + self._rays * fall[:, None]
-        _, high = heights(points, roll, pitch)
-        deep = high < -(STEP_M + _SLOPE_PER_M * np.hypot(ground[:, 0], ground[:, 1]))
-        return self._enough(down & deep & _in_corridor(ground, speed, turn, reach_m, self._outline))
+        deep = down & (high < -_limit_m(ground))
+        return self._enough(deep & _in_corridor(ground, speed, turn, reach_m, self._outline))
 
     def _enough(self, pixels: Bool) -> bool:
         return int(np.count_nonzero(pixels)) >= self._few
+
+
+def _limit_m(points_B_m: F64) -> F64:
+    """(K,) how high or deep something must be at these places to be in the way, or a drop."""
+    return np.asarray(STEP_M + _SLOPE_PER_M * np.hypot(points_B_m[:, 0], points_B_m[:, 1]), np.float64)
 
 
 def depth_metres(image: U8 | F32, range_m: float) -> F32:
@@ -102,7 +97,7 @@ def sees_in_a_mirror(camera: CameraConfig) -> bool:
     return camera.p_BC_m[1] == 0.0 and camera.yaw_deg == 0.0 and camera.roll_deg == 0.0
 
 
-def heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
+def _heights(points_B_m: F64, roll_rad: float, pitch_rad: float) -> tuple[F64, F64]:
     """Smaller and larger of two heights of each point: above the chair's own plane, and above a level plane below it.
 
     On a ramp the first is right, just before or after it the second; something counts only when both agree.

@@ -3,7 +3,8 @@
 Every joystick position of the action set is an arc within the reach of the drive. One that could not be held for 0.3 s
 and then braked before it meets something that it knows of (a wall, a person, a kerb, a drop) is out; of the others the
 one nearest to the user's stick wins, pushed away from what it would pass closely. Arcs begin where the commands that
-are on their way will have brought the chair.
+are on their way will have brought the chair. Backwards the chair does not look: it backs up over ground that it has
+seen or stood on, and hardly farther.
 
 The wrapper forbids what it could not brake in time. Networks and `dwa` miss different crashes, so together they crash
 less, and intervene more often.
@@ -12,13 +13,13 @@ less, and intervene more often.
 from __future__ import annotations
 
 import math
-from typing import Final
+from dataclasses import dataclass
 
 import numpy as np
 
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
-from wcsim.agents.policies.dynamic_window.arcs import touches_after
-from wcsim.agents.policies.dynamic_window.braking import brakes_in_time, caution
+from wcsim.agents.policies.dynamic_window.arcs import LONGEST_S, STEP_S, advance, arcs, touches_after
+from wcsim.agents.policies.dynamic_window.street_memory import is_known
 from wcsim.agents.policies.dynamic_window.surroundings import StreetSense
 from wcsim.agents.policy_api import (
     HIGHEST_LEVEL,
@@ -27,23 +28,108 @@ from wcsim.agents.policy_api import (
     USUAL_LEVEL,
     HearsDelay,
     HearsSent,
-    NeedsSenses,
     Observation,
     Policy,
     SeesTruth,
     TellsUnsafe,
     Warns,
     require_level,
+    senses_of,
 )
 from wcsim.config import RunConfig
+from wcsim.core.jit import exact_kernel
 from wcsim.errors import PolicyError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.types import F64, Bool, Outline
+from wcsim.types import F64, I64, Bool, Outline
 
 _COMFORT_COST = 0.15  # joystick distance, less than the 0.1768 that still counts as following
 WARN_S = 2.0  # of what the user's stick would meet so soon
 _WARN_MARGIN_M = 0.03
+
+
+@exact_kernel
+def _backs_blindly(
+    start: F64, hold_s: float, commands: F64, limits: F64, box: F64, cells: I64, pose_O: F64, blind: Bool
+) -> None:
+    """Say in `blind` (K,) which commands bring the chair's rear, backwards, onto ground that it does not know.
+
+    Args:
+        start: (6,) see `arcs`.
+        hold_s: For how long each command is held, before the chair brakes.
+        commands: (K, 2) joystick positions as the drive takes them.
+        limits: (7,) of the drive.
+        box: (3,) rear, front, half the width of the chair in B.
+        cells: Of `StreetMemory`.
+        pose_O: (3,) of the chair now.
+        blind: Written.
+    """
+    rest, now = np.zeros(2), np.empty(6)
+    for k in range(len(commands)):
+        blind[k] = False
+        if commands[k, 1] >= 0.0:
+            continue
+        now[:] = start
+        for i in range(int(LONGEST_S / STEP_S)):
+            held = i * STEP_S < hold_s - 1e-9
+            if not held and now[3] == 0.0:
+                break
+            advance(now, commands[k] if held else rest, limits, STEP_S)
+            if now[3] < 0.0 and not _rear_is_known(now, box, cells, pose_O):
+                blind[k] = True
+                break
+
+
+@exact_kernel
+def _rear_is_known(now: F64, box: F64, cells: I64, pose: F64) -> bool:
+    cos, sin = math.cos(now[2]), math.sin(now[2])
+    for side in (-1.0, 0.0, 1.0):
+        x = now[0] + cos * box[0] - sin * side * box[2]
+        y = now[1] + sin * box[0] + cos * side * box[2]
+        turned_x = pose[0] + math.cos(pose[2]) * x - math.sin(pose[2]) * y
+        if not is_known(cells, turned_x, pose[1] + math.sin(pose[2]) * x + math.cos(pose[2]) * y):
+            return False
+    return True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Caution:
+    """How early, and how widely, a driver is kept from what is in the way."""
+
+    hold_s: float = 0.3  # each joystick position is held for so long before it is braked
+    margin_m: float = 0.07  # kept all around: half a cell, and what the reckoning is off
+    comfort_m: float = 0.25  # passing closer than this costs up to _COMFORT_COST
+
+
+_LAST_MOMENT = _Caution(hold_s=0.1, margin_m=0.03, comfort_m=0.1)
+_EARLY = _Caution(hold_s=1.0, margin_m=0.2, comfort_m=0.5)
+
+
+def _caution(level: float) -> _Caution:
+    """That of a level of assistance from 0 (_LAST_MOMENT) over 1 (the usual one) to 2 (_EARLY)."""
+    low, high, share = (_LAST_MOMENT, _Caution(), level) if level < 1.0 else (_Caution(), _EARLY, level - 1.0)
+    mixed = {key: (1.0 - share) * getattr(low, key) + share * getattr(high, key) for key in _Caution.__slots__}
+    return _Caution(**mixed)
+
+
+def _brakes_in_time(around: StreetSense, care: _Caution, start: F64, later_s: float, points: F64) -> tuple[Bool, F64]:
+    """Of each action, whether it can be braked in time and does not back into what nobody has seen; how near it passes.
+
+    Args:
+        around: The street, as of the newest observation.
+        care: How early, and how widely.
+        start: (6,) the state in which an action begins, see `StreetSense.start`.
+        later_s: When that is.
+        points: (n, 5) what is in the way, `StreetSense.in_the_way` of the margin of `care`.
+
+    Returns:
+        (A,) whether it can, and (A,) the gap in metres.
+    """
+    commands, limits, box = around.commands, around.limits, around.box_B_m
+    gap_m, blind = np.empty(len(commands)), np.empty(len(commands), np.bool_)
+    free: Bool = arcs(start, later_s, care.hold_s, commands, limits, box, points, gap_m)
+    _backs_blindly(start, care.hold_s, commands, limits, box, around.memory.cells, around.ego.pose_O, blind)
+    return free & ~blind, gap_m
 
 
 class DynamicWindow(HearsSent):
@@ -56,7 +142,7 @@ class DynamicWindow(HearsSent):
         config: Of the run: its first camera is seen, and its chair driven.
         actions: The joystick positions to choose from.
         outline: The box around the chair and its user.
-        level: Of assistance, see `caution`.
+        level: Of assistance, see `_caution`.
     """
 
     senses, levels = MOTION_SENSES, (0.0, HIGHEST_LEVEL)
@@ -65,7 +151,7 @@ class DynamicWindow(HearsSent):
         self, name: str, config: RunConfig, actions: ActionSet, outline: Outline, level: float = USUAL_LEVEL
     ) -> None:
         self.name, self._alarm = name, Alarm()
-        self.level, self._caution, self._actions = level, caution(level), actions
+        self.level, self._caution, self._actions = level, _caution(level), actions
         self.unsafe: Bool = np.zeros(len(actions), np.bool_)  # (A,) out of the question at the last choice
         self._around = StreetSense(config, actions, outline)
 
@@ -83,9 +169,9 @@ class DynamicWindow(HearsSent):
         return self._alarm.on
 
     def set_level(self, level: float) -> None:
-        """Assist so from the next choice on; see `caution`. Raises PolicyError for a level out of bounds."""
+        """Assist so from the next choice on; see `_caution`. Raises PolicyError for a level out of bounds."""
         require_level(level, self.levels)
-        self.level, self._caution = level, caution(level)
+        self.level, self._caution = level, _caution(level)
 
     def sent(self, action: int) -> None:
         """Say which action is carried out."""
@@ -109,16 +195,13 @@ class DynamicWindow(HearsSent):
     def _choose(self, stick: F64, start: F64, later_s: float, points: F64) -> int:
         """The action that begins at `start` (6,), with `points` (n, 5) in the way, see `arcs`."""
         care = self._caution
-        free, gap_m = brakes_in_time(self._around, care, start, later_s, points)
+        free, gap_m = _brakes_in_time(self._around, care, start, later_s, points)
         self.unsafe = ~free
         if not free.any():
             return self._actions.nearest((0.0, 0.0))
         cost = self._actions.distances(stick[None])[0]
         cost += _COMFORT_COST * np.clip((care.comfort_m - gap_m) / care.comfort_m, 0.0, 1.0)
         return int(np.argmin(np.where(free, cost, np.inf)))
-
-
-_LEVEL: Final = 1.0  # of `dwa`, as it is when it drives alone
 
 
 class Veto(HearsSent):
@@ -140,9 +223,8 @@ class Veto(HearsSent):
             )
         self.name, self.inner = name, inner
         self._actions: ActionSet = action_set(config.env.actions)
-        self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline, _LEVEL)
-        wanted = inner.senses if isinstance(inner, NeedsSenses) else ()
-        self.senses, self.levels = tuple(dict.fromkeys((*MOTION_SENSES, *wanted))), self._dwa.levels
+        self._dwa = DynamicWindow("dwa", config, self._actions, plant_spec(config.chair).outline)
+        self.senses, self.levels = tuple(dict.fromkeys((*MOTION_SENSES, *senses_of(inner)))), self._dwa.levels
         self.unsafe: Bool = np.zeros(len(self._actions), np.bool_)  # (A,) to either of both at the last choice
 
     @property

@@ -47,6 +47,8 @@ def read_about(path: Path) -> OnnxPolicyFile:
 class OnnxPolicy:
     """Drives as the model says; on one core, so that the same model gives the same actions.
 
+    `warning` is whether it warns, as of its last `act`.
+
     Args:
         path: The folder.
         name: How tables call it.
@@ -55,7 +57,7 @@ class OnnxPolicy:
 
     def __init__(self, path: Path, name: str, actions: int) -> None:
         """Raises PolicyError when there is no such model, or it has other outputs than actions."""
-        self.name, self._actions, self._warning = name, actions, False
+        self.name, self._actions, self.warning = name, actions, False
         self._session = open_session(path / MODEL_FILE)
         self._inputs = {item.name: item for item in self._session.get_inputs()}
         self._outputs = [item.name for item in self._session.get_outputs()]
@@ -73,17 +75,12 @@ class OnnxPolicy:
             raise PolicyError(f"{escaped(path)}: its states have {size} bytes; expected at most {_LIMIT_BYTES}")
         self._state: dict[str, Any] = {}
 
-    @property
-    def warning(self) -> bool:
-        """Whether the model warns, as of its last `act`."""
-        return self._warning
-
     def begin(self) -> None:
         """Nothing outlives an episode."""
 
     def reset(self) -> None:
         """Every state is zero."""
-        self._warning = False
+        self.warning = False
         self._state = {key: np.zeros(shape, np.float32) for key, shape in self._shapes.items()}
 
     def act(self, observation: Observation) -> int:
@@ -111,7 +108,7 @@ class OnnxPolicy:
                 f"expected {self._actions} finite ones: set env.actions in {ABOUT_FILE} as in its training"
             )
         self._state = {key: found[f"{_NEXT}{key}"] for key in self._state}
-        self._warning = warning
+        self.warning = warning
         return int(values.argmax())
 
     def _found(self, given: dict[str, Any]) -> dict[str, Any]:

@@ -33,7 +33,7 @@ _ANSWER: Final = FileKind(what="an answer of a policy", limit_bytes=_ANSWER_BYTE
 
 
 class ServedPolicy:
-    """One chair's connection to such a process; `close` ends it.
+    """One chair's connection to such a process; `close` ends it. `warning` is whether it warns, as of its last `act`.
 
     Args:
         address: `tcp:PORT` or `tcp:HOST:PORT`.
@@ -42,7 +42,7 @@ class ServedPolicy:
 
     def __init__(self, address: str, points: npt.NDArray[Any]) -> None:
         """Raises PolicyError when nobody answers there."""
-        self.name, self._warning, self._actions = address, False, len(points)
+        self.name, self.warning, self._actions = address, False, len(points)
         host, port = _parts(address)
         try:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
@@ -56,11 +56,6 @@ class ServedPolicy:
             told = "expected a printable name and version of at most 160 letters"
             raise PolicyError(f"{self.name}: is called {escaped(self.version, 60)!r}; {told}")
 
-    @property
-    def warning(self) -> bool:
-        """Whether it warns, as of its last `act`."""
-        return self._warning
-
     def close(self) -> None:
         """End the connection."""
         self._socket.close()
@@ -70,7 +65,7 @@ class ServedPolicy:
 
     def reset(self) -> None:
         """Tell that an episode begins."""
-        self._warning = False
+        self.warning = False
         self._asked("reset", {})
 
     def act(self, observation: Observation) -> int:
@@ -80,7 +75,7 @@ class ServedPolicy:
         if not isinstance(action, int) or isinstance(action, bool) or not 0 <= action < self._actions:
             told = f"expected an action, a whole number from 0 to {self._actions - 1}"
             raise PolicyError(f"{self.name}: answered {escaped(str(answer), 80)}; {told}")
-        self._warning = answer.get("warning") is True
+        self.warning = answer.get("warning") is True
         return action
 
     def _asked(self, kind: str, observation: Mapping[str, npt.NDArray[Any]], **more: object) -> dict[str, Any]:

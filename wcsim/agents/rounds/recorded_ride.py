@@ -24,7 +24,7 @@ from wcsim.log.reader import read_header
 from wcsim.log.records import Dismissed, DriveTick, Header, Input, Respawned, WorldTick
 from wcsim.log.writer import JOURNAL
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import observation_of
+from wcsim.supervisor.observation import observation_of
 from wcsim.towns.scenario.town import find_town
 from wcsim.types import F32, ClientSnapshot, Joystick, SeatSpec
 

@@ -41,24 +41,16 @@ Restore = Callable[[int, dict[str, Any], dict[str, Arrays]], T]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _PassedOver:
-    """A checkpoint that was not used, and why."""
-
-    path: Path
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Restored(Generic[T]):
-    """What a learner was brought to, what `Restore` returned, and what was not used, newest first."""
+    """What a learner was brought to, what `Restore` returned, and what was not used, newest first, each with why."""
 
     path: Path
     value: T
-    passed_over: tuple[_PassedOver, ...]
+    passed_over: Mapping[Path, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shared:
+class _Shared:
     """A file of arrays that a checkpoint has already, and the hash that it was written with, not compared with it."""
 
     path: Path
@@ -76,12 +68,8 @@ def tag(counted: str, number: int) -> str:
 
 def checkpoints(folder: Path) -> list[Path]:
     """Those of a run, oldest first: real folders with exactly such a name; whatever else is there is not."""
-    try:
-        with os.scandir(folder) as entries:
-            found = [folder / entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]
-    except OSError:
-        return []
-    return sorted((path for path in found if _is_name(path.name)), key=number_of)
+    found = (path for path in folder.glob("*-*") if _is_name(path.name) and path.is_dir() and not path.is_symlink())
+    return sorted(found, key=number_of)
 
 
 def number_of(path: Path) -> int:
@@ -98,7 +86,7 @@ def save(
     folder: Path,
     name: str,
     state: Mapping[str, Any],
-    arrays: Mapping[str, Arrays | Shared],
+    arrays: Mapping[str, Arrays | _Shared],
     alive: Callable[[], object] = lambda: None,
 ) -> Path:
     """Write the checkpoint `folder/name` in one step, and drop all but it and the newest ones.
@@ -121,7 +109,7 @@ def save(
         hashes = {}
         for part, held in arrays.items():
             file = f"{part}{_END}"
-            if isinstance(held, Shared):
+            if isinstance(held, _Shared):
                 _link(held.path, target / file)
                 hashes[file] = held.sha256
             else:
@@ -141,7 +129,7 @@ def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
     Raises:
         PolicyError: There is none.
     """
-    passed: list[_PassedOver] = []
+    passed: dict[Path, str] = {}
     for path in reversed(checkpoints(folder)):
         try:
             state = _read_state(path)
@@ -154,10 +142,10 @@ def restore_newest(folder: Path, restore: Restore[T]) -> Restored[T]:
             value = restore(number_of(path), state, arrays)
         except Exception as error:  # whatever is wrong with it, the one before may be sound
             reason = str(error) if isinstance(error, WcsimError) else f"{type(error).__name__}: {error}"
-            passed.append(_PassedOver(path=path, reason=escaped(reason, 300)))
+            passed[path] = escaped(reason, 300)
             continue
-        return Restored(path=path, value=value, passed_over=tuple(passed))
-    faults = "; ".join(f"{item.path.name}: {item.reason}" for item in passed) or "none found"
+        return Restored(path=path, value=value, passed_over=passed)
+    faults = "; ".join(f"{path.name}: {reason}" for path, reason in passed.items()) or "none found"
     raise PolicyError(f"{folder} holds no intact checkpoint that fits ({faults}); restore one, or start a new run")
 
 
@@ -172,18 +160,18 @@ def go_on(run: RunFolder, restore: Restore[T], log: Callable[[str], object]) -> 
     if not checkpoints(run.checkpoints):
         return None
     found = restore_newest(run.checkpoints, restore)
-    for item in found.passed_over:
-        kept = files.set_aside(item.path)
-        log(f"{item.path}: skipped ({item.reason}); continuing from {found.path.name}, renamed to {kept.name}")
-        run.event("passed_over", checkpoint=kept.name, reason=item.reason)
+    for path, reason in found.passed_over.items():
+        kept = files.set_aside(path)
+        log(f"{path}: skipped ({reason}); continuing from {found.path.name}, renamed to {kept.name}")
+        run.event("passed_over", checkpoint=kept.name, reason=reason)
     return found
 
 
-def newest_arrays(folder: Path, part: str) -> Shared | None:
+def newest_arrays(folder: Path, part: str) -> _Shared | None:
     """The arrays of that name in the newest checkpoint that has them; None where there is none."""
     for path in reversed(checkpoints(folder)):
         with contextlib.suppress(PolicyError, KeyError):
-            return Shared(path=path / f"{part}{_END}", sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]))
+            return _Shared(path=path / f"{part}{_END}", sha256=str(_read_state(path)["sha256"][f"{part}{_END}"]))
     return None
 
 

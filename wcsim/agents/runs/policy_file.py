@@ -96,18 +96,13 @@ def shipped_folder(place: Path | None = None) -> Path:
     return folder
 
 
-def write_hashes(folder: Path) -> None:
-    """Say in `files.json` what each file of a shipped policy is. Raises DiskFullError."""
-    files.write_json(folder / FILES, {"sha256": {name: files.sha256(folder / name) for name in HELD}})
-
-
 STAGES: Final = ("phase1", "final")
 _LEVEL: Final = re.compile(r"\d+(\.\d*)?|\.\d+")
 Kind = Literal["baseline", "served", "onnx", "class", "shipped", "folder"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PolicyName:
+class _PolicyName:
     """The parts of a policy's name."""
 
     inner: str  # the name without a veto
@@ -128,7 +123,7 @@ class PolicyName:
         return self.kind in ("shipped", "folder")
 
 
-def policy_name(text: str) -> PolicyName:
+def policy_name(text: str) -> _PolicyName:
     """The parts of a policy's name; whether there is such a policy is not asked.
 
     >>> policy_name("veto:dwa@0.5").kind, policy_name("runs/a:phase1@0.2").stage, policy_name("mine:Policy").kind
@@ -140,18 +135,18 @@ def policy_name(text: str) -> PolicyName:
     veto, name = text.startswith(VETO), text.removeprefix(VETO)
     word = name.partition("@")[0]
     if word == LEVELLED or name in (*BASELINES, *UPPER_BOUNDS):
-        return PolicyName(inner=name, veto=veto, kind="baseline", place=word, level=level_of(name))
+        return _PolicyName(inner=name, veto=veto, kind="baseline", place=word, level=level_of(name))
     if name.startswith(SERVED):
-        return PolicyName(inner=name, veto=veto, kind="served", place=name)
+        return _PolicyName(inner=name, veto=veto, kind="served", place=name)
     if name != SHIPPED and is_file(Path(name) / MODEL_FILE):
-        return PolicyName(inner=name, veto=veto, kind="onnx", place=name)
+        return _PolicyName(inner=name, veto=veto, kind="onnx", place=name)
     place, level = _with_threshold(name)
     run, colon, stage = place.rpartition(":")
     if colon and stage not in STAGES and not is_folder(Path(run)):
-        return PolicyName(inner=name, veto=veto, kind="class", place=name)
+        return _PolicyName(inner=name, veto=veto, kind="class", place=name)
     kind: Kind = "shipped" if place == SHIPPED else "folder"
     stage = stage if colon and not is_folder(Path(place)) else ""
-    return PolicyName(inner=name, veto=veto, kind=kind, place=place, stage=stage, level=level)
+    return _PolicyName(inner=name, veto=veto, kind=kind, place=place, stage=stage, level=level)
 
 
 def _with_threshold(name: str) -> tuple[str, float | None]:

@@ -130,7 +130,7 @@ def make_manifest(config: RunConfig, info: RunInfo, networks: Collection[str] = 
         **{each.name: getattr(info, each.name) for each in fields(info)},
         config_sha256=config.digest(),
         versions={**{name: _version(name) for name in PACKAGES}, "python": platform.python_version()},
-        git_revision=git_revision(),
+        git_revision=_git_revision(),
         own_code=mark_of(own_classes(info.hook, info.rewards, networks or (config.learn.network,))),
     )
 
@@ -257,7 +257,7 @@ def policy_settings(path: Path) -> dict[str, Any]:
     return {"cameras": [file.camera.model_dump(mode="json")], "env": {"actions": file.net.actions, **seen}}
 
 
-def git_revision() -> str:
+def _git_revision() -> str:
     """The revision of the checkout that wcsim runs from, with a + when it was changed; "" outside of one."""
     here = Path(__file__).resolve().parent
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,18 +14,12 @@ from safetensors.torch import load, save_file
 
 from wcsim.agents.runs.policy_file import POLICY_JSON, WEIGHTS
 from wcsim.core import files
-from wcsim.core.reading import FileKind, escaped, parse_json, read_bytes, regular_size
+from wcsim.core.reading import FileKind, escaped, read_bytes, regular_size
 from wcsim.errors import PolicyError
 
 _MAX_WEIGHTS_BYTES = 1 << 30
 _MAX_HEADER_BYTES = 1 << 20
-_LENGTH_BYTES = 8  # of the header's length, which comes first
 _KIND = FileKind(what="the weights of a policy", limit_bytes=_MAX_WEIGHTS_BYTES, error=PolicyError)
-_HEADER = FileKind(what="a safetensors file", limit_bytes=_MAX_HEADER_BYTES, error=PolicyError)
-_DTYPES = {
-    torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16", torch.int64: "I64",
-    torch.int32: "I32", torch.int16: "I16", torch.int8: "I8", torch.uint8: "U8", torch.bool: "BOOL",
-}  # fmt: skip
 Tensors = Mapping[str, torch.Tensor]
 Net = TypeVar("Net", bound=torch.nn.Module)
 
@@ -68,7 +62,7 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     path = folder / WEIGHTS
     with torch.device("meta") if own else contextlib.nullcontext():
         net = make()
-    data = _read_weights(path, sha256, net.state_dict())
+    data = _read_weights(path, sha256, net.state_dict().values())
     net = make() if own else net
     try:
         tensors = load(data)
@@ -78,19 +72,13 @@ def load_network(folder: Path, sha256: str, make: Callable[[], Net], *, own: boo
     return net
 
 
-def _read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
-    """The bytes of a weights file whose header tells of exactly these tensors.
+def _read_weights(path: Path, sha256: str, wanted: Iterable[torch.Tensor]) -> bytes:
+    """The bytes of a weights file of the size of these tensors.
 
-    Args:
-        path: The file; it is read once.
-        sha256: What policy.json says of it.
-        wanted: Tensors of the same names, types and shapes; their numbers are not looked at.
-
-    Raises:
-        PolicyError: The file cannot be read, has another size or digest, or tells of other tensors.
+    Raises PolicyError: The file cannot be read, or has another size or digest.
     """
-    size, least = regular_size(path, _KIND), sum(tensor.numel() * tensor.element_size() for tensor in wanted.values())
-    if not least <= size <= least + _MAX_HEADER_BYTES + _LENGTH_BYTES:
+    size, least = regular_size(path, _KIND), sum(tensor.numel() * tensor.element_size() for tensor in wanted)
+    if not least <= size <= least + _MAX_HEADER_BYTES:
         raise PolicyError(
             f"{escaped(path)} has {size} bytes, and the network that policy.json describes has weights of {least}; "
             "copy the whole policy folder again"
@@ -102,17 +90,20 @@ def _read_weights(path: Path, sha256: str, wanted: Tensors) -> bytes:
             f"{escaped(path)} has SHA-256 {found[:12]}..., policy.json says {sha256[:12]}...: "
             "the file was damaged or replaced; copy the whole policy folder again"
         )
-    _check_same(escaped(path), _read_header(path, data), {name: _facts(tensor) for name, tensor in wanted.items()})
     return data
 
 
 def checked_tensors(where: str, tensors: dict[str, torch.Tensor], wanted: Tensors) -> dict[str, torch.Tensor]:
     """The same tensors. Raises PolicyError where they are not those of `wanted` in name, type and shape, or finite."""
-    _check_same(
-        where,
-        {name: _facts(tensor) for name, tensor in tensors.items()},
-        {name: _facts(tensor) for name, tensor in wanted.items()},
-    )
+    got, expected = ({name: _facts(tensor) for name, tensor in each.items()} for each in (tensors, wanted))
+    odd = sorted(name for name in expected.keys() | got.keys() if expected.get(name) != got.get(name))
+    if odd:
+        first = odd[0]
+        raise PolicyError(
+            f"{where} does not fit the network that policy.json describes: {escaped(first, 80)} is "
+            f"{got.get(first, 'missing')}, expected {expected.get(first, 'nothing')} "
+            f"({len(odd)} tensors differ); use the weights it was trained with"
+        )
     if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values()):
         raise PolicyError(f"{where} holds numbers that are not finite; train this policy again")
     return tensors
@@ -127,36 +118,4 @@ def digest_of(net: torch.nn.Module) -> str:
 
 
 def _facts(tensor: torch.Tensor) -> str:
-    return f"{_DTYPES.get(tensor.dtype, tensor.dtype)} {list(tensor.shape)}"
-
-
-def _read_header(path: Path, data: bytes) -> dict[str, str]:
-    """What the header of a safetensors file says of its tensors."""
-    size = int.from_bytes(data[:_LENGTH_BYTES], "little")
-    head = data[_LENGTH_BYTES : _LENGTH_BYTES + min(size, _MAX_HEADER_BYTES)]
-    if len(head) < max(size, 1):
-        raise PolicyError(
-            f"{escaped(path)} is not a safetensors file: its header has {size} bytes; expected 1 to 1 MiB"
-        )
-    try:
-        text = head.decode()
-    except UnicodeDecodeError as error:
-        cause = f"its header is no UTF-8 ({error.reason})"
-        raise PolicyError(f"{escaped(path)} is not a safetensors file: {cause}") from None
-    facts = {name: _fact(entry) for name, entry in parse_json(text, escaped(path), _HEADER).items()}
-    return {name: fact for name, fact in facts.items() if name != "__metadata__"}
-
-
-def _fact(entry: Any) -> str:
-    return f"{entry.get('dtype')} {entry.get('shape')}" if isinstance(entry, dict) else type(entry).__name__
-
-
-def _check_same(where: str, got: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    odd = sorted(name for name in wanted.keys() | got.keys() if wanted.get(name) != got.get(name))
-    if odd:
-        first = odd[0]
-        raise PolicyError(
-            f"{where} does not fit the network that policy.json describes: {escaped(first, 80)} is "
-            f"{escaped(got.get(first, 'missing'), 80)}, expected {wanted.get(first, 'nothing')} "
-            f"({len(odd)} tensors differ); use the weights it was trained with"
-        )
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"

@@ -339,14 +339,7 @@ class Ego:
         plant, stick, waiting = self.chair.state(), self.user.joystick, tuple(self._waiting)
         known = self._shown_actors.known(others) if self.spec.truth_visible else None
         seen = self._oracle.assess(plant, stick, others, waiting, known, self.chair.drive_accel_mps2())
-        return Truth(
-            intent=self.user.intent,
-            danger=seen.danger,
-            first_s=seen.first_s,
-            clearance_m=seen.clearance_m,
-            progress_m=self._progressed_m,
-            visible=seen.visible,
-        )
+        return replace(seen, intent=self.user.intent, progress_m=self._progressed_m)
 
     def in_danger(self, others: Sequence[ActorState]) -> bool:
         """Whether the user's stick of now ends badly: `Truth.danger`, for a seat that has asked for no truth."""

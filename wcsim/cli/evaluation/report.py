@@ -66,12 +66,11 @@ def _is_test(folder: Path) -> bool:
 
 
 def _of_trainings(folders: tuple[Path, ...], out: Path) -> Path:
-    from wcsim.view.report.client_sections import client_sections
     from wcsim.view.report.learning_curve import crossing, read_training
     from wcsim.view.report.training_page import rounds_summary, write_training_page
 
     training = read_training(folders)
-    page = write_training_page(training, out, client_sections(training))
+    page = write_training_page(training, out)
     for name, steps in training.steps.items():
         stdout_console().print(f"{name}: {crossing(steps).told()}", soft_wrap=True, markup=False)
     for name, rounds in training.rounds.items():

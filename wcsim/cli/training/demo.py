@@ -159,18 +159,18 @@ def _film(demo: _Demo) -> Path:
 
 
 def _page(demo: _Demo, config: RunConfig, result: TestResult, still: Path) -> Path:
-    from wcsim.view.report.suite_page import DemoShown, write_demo_page
+    from wcsim.view.report.suite_page import write_demo_page
 
-    shown = DemoShown(
+    return write_demo_page(
+        demo.out,
+        result,
         learned=how_it_learns(config),
-        result=result,
         film=still.with_suffix(".webm").name,
         film_says=f"The network assists a simulated user ({demo.trial.profile}) in {demo.town.name}: the chair's "
         "camera, the map, the user's stick (blue) and the driven one (orange). Click the picture to play the film.",
         still_png=still.read_bytes(),
         commands=_commands(demo),
     )
-    return write_demo_page(demo.out, shown)
 
 
 def _commands(demo: _Demo) -> tuple[tuple[str, str], ...]:

@@ -169,7 +169,7 @@ def _ride(options: Options) -> _ReferenceRide:
     preset = "laptop" if is_danger(policy_path(options.policy)) else "paper"  # for a folder outside of its run
     own, delay = config_for(options.policy, preset), _delay(options.delay_ticks)
     policy = open_named(options.policy, resolve(own, delay), 0, options.network or None)
-    own = resolve(own, sensing(own, policy))
+    own = sensing(own, policy)
     if options.ride is None:
         config = resolve(own, delay)
         return _ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))

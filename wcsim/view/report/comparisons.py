@@ -92,25 +92,19 @@ def verdicts(pairs: Sequence[Paired]) -> list[str]:
     Args:
         pairs: Of one part, with one rival.
     """
-    found = []
-    for word, chosen in (
-        ("higher score", [pair.policy for pair in pairs if pair.separated and pair.difference > 0.0]),
-        ("lower score", [pair.policy for pair in pairs if pair.separated and pair.difference < 0.0]),
-    ):
-        if chosen:
-            found.append(f"{word}: {', '.join(chosen)}")
-    left = [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated]
-    if left:
-        found.append(f"not different: {', '.join(left)}")
-    sure = [pair for pair in pairs if pair.mcnemar_p < _SURE]
-    for word, some in (
-        ("fewer own crashes", [pair for pair in sure if pair.saved > pair.lost]),
-        ("more own crashes", [pair for pair in sure if pair.saved < pair.lost]),
-    ):
-        if some:
-            told = ", ".join(f"{pair.policy} ({pair.saved} saved, {pair.lost} lost)" for pair in some)
-            found.append(f"{word}, p below {_SURE}: {told}")
-    return found
+    apart, sure = [pair for pair in pairs if pair.separated], [pair for pair in pairs if pair.mcnemar_p < _SURE]
+    told = {
+        "higher score": [pair.policy for pair in apart if pair.difference > 0.0],
+        "lower score": [pair.policy for pair in apart if pair.difference < 0.0],
+        "not different": [f"{pair.policy} ({_lacking(pair)})" for pair in pairs if not pair.separated],
+        f"fewer own crashes, p below {_SURE}": [_counts(pair) for pair in sure if pair.saved > pair.lost],
+        f"more own crashes, p below {_SURE}": [_counts(pair) for pair in sure if pair.saved < pair.lost],
+    }
+    return [f"{word}: {', '.join(some)}" for word, some in told.items() if some]
+
+
+def _counts(pair: Paired) -> str:
+    return f"{pair.policy} ({pair.saved} saved, {pair.lost} lost)"
 
 
 def _lacking(pair: Paired) -> str:
@@ -122,7 +116,7 @@ def _lacking(pair: Paired) -> str:
     return f"{pair.difference:+.3f}; would need about {counted(pair.enough, 'episode')}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class _Weighting:
     """Another way to make one number of an episode."""
 
@@ -141,31 +135,31 @@ def _lawful(record: EpisodeRecord) -> bool:
 
 
 WEIGHTINGS: Final = (
-    _Weighting(heading="the score", says="as in the tables", of=lambda record: record.score),
+    _Weighting("the score", "as in the tables", lambda record: record.score),
     _Weighting(
-        heading="safety alone",
-        says="1 without an own crash or a red light, else 0: standing still is best",
-        of=lambda record: float(_lawful(record)),
+        "safety alone",
+        "1 without an own crash or a red light, else 0: standing still is best",
+        lambda record: float(_lawful(record)),
     ),
     _Weighting(
-        heading="geometric mean",
-        says="cube root of route x pace x obedience; 0 as in the score",
-        of=lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
+        "geometric mean",
+        "cube root of route x pace x obedience; 0 as in the score",
+        lambda record: math.cbrt(_product(record)) if _lawful(record) else 0.0,
     ),
     _Weighting(
-        heading="obedience counts double",
-        says="route x pace x obedience squared; 0 as in the score",
-        of=lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
+        "obedience counts double",
+        "route x pace x obedience squared; 0 as in the score",
+        lambda record: _product(record, 2.0) if _lawful(record) else 0.0,
     ),
     _Weighting(
-        heading="red lights forgiven",
-        says="as the score, but not 0 after a red light",
-        of=lambda record: _product(record) if record.driven else 0.0,
+        "red lights forgiven",
+        "as the score, but not 0 after a red light",
+        lambda record: _product(record) if record.driven else 0.0,
     ),
     _Weighting(
-        heading="way alone",
-        says="share of the route completed, however the episode ended",
-        of=lambda record: record.score_parts[0] if record.steps else 0.0,
+        "way alone",
+        "share of the route completed, however the episode ended",
+        lambda record: record.score_parts[0] if record.steps else 0.0,
     ),
 )
 

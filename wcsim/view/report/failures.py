@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 
+from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.list_file import open_suite
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import Played, PlayedStep, play, require_same
@@ -28,7 +29,7 @@ from wcsim.agents.evaluation.suite.records import (
     EpisodeRecord,
 )
 from wcsim.agents.evaluation.suite.result_files import TestResult
-from wcsim.agents.evaluation.suite.run import Piece, SuiteOrder, piece_of, town_addresses
+from wcsim.agents.evaluation.suite.run import SuiteOrder, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
@@ -155,8 +156,7 @@ def where_typed(result: TestResult) -> str:
     return "in which you ran the test" if result.out else "that contains the folder of the test"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SeenMoment:
+class SeenMoment(NamedTuple):
     """What the network saw at a moment before the end."""
 
     before_s: float
@@ -174,14 +174,6 @@ class Illustration:
     street_png: bytes = b""  # from above at the end, with the way of the last seconds
     near: tuple[str, ...] = ()  # who was there, nearest first
     missing: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Order:
-    """A block to be driven by a process."""
-
-    piece: Piece
-    kept: tuple[EpisodeRecord, ...]  # as they were
 
 
 def chosen(failures: Sequence[FailedEpisode], each: int) -> list[FailedEpisode]:
@@ -220,16 +212,18 @@ def illustrated(
             found_all[failure.policy, *failure.key] = Illustration(missing=_NOT_NAMED)
             continue
         blocks.setdefault((failure.policy, failure.key[0]), []).append(failure)
-    orders = [
-        _Order(
-            piece=piece_of(order, block, policy, towns, judged=False),
-            kept=tuple(failure.record for failure in found),
-        )
-        for (policy, block), found in blocks.items()
-    ]
-    for number, (each, pictures) in enumerate(_driven(orders, jobs), start=1):
-        found_all |= {(each.piece.policy, each.piece.index, seat): picture for seat, picture in pictures}
-        done(number, len(orders))
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        waiting = {}
+        for (policy, block), found in blocks.items():
+            piece = piece_of(order, block, policy, towns, judged=False)
+            waiting[pool.submit(_illustrate, piece, [failure.record for failure in found])] = policy, block
+        try:
+            for number, future in enumerate(as_completed(waiting), start=1):
+                found_all |= {(*waiting[future], seat): picture for seat, picture in future.result().items()}
+                done(number, len(waiting))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return found_all
 
 
@@ -249,44 +243,27 @@ def order_of(result: TestResult, folder: Path, own: Collection[str]) -> SuiteOrd
     return SuiteOrder(suite=suite, out=folder, preset=result.preset, settings=result.changed, network=network, forks=0)
 
 
-def _driven(orders: Sequence[_Order], jobs: int) -> Iterator[tuple[_Order, list[tuple[int, Illustration]]]]:
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        waiting = {pool.submit(_illustrate, order): order for order in orders}
-        try:
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _illustrate(order: _Order) -> list[tuple[int, Illustration]]:
-    """The pictures of a block, by seat; runs in a process of its own."""
-    kept = {record.seat: record for record in order.kept}
+def _illustrate(piece: Piece, records: Iterable[EpisodeRecord]) -> dict[int, Illustration]:
+    """The pictures of a block, by seat; runs in a process of its own. `records` are the episodes as they were."""
+    kept = {record.seat: record for record in records}
     try:
-        config = config_for(order.piece.policy, order.piece.preset, order.piece.settings, in_list=True)
+        config = config_for(piece.policy, piece.preset, piece.settings, in_list=True)
         tick_s = config.world.tick_s
 
         def draw(world: World, steps: Sequence[PlayedStep]) -> Illustration:
             street = around_picture(MapView(world.street.mesh, _MAP_PX, _MAP_SPAN_M), steps[-1], steps)
             last = len(steps) - 1
             places = np.rint(np.linspace(max(0, last - _LAST_S / tick_s), last, _PICTURES)).astype(int)
-            seen = tuple(
-                SeenMoment(
-                    before_s=round((last - place) * tick_s, 3),
-                    speed_mps=steps[place].speed_mps,
-                    asked=sticks(steps[place])[0],
-                    given=sticks(steps[place])[1],
-                    png=_png(seen_picture(steps[place].seen, config)),
-                )
-                for place in dict.fromkeys(places.tolist())
-            )
-            return Illustration(seen=seen, street_png=_png(street), near=_near(steps[-1]))
+            seen = []
+            for place in dict.fromkeys(places.tolist()):
+                step, before_s = steps[place], round((last - place) * tick_s, 3)
+                seen.append(SeenMoment(before_s, step.speed_mps, *sticks(step), _png(seen_picture(step.seen, config))))
+            return Illustration(seen=tuple(seen), street_png=_png(street), near=_near(steps[-1]))
 
-        found = play(order.piece, tuple(kept), round(_TRAIL_S / tick_s), draw)
+        found = play(piece, tuple(kept), round(_TRAIL_S / tick_s), draw)
     except WcsimError as error:
-        return [(seat, Illustration(missing=str(error))) for seat in kept]
-    return [(item.record.seat, _checked(item, kept[item.record.seat])) for item in found]
+        return {seat: Illustration(missing=str(error)) for seat in kept}
+    return {item.record.seat: _checked(item, kept[item.record.seat]) for item in found}
 
 
 def _checked(played: Played, kept: EpisodeRecord) -> Illustration:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Final
 
@@ -20,7 +20,7 @@ from wcsim.view.report.figures import figures_of
 from wcsim.view.report.pages import Cell, Exhibit, Figure, ShownTable, page, write_page
 
 
-def result_table(result: TestResult, part: str) -> Exhibit:
+def _result_table(result: TestResult, part: str) -> Exhibit:
     """The table of a part, "" for all parts."""
     rows = [row for row in (result.rows if part else result.pooled) if row.part == part]
     name = f"table-{part or 'all'}"
@@ -77,7 +77,7 @@ def _pair_row(pair: Paired) -> tuple[Cell | Figure, ...]:
     )
 
 
-def weights_table(result: TestResult) -> Exhibit:
+def _weights_table(result: TestResult) -> Exhibit:
     """The score and what other weights would say."""
     found = weighted(result)
     shown: list[list[Cell | Figure]] = [
@@ -143,13 +143,13 @@ def write_suite_page(
     """
     pairs, parts = compared(result), result.parts
     shown = {
-        "pooled": result_table(result, ""),
+        "pooled": _result_table(result, ""),
         "against": comparison_table(pairs),
-        "weights": weights_table(result),
+        "weights": _weights_table(result),
         "failed": _failed(failures),
         "episodes": _episodes(result),
     }
-    by_part, figures = [result_table(result, part) for part in parts], figures_of(result, folder)
+    by_part, figures = [_result_table(result, part) for part in parts], figures_of(result, folder)
     text = page(
         "suite.jinja",
         title=f"{result.suite} {result.set}: {counted(len(result.episodes), 'policy', 'policies')}",
@@ -212,21 +212,19 @@ def _episodes(result: TestResult) -> Exhibit:
 DEMO_PAGE: Final = "demo.html"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DemoShown:
-    """What there is to show; files are beside the page."""
+def write_demo_page(folder: Path, result: TestResult, **shown: object) -> Path:
+    """Write the page; where it is.
 
-    learned: str  # how the network learned, in a sentence
-    result: TestResult
-    film: str  # name of the file
-    film_says: str
-    still_png: bytes
-    commands: Sequence[tuple[str, str]]  # to go on with, each with what it does
+    Args:
+        folder: Where it goes, beside the film.
+        result: Of the demo's test.
+        shown: How the network `learned` in a sentence, the `film`'s name and what it says (`film_says`), a picture of
+            it (`still_png`), and `commands` to go on with, each with what it does.
 
-
-def write_demo_page(folder: Path, what: DemoShown) -> Path:
-    """Write the page; where it is. Raises DiskFullError."""
-    tables = [result_table(what.result, part) for part in what.result.parts]
+    Raises:
+        DiskFullError: It cannot be written.
+    """
+    tables = [_result_table(result, part) for part in result.parts]
     path = folder / DEMO_PAGE
-    write_bytes(path, page("demo.jinja", title="wcsim demo", demo=what, tables=tables).encode())
+    write_bytes(path, page("demo.jinja", title="wcsim demo", tables=tables, **shown).encode())
     return path

@@ -1,4 +1,7 @@
-"""The page of a training: how each client learned to follow its user without crashes (Fig. 7a, 7b), or its rounds."""
+"""The page of a training: how each client learned to follow its user without crashes (Fig. 7a, 7b), or its rounds.
+
+Of several clients it says, too, which one learned the second phase, and who waited for whom.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,18 @@ import math
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
+from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_choice
+from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
+from wcsim.agents.evaluation.suite.result_files import RESULT, read_result
 from wcsim.agents.learning.metrics import KPI1_STEPS
+from wcsim.agents.runs.run_folder import read_json
 from wcsim.config.run_file import TrainedRound
-from wcsim.core.reading import counted
+from wcsim.core.reading import counted, is_file
 from wcsim.errors import PolicyError
-from wcsim.view.report.charts import Curve, curve_chart
+from wcsim.view.report.figures import Curve, curve_chart
 from wcsim.view.report.learning_curve import (
     KPI1_LIMIT,
     OVER,
@@ -39,7 +47,7 @@ _CRASH_SAYS: Final = (
 _KPI1_SAYS: Final = (
     f"Distance between the agent's own best action and the user's stick, and its limit {KPI1_LIMIT}. In the first "
     f"phase the user's action is executed. A dot is 100 steps, a line the mean of the last {KPI1_STEPS}. Triangle: "
-    "that mean falls below the limit. Dashed: the end of a client's first phase"
+    "that mean falls below the limit. Dashed: the end of a client's first phase."
 )
 _EPISODES_SAY: Final = (
     f"One dot per episode, at its last step; lines are means of the last {OVER} episodes. Dashed, in the client's "
@@ -49,9 +57,9 @@ _EPISODES_SAY: Final = (
 _OVER_SAYS: Final = (
     "Value of the best action at the start of an episode minus the discounted return that followed, both scaled. "
     "Above 0 the network overestimates, more so without double Q-learning (learn.double_q). In the first phase the "
-    "user's actions were executed"
+    f"user's actions were executed. {_EPISODES_SAY}"
 )
-_LENGTH_SAYS: Final = "Steps until a crash, or until the limit of an episode"
+_LENGTH_SAYS: Final = f"Steps until a crash, or until the limit of an episode. {_EPISODES_SAY}"
 
 
 def _rounds(runs: Runs) -> Section:
@@ -106,7 +114,7 @@ def _round_table(runs: Runs) -> Exhibit:
     rows: list[list[Cell]] = [
         [
             run, each.round + 1, each.steps, each.new_steps, f"{100.0 * each.tight_share:.0f} %", each.crashes,
-            _rounded_cell(rate, 1), each.updates, _rounded_cell(each.loss, 3), round(each.wait_s), round(each.learn_s),
+            _rounded(rate, 1), each.updates, _rounded(each.loss, 3), round(each.wait_s), round(each.learn_s),
         ]
         for run, rounds in runs.items()
         for each, rate in zip(rounds, _crash_rates(rounds), strict=True)
@@ -121,20 +129,20 @@ def _round_table(runs: Runs) -> Exhibit:
     )
 
 
-def _rounded_cell(value: float, digits: int) -> Cell:
-    return round(value, digits) if math.isfinite(value) else None
+def _rounded(value: float | None, digits: int = 4) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, digits)
 
 
-def write_training_page(training: Training, folder: Path, more: Sequence[Section] = ()) -> Path:
+def write_training_page(training: Training, folder: Path) -> Path:
     """Write the page of a training; where it is.
 
     Args:
         training: What the logs hold.
         folder: Where the page goes.
-        more: Sections between curves and clients.
 
     Raises:
-        PolicyError: No client has logged a step, and no round is done.
+        PolicyError: No client has logged a step, and no round is done, or what a run saved of its clients is damaged.
+        ConfigError: The same.
         DiskFullError: It cannot be written.
     """
     episodes = any(training.clients.values()) or any(training.steps.values())
@@ -144,7 +152,7 @@ def write_training_page(training: Training, folder: Path, more: Sequence[Section
     sections = [
         *([_curves(training)] if episodes else ()),
         *([_rounds(training.rounds)] if rounds else ()),
-        *more,
+        *_client_sections(training),
         *([Section(name="clients", title="Clients", exhibits=(_clients(training),))] if episodes else ()),
     ]
     runs = [name for name, manifest in training.manifests.items() if "clients" not in manifest]
@@ -159,10 +167,15 @@ def write_training_page(training: Training, folder: Path, more: Sequence[Section
 
 
 def _curves(training: Training) -> Section:
+    steps, episodes = training.steps, _counted(training)
+    kpi1, length = "Fig. 7a: KPI 1, mean joystick distance", "Fig. 7b: KPI 2, steps of an episode"
+    crossed = {name: crossing(rows).step for name, rows in steps.items()}
     figures = (
-        _kpi1_figure(training),
-        _figure(training, "length", "fig-7b-length", "Fig. 7b: KPI 2, steps of an episode", _LENGTH_SAYS),
-        _figure(training, "overestimate", "overestimate", "value minus return", _OVER_SAYS, 0.0),
+        _drawn("kpi1", "fig-7a-kpi1", kpi1, _KPI1_SAYS, _values(steps, "kpi1"), KPI1_LIMIT, crossed),
+        _drawn("length", "fig-7b-length", length, _LENGTH_SAYS, _values(episodes, "length")),
+        _drawn(
+            "overestimate", "overestimate", "value minus return", _OVER_SAYS, _values(episodes, "overestimate"), 0.0
+        ),
     )
     return Section(name="curves", title="Curves", exhibits=[found for found in figures if found is not None])
 
@@ -187,23 +200,12 @@ def _counted(training: Training) -> dict[str, list[TrainedEpisode]]:
     return {name: [each for each in episodes if not each.cut] for name, episodes in training.clients.items()}
 
 
-def _kpi1_figure(training: Training) -> Exhibit | None:
-    """Fig. 7a, over steps; None where there is nothing to draw."""
-    told = {name: [(row, row.kpi1) for row in rows] for name, rows in training.steps.items()}
-    crossed = {name: crossing(rows).step for name, rows in training.steps.items()}
-    title = "Fig. 7a: KPI 1, mean joystick distance"
-    return _drawn("kpi1", "fig-7a-kpi1", title, f"{_KPI1_SAYS}.", told, KPI1_LIMIT, crossed)
-
-
-def _figure(
-    training: Training, key: str, name: str, title: str, says: str, limit: float | None = None
-) -> Exhibit | None:
-    """A figure of a value, by its field's name, over the episodes of all clients; None where none has it."""
-    told = {
-        client: [(episode, float(value)) for episode in episodes if (value := getattr(episode, key)) is not None]
-        for client, episodes in _counted(training).items()
+def _values(told: Mapping[str, Sequence[LogRow]], key: str) -> dict[str, list[tuple[LogRow, float]]]:
+    """The rows of each client that have a value, by its field's name, with it."""
+    return {
+        client: [(row, float(value)) for row in rows if (value := getattr(row, key)) is not None]
+        for client, rows in told.items()
     }
-    return _drawn(key, name, title, f"{says}. {_EPISODES_SAY}", told, limit, {})
 
 
 def _drawn(
@@ -212,10 +214,10 @@ def _drawn(
     title: str,
     says: str,
     told: Mapping[str, Sequence[tuple[LogRow, float]]],
-    limit: float | None,
-    crossed: Mapping[str, int | None],
+    limit: float | None = None,
+    crossed: Mapping[str, int | None] = MappingProxyType({}),
 ) -> Exhibit | None:
-    """A curve for each client through its rows and their values."""
+    """A curve for each client through its rows and their values; None where there is nothing to draw."""
     curves: list[Curve] = []
     plain: list[list[Cell]] = []
     for client, points in told.items():
@@ -276,5 +278,96 @@ def _last_mean(episodes: Sequence[TrainedEpisode], key: str) -> float | None:
     return round(math.fsum(values) / len(values), 4) if values else None
 
 
-def _rounded(mean: float | None) -> float | None:
-    return None if mean is None else round(mean, 4)
+_SHOWN: Final = (
+    *(("score", "score"), ("score_ci", "95 %"), ("crashes_own", "own crashes"), ("crashes_per_km", "per km")),
+    *(("kpi1", "KPI 1"), ("kpi1_free_within", "obeyed"), ("kpi2_median", "KPI 2, median"), ("arrivals", "arrivals")),
+)
+_CONTINUES: Final = "second phase"
+_PAID: Final = (
+    *("client", "acting s", "learning s", "waiting for the world s", "for others and messages s"),
+    *("of both learning s", "idle s"),
+)
+_WAITING_SAYS: Final = (
+    "Seconds of each client, restarts included. A client waits for the world's own work, or for other clients and "
+    "messages. It may learn meanwhile; the rest is idle time. Learning costs nothing while another client is waited "
+    "for. The last columns: how long a client that had acted waited for each of the others; time for which several "
+    "were late is divided among them. These columns leave out the world's work and messages."
+)
+
+
+def _client_sections(training: Training) -> list[Section]:
+    """Sections for runs that compared their clients (`learn.select_by`), then for runs whose clients shared a world."""
+    shown = []
+    for title, exhibit_of in (("Which client learns the second phase", _selection), ("Who waits for whom", _waiting)):
+        for number, run in enumerate(map(Path, training.manifests)):
+            exhibit = exhibit_of(run, f"-{number + 1}" if number else "")
+            shown += [] if exhibit is None else [Section(name=exhibit.name, title=title, exhibits=(exhibit,))]
+    return shown
+
+
+def _selection(run: Path, number: str) -> Exhibit | None:
+    """The clients after their first phase, by a test or by KPI 1; None where none was selected."""
+    if not is_file(run / SELECTION / CHOICE):
+        return None
+    by, says, columns, rows = _tested(run) if is_file(run / SELECTION / RESULT) else _compared(run)
+    title = f"{run.resolve().name}: {by}"
+    return Exhibit(name=f"selection{number}", title=title, says=says, columns=columns, rows=rows)
+
+
+def _compared(run: Path) -> tuple[str, str, tuple[str, ...], list[list[Cell]]]:
+    """The clients by KPI 1."""
+    choice = read_json(run / SELECTION, CHOICE)
+    try:
+        figures = {str(name): float(of[KPI1]) for name, of in choice["clients"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise PolicyError(f"{run / SELECTION / CHOICE}: is damaged; expected KPI 1 of each client") from None
+    best, by = read_choice(run, list(figures)), choice.get("by")
+    why = "The client with the lowest one continues" if by == KPI1 else f"The user chose {best}"
+    says = f"KPI 1 of the client's own choice, over the last {KPI1_STEPS} steps of its first phase. {why}."
+    rows: list[list[Cell]] = [[name, kpi1, _CONTINUES if name == best else ""] for name, kpi1 in figures.items()]
+    return "KPI 1 of the first phase", says, ("client", "KPI 1", "learned on"), rows
+
+
+def _tested(run: Path) -> tuple[str, str, tuple[str, ...], list[list[Cell]]]:
+    """The clients by a test on a list."""
+    result = read_result(run / SELECTION)
+    names = {row.policy: Path(row.policy.removesuffix(":phase1")).name for row in result.pooled}
+    best = read_choice(run, list(names.values()))
+    rows: list[list[Cell]] = [
+        [name, *(_cell(getattr(row, key)) for key, _ in _SHOWN), _CONTINUES if name == best else ""]
+        for row in result.pooled
+        for name in (names[row.policy],)
+    ]
+    says = (
+        f"Each client after its first phase, tested on {result.set}; follow is the user alone. The client with "
+        f"the highest score continues. Details: wcsim report {shlex.quote(str(run / SELECTION))}"
+    )
+    headings = ("client", *(heading for _, heading in _SHOWN), "learned on")
+    return f"{result.suite} {result.set}", says, headings, rows
+
+
+def _cell(value: object) -> Cell:
+    if isinstance(value, tuple):
+        return " to ".join(f"{bound:.3f}" for bound in value)
+    return value if isinstance(value, int | float | str) else None
+
+
+def _waiting(run: Path, number: str) -> Exhibit | None:
+    """Who paid what of clients that shared a world; None where none did."""
+    times = read_paid_times(run)
+    if times is None:
+        return None
+    title, (columns, rows) = f"{run.resolve().name}: waiting between clients", _waiting_rows(times)
+    return Exhibit(name=f"waiting{number}", title=title, says=_WAITING_SAYS, columns=columns, rows=rows)
+
+
+def _waiting_rows(times: PaidTimes) -> tuple[tuple[str, ...], list[list[Cell]]]:
+    """The headings, and a row for each client: what it paid, and for whom it waited."""
+    rows: list[list[Cell]] = []
+    for name, shares in times.clients.items():
+        waited = times.waited_s.get(name, {})
+        waits = (shares.world_s, shares.others_s, shares.overlap_s, shares.waiting_s)
+        paid = (shares.acting_s, shares.learning_s, *waits)
+        held = [None if whom == name else round(waited.get(whom, 0.0), 1) for whom in times.clients]
+        rows.append([name, *(round(part_s, 1) for part_s in paid), *held])
+    return (*_PAID, *(f"for {name} s" for name in times.clients)), rows

@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 
 from tests.support.worlds import QUICK
-from wcsim.agents.evaluation.suite.draw import Wanted, free_blocks, place_of
-from wcsim.agents.evaluation.suite.drive import BlockOrder
+from wcsim.agents.evaluation.suite.draw import DrawPlace, Wanted, free_blocks
+from wcsim.agents.evaluation.suite.drive import BlockOrder, Piece
 from wcsim.agents.evaluation.suite.list_file import Suite, suite_of, write_list
 from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile, EpisodeFile, SuiteFile, TownOfSuite
@@ -24,7 +24,7 @@ def config() -> RunConfig:
 
 def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: int = 0) -> BlockFile:
     town = find_town(str(corner))
-    place = place_of(town.name, load_street(town), config())
+    place = DrawPlace(town.name, load_street(town), config())
     wanted = Wanted(part="free", profiles=("inattentive",), way_m=(15.0, 40.0))
     drawn = [free_blocks(place, wanted, 1, seed)[0] for seed in (3, 4)]  # too near each other for one block of a list
     cut = {"max_steps": max_steps, "handover_step": handover}
@@ -33,7 +33,8 @@ def block_of(corner: Path, part: str = "free", max_steps: int = 60, handover: in
 
 
 def order_of(corner: Path, block: BlockFile, judged: bool = False, late_s: float = 10.0) -> BlockOrder:
-    return BlockOrder(index=0, block=block, town=find_town(str(corner)), config=config(), judged=judged, late_s=late_s)
+    piece = Piece(index=0, block=block, judged=judged, late_s=late_s)
+    return BlockOrder(piece=piece, town=find_town(str(corner)), config=config(), seed=block.seed)
 
 
 def suite_in(corner: Path, *blocks: BlockFile) -> Suite:

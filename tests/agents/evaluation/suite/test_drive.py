@@ -19,7 +19,7 @@ from tests.agents.evaluation.suite.lists import (
 )
 from tests.support.worlds import open_world
 from wcsim.agents.evaluation.suite.alarms import users_alone
-from wcsim.agents.evaluation.suite.drive import drive_block, refused
+from wcsim.agents.evaluation.suite.drive import Piece, drive_block, refused
 from wcsim.agents.policies.baselines import baseline
 from wcsim.bridge.world_rollout import rollout
 from wcsim.types import SeatSpec
@@ -122,8 +122,7 @@ def _asks_after(look, steps):
 
 
 def test_a_policy_that_cannot_be_used_is_refused_in_every_episode(corner):
-    block = block_of(corner)
-    records = refused(4, block, "it has another action set")
+    records = refused(Piece(index=4, block=block_of(corner)), "it has another action set")
     assert [record.status for record in records] == ["refused"] * 2 and records[0].block == 4
     assert all(record.score == 0.0 and "action set" in record.reason for record in records)
 

@@ -41,7 +41,7 @@ def test_a_crash_of_another_leaves_what_was_done():
 
 def test_a_record_comes_back_from_json_and_anything_else_is_refused():
     alarms = Alarms(0.1)
-    alarms.taken.add(3)
+    alarms.begin(3, True, False)
     alarms.alone_s[3] = 2.0
     record = replace(GOOD, interventions=alarms.interventions())
     assert record_of(record.to_json()) == record
@@ -54,30 +54,31 @@ def test_a_record_comes_back_from_json_and_anything_else_is_refused():
 
 def test_gaps_under_half_a_second_join_interventions():
     alarms = Alarms(0.1)
-    assert [alarms.taken.add(step) for step in (10, 11, 16, 22)] == [True, False, False, True]  # 4 and 5 steps between
+    begun = [alarms.begin(step, True, False) for step in (10, 11, 16, 22)]  # 4 and 5 steps between
+    assert begun == [True, False, False, True]
     assert [(item.first, item.last) for item in alarms.interventions()] == [(10, 16), (22, 22)]
 
 
 def test_the_verdict_of_a_fork_is_that_of_its_intervention():
     alarms = Alarms(0.1)
     for step, alone_s in ((10, 1.2), (30, None)):
-        alarms.taken.add(step)
+        alarms.begin(step, True, False)
         alarms.alone_s[step] = alone_s
-    alarms.taken.add(60)
+    alarms.begin(60, True, False)
     found = [(item.verdict, item.crash_after_s) for item in alarms.interventions()]
     assert found == [("needed", 1.2), ("needless", None), ("not_judged", None)]
 
 
 def test_a_crash_is_missed_when_nothing_was_done_in_the_five_seconds_before():
     alarms = Alarms(0.1)
-    alarms.taken.add(20)
+    alarms.begin(20, True, False)
     assert not alarms.missed(70) and alarms.missed(71)
 
 
 def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
     alarms = Alarms(0.1)
     for step in (40, 41, 42):
-        alarms.warned.add(step)
+        alarms.begin(step, False, True)
     assert alarms.warnings(52) == (1, 1, 0)
     assert alarms.warnings(49) == (0, 1, 0)  # 0.9 s ahead is too late
     alarms.alone_s[40] = None  # judged: the user alone comes through
@@ -92,7 +93,7 @@ def test_warnings_count_a_second_ahead_and_are_false_where_nothing_came():
 )
 def test_crashes_less_than_a_second_apart_are_one_danger(crashes, dangers):
     alarms = Alarms(0.1)
-    alarms.warned.add(20)
+    alarms.begin(20, False, True)
     for number, step in enumerate(crashes):
         alarms.alone_s[20 + number] = 0.1 * (step - 20 - number)
     assert alarms.warnings(None) == (dangers, dangers, 0)
@@ -101,7 +102,7 @@ def test_crashes_less_than_a_second_apart_are_one_danger(crashes, dangers):
 
 def test_one_crash_that_was_warned_of_and_one_that_was_not_are_two_dangers():
     alarms = Alarms(0.1)
-    alarms.warned.add(100)
+    alarms.begin(100, False, True)
     alarms.alone_s[100] = 3.0
     assert alarms.warnings(130) == (1, 1, 0)
     assert Alarms(0.1).warnings(130) == (0, 1, 0)
@@ -109,7 +110,7 @@ def test_one_crash_that_was_warned_of_and_one_that_was_not_are_two_dangers():
 
 def test_a_warning_before_a_crash_by_the_others_fault_is_not_false():
     alarms = Alarms(0.1)
-    alarms.warned.add(100)
+    alarms.begin(100, False, True)
     alarms.alone_s[100] = None
     assert alarms.warnings(None, 130) == (0, 0, 0)
     assert alarms.warnings(None, 151) == (0, 0, 1)

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.agents.evaluation.suite.lists import Held, config
-from wcsim.agents.evaluation.suite.drive import BlockOrder, drive_block, in_scene, open_tight
+from wcsim.agents.evaluation.suite.drive import Piece, drive_block, in_scene
 from wcsim.agents.evaluation.suite.make import _tight_blocks
 from wcsim.agents.policies.baselines import baseline
 from wcsim.errors import TownError
@@ -16,9 +16,7 @@ def block():
 
 
 def driven(block, work, make):
-    town = open_tight(block, work)
-    order = BlockOrder(index=0, block=block, town=town, config=config(), judged=True)
-    (record,) = drive_block(in_scene(order, work), make)
+    (record,) = drive_block(in_scene(Piece(index=0, block=block, judged=True), config(), work), make)
     return record
 
 
@@ -33,4 +31,4 @@ def test_the_user_alone_reverses_off_the_kerb_and_who_stands_comes_through(block
 
 def test_a_scene_that_is_another_than_the_lists_is_refused(block, tmp_path):
     with pytest.raises(TownError, match="another version"):
-        open_tight(block.model_copy(update={"scene_sha256": "0" * 64}), tmp_path)
+        in_scene(Piece(index=0, block=block.model_copy(update={"scene_sha256": "0" * 64})), config(), tmp_path)

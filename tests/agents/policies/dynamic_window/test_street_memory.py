@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from wcsim.agents.policies.dynamic_window.braking import _backs_blindly
+from wcsim.agents.policies.dwa import _backs_blindly
 from wcsim.agents.policies.dynamic_window.street_memory import (
     CELL_M,
     COLUMNS,

@@ -28,54 +28,42 @@ _ANSWER: Final = struct.Struct("<d")
 _MOST_SAID: Final = 2000
 
 
-@dataclass(slots=True)
-class Runs:
-    """Runs of steps that are joined over short gaps; `tick_s` is the length of a step."""
-
-    tick_s: float
-    spans: list[list[int]] = field(default_factory=list)  # first and last step of each
-
-    def add(self, step: int) -> bool:
-        """A step that is in; whether a run begins with it."""
-        if self.spans and (step - self.spans[-1][1] - 1) * self.tick_s < JOINED_S - 1e-9:
-            self.spans[-1][1] = step
-            return False
-        self.spans.append([step, step])
-        return True
+def _extended(spans: list[list[int]], step: int, tick_s: float) -> bool:
+    """Put a step into runs of steps, each with its first and last, over short gaps; whether a run begins with it."""
+    if spans and (step - spans[-1][1] - 1) * tick_s < JOINED_S - 1e-9:
+        spans[-1][1] = step
+        return False
+    spans.append([step, step])
+    return True
 
 
 @dataclass(slots=True)
 class Alarms:
-    """What a policy did against its user's wish in an episode, and when it warned."""
+    """What a policy did against its user's wish in an episode, and when it warned; `tick_s` is the length of a step."""
 
     tick_s: float
-    taken: Runs = field(init=False)
-    warned: Runs = field(init=False)
+    taken: list[list[int]] = field(default_factory=list)  # first and last step of each intervention
+    warned: list[list[int]] = field(default_factory=list)
     alone_s: dict[int, float | None] = field(default_factory=dict)  # by step: when the user alone would have crashed
-
-    def __post_init__(self) -> None:
-        self.taken, self.warned = Runs(self.tick_s), Runs(self.tick_s)
 
     def begin(self, step: int, taken: bool, warned: bool) -> bool:
         """Note a step; whether an intervention or a warning begins with it."""
-        begins = taken and self.taken.add(step)
-        return (warned and self.warned.add(step)) or begins
+        begins = taken and _extended(self.taken, step, self.tick_s)
+        return (warned and _extended(self.warned, step, self.tick_s)) or begins
 
     def interventions(self) -> tuple[Intervention, ...]:
         """Every run, with the verdict of its fork where there was one."""
         found = []
-        for first, last in self.taken.spans:
-            verdict, crash_s = NOT_JUDGED, None
-            if first in self.alone_s:
-                crash_s = self.alone_s[first]
-                verdict = NEEDLESS if crash_s is None else NEEDED
+        for first, last in self.taken:
+            crash_s = self.alone_s.get(first)
+            verdict = NOT_JUDGED if first not in self.alone_s else NEEDLESS if crash_s is None else NEEDED
             found.append(Intervention(first=first, last=last, verdict=verdict, crash_after_s=crash_s))
         return tuple(found)
 
     def missed(self, crash_step: int) -> bool:
         """Whether nothing was done against a crash in the 5 s before it."""
         since = crash_step - round(BEFORE_S / self.tick_s)
-        return not any(last >= since for _, last in self.taken.spans)
+        return not any(last >= since for _, last in self.taken)
 
     def warnings(self, own_step: int | None, other_step: int | None = None) -> tuple[int, int, int]:
         """Dangers that were warned of at least 1 s ahead, all dangers, and runs of warnings without a crash.
@@ -91,7 +79,7 @@ class Alarms:
         crashes = sorted([*found, *([] if own_step is None else [own_step])])
         ahead, reach = round(AHEAD_S / self.tick_s), round(BEFORE_S / self.tick_s)
         dangers = [step for number, step in enumerate(crashes) if not number or step - crashes[number - 1] >= ahead]
-        spans = self.warned.spans
+        spans = self.warned
         heard = sum(any(a <= step - ahead and b >= step - reach for a, b in spans) for step in dangers)
         came = [*crashes, *([] if other_step is None else [other_step])]
         ended = own_step is not None or other_step is not None

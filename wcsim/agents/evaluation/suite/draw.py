@@ -24,7 +24,7 @@ from wcsim.core import seeding
 from wcsim.errors import TownError
 from wcsim.physics.wheelchair.plant import plant_spec
 from wcsim.towns.walking.routes import Router
-from wcsim.types import F64, ActorState, Outline, Route, Street, WayKind
+from wcsim.types import F64, Outline, Route, Street, WayKind
 from wcsim.users.crossing import KERB_GAP_M, Crossing, crossings
 from wcsim.users.profiles import UserProfile
 from wcsim.users.recorded import find_user
@@ -65,24 +65,20 @@ def _road_beside_m(street: Street, route: Route, over: Sequence[Crossing]) -> fl
     return longest * _STEP_M
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DrawPlace:
-    """A town to draw in."""
+    """A town to draw in.
 
-    name: str  # what is drawn depends on it
-    listed: str  # what the list calls it
-    street: Street
-    router: Router
-    outline: Outline
-    config: RunConfig
+    Args:
+        name: What is drawn depends on it.
+        street: The town's.
+        config: Of the chair.
+        listed: What a list calls the town; by default its name.
+    """
 
-
-def place_of(name: str, street: Street, config: RunConfig, listed: str = "") -> DrawPlace:
-    """A town's street with its ways; a list calls it by its name, or `listed`. Raises TownError when it has none."""
-    outline = plant_spec(config.chair).outline
-    return DrawPlace(
-        name=name, listed=listed or name, street=street, router=Router(street.walk), outline=outline, config=config
-    )
+    def __init__(self, name: str, street: Street, config: RunConfig, listed: str = "") -> None:
+        """Raises TownError when the town has no ways."""
+        self.name, self.listed, self.street, self.config = name, listed or name, street, config
+        self.router, self.outline = Router(street.walk), plant_spec(config.chair).outline
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,11 +213,7 @@ def _beside(place: DrawPlace, end_m: F64, rng: np.random.Generator) -> XY | None
 
 def _clear(place: DrawPlace, start: XY, yaw_rad: float) -> bool:
     """Whether nothing that stands is in the way of a start; who moves is not there yet."""
-
-    def nobody(_p_W_m: F64, _reach_m: float) -> Sequence[ActorState]:
-        return ()
-
-    return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, nobody)
+    return is_clear(place.street.grid, place.outline, np.array(start), yaw_rad, 0.0, lambda _p_W_m, _reach_m: ())
 
 
 def _episode(place: DrawPlace, start: XY, yaw_rad: float, goal: XY, who: str) -> tuple[EpisodeFile, Route]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Protocol
@@ -36,7 +36,7 @@ from wcsim.supervisor.actions import ActionSet, action_set
 from wcsim.supervisor.kpi import KpiMeter
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest, scene_of
+from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
 from wcsim.towns.scene_folders.families import write_scene
 from wcsim.types import ClientSnapshot, Joystick, SeatSpec, StartSpec
 
@@ -49,18 +49,30 @@ SCENE, SCENE_TOWN = "scene", "town"  # folders of a block in a generated scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BlockOrder:
-    """What to drive, and how closely to look."""
+class Piece:
+    """What a process drives: one block with one policy; everything in it can be sent."""
 
     index: int  # of the block in its list
     block: BlockFile
+    town: str = ""  # a folder or a name
+    settings: tuple[str, ...] = ()
+    policy: str = ""
+    network: str = ""
+    preset: str = "quick"
+    judged: bool = False  # forks say whether an intervention was needed
+    late_s: float = LATE_S
+    hook: str = ""  # the user's own step hook, module:Class
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockOrder:
+    """A piece where it is driven: its street is there, and all its settings."""
+
+    piece: Piece
     town: Town
     config: RunConfig  # see `config_for`
-    judged: bool  # forks say whether an intervention was needed
+    seed: int  # of the world
     recordings: Path | None = None  # folder of recorded joysticks that users are named by
-    late_s: float = LATE_S
-    world_seed: int | None = None  # another than the block's
-    hook: str = ""  # the user's own step hook, module:Class
 
 
 class Watch(Protocol):
@@ -86,15 +98,17 @@ def drive_block(order: BlockOrder, make_policy: MakePolicy, watch: Watch | None 
         TownError: The town cannot be opened.
         PolicyError: `make_policy` made none.
     """
-    config = resolve(order.config, (*order.block.settings, "world.draw_threads=1"))
-    policies = [make_policy() for _ in order.block.episodes]
-    specs = tuple(
-        seat_of(order, episode, policy) for episode, policy in zip(order.block.episodes, policies, strict=True)
-    )
-    seed = order.block.seed if order.world_seed is None else order.world_seed
-    with World(order.town, config, specs, seed, RunPlace(hook=order.hook)) as world:
-        seats = [_Seat(order, config, world, number, policy) for number, policy in enumerate(policies)]
-        watched = _looked_at(seats, watch)
+    block = order.piece.block
+    config = resolve(order.config, (*block.settings, "world.draw_threads=1"))
+    policies = [make_policy() for _ in block.episodes]
+    specs = tuple(seat_of(order, *each) for each in zip(block.episodes, policies, strict=True))
+    with World(order.town, config, specs, order.seed, RunPlace(hook=order.piece.hook)) as world:
+        seats = [_Seat(order.piece, config, world, number, policy) for number, policy in enumerate(policies)]
+        watched = seats
+        if watch is not None:
+            watched = [seat for seat in seats if seat.number in watch.seats]
+            for seat in watched:
+                seat.watch = watch
         for step in rollout(world, {seat.number: seat.choose for seat in seats}):
             for client in step.after.clients:
                 seats[client.seat].take(client)
@@ -108,40 +122,26 @@ def seat_of(order: BlockOrder, episode: EpisodeFile, policy: Policy) -> SeatSpec
     user = episode.profile
     if order.recordings is not None and user.startswith(RECORDED):
         user = f"{RECORDED}{order.recordings / user.removeprefix(RECORDED)}"
+    start = None  # where the world draws it
+    if episode.start_m is not None and episode.goal_m is not None:
+        start = StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
     return SeatSpec(
         profile=user,
         max_steps=episode.max_steps,
         truth=isinstance(policy, SeesTruth),
         truth_visible=policy.name == VISIBLE_BOUND,
-        start=_start_of(episode),
+        start=start,
     )
-
-
-def _start_of(episode: EpisodeFile) -> StartSpec | None:
-    """Where an episode begins and ends; None where its world draws that."""
-    if episode.start_m is None or episode.goal_m is None:
-        return None
-    return StartSpec(p_W_m=episode.start_m, yaw_rad=episode.heading_rad, goal_W_m=episode.goal_m)
-
-
-def _looked_at(seats: Sequence[_Seat], watch: Watch | None) -> Sequence[_Seat]:
-    """The seats whose ends are waited for: those of the watch, which hear of it, or all."""
-    if watch is None:
-        return seats
-    chosen = [seat for seat in seats if seat.number in watch.seats]
-    for seat in chosen:
-        seat.watch = watch
-    return chosen
 
 
 class _Seat:
     """One episode while it lasts; `record` is there once it has ended, and the chair has left the street."""
 
-    def __init__(self, order: BlockOrder, config: RunConfig, world: World, number: int, policy: Policy) -> None:
+    def __init__(self, piece: Piece, config: RunConfig, world: World, number: int, policy: Policy) -> None:
         self.number, self.record = number, None  # type: int, EpisodeRecord | None
         self.watch: Watch | None = None
-        self._order, self._config, self._world = order, config, world
-        self._episode = order.block.episodes[number]
+        self._piece, self._config, self._world = piece, config, world
+        self._episode = piece.block.episodes[number]
         self._policy = policy
         self._meter = KpiMeter(config.world.tick_s, config.reward)
         self._alarms = Alarms(config.world.tick_s)
@@ -156,7 +156,7 @@ class _Seat:
         """The stick of the policy, or of the user before the handover; none when it fails, which ends the episode."""
         driven = self._step - self._episode.handover_step
         try:
-            with _at_most(self._order.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
+            with _at_most(self._piece.late_s * (FIRST_SHARE if driven <= 0 else 1.0)):
                 stick = self._driver.choose(now)
         except Exception as error:  # whatever a policy does wrong, the others of the block go on
             self._end(POLICY_FAILED, str(error) if isinstance(error, WcsimError) else described(error))
@@ -194,7 +194,7 @@ class _Seat:
         far = self._actions.distance(action, (float(stick[0]), float(stick[1])))
         taken = far > self._config.reward.max_follow_distance + DISTANCE_TOLERANCE
         warned = isinstance(self._policy, Warns) and self._policy.warning
-        if self._alarms.begin(driven, taken, warned) and self._order.judged:
+        if self._alarms.begin(driven, taken, warned) and self._piece.judged:
             tick_s = self._config.world.tick_s
             self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
 
@@ -202,17 +202,15 @@ class _Seat:
         sums, tick_s = self._meter.sums(), self._config.world.tick_s
         crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
         warned, to_warn, false = self._alarms.warnings(crash if own else None, None if own else crash)
-        x_m, y_m, _ = self._world.snapshot.clients[self._at()].plant.p_WB_m.tolist()
+        (plant,) = (client.plant for client in self._world.snapshot.clients if client.seat == self.number)
+        x_m, y_m, _ = plant.p_WB_m.tolist()
         left_m = max(0.0, self._episode.route_m - self._before_m)
         share = left_m / self._episode.route_m if self._episode.route_m > 0.0 else 1.0
-        self.record = EpisodeRecord(
-            block=self._order.index,
-            seat=self.number,
-            part=self._order.block.part,
-            town=self._order.block.town,
-            profile=self._episode.profile,
-            status=status,
-            reason=reason[:400],
+        self.record = _record(
+            self._piece,
+            self.number,
+            status,
+            reason,
             time_s=round(sums["steps"] * tick_s, 6),
             route_m=round(left_m, 6),
             done_m=round(left_m if status == FINISHED else max(0.0, self._done_m), 6),
@@ -222,7 +220,7 @@ class _Seat:
             to_warn=to_warn,
             false_warnings=false,
             interventions=self._alarms.interventions(),
-            judged=self._order.judged,
+            judged=self._piece.judged,
             end_m=(round(x_m, 3), round(y_m, 3)),
             **sums,
             **more,
@@ -230,10 +228,6 @@ class _Seat:
         if self.watch is not None:
             self.watch.ended(self.number, self._world)
         self._world.dismiss(self.number)
-
-    def _at(self) -> int:
-        """The place of this seat among those in the snapshot."""
-        return [client.seat for client in self._world.snapshot.clients].index(self.number)
 
 
 class _Handover:
@@ -280,26 +274,35 @@ def _at_most(limit_s: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def refused(index: int, block: BlockFile, reason: str) -> tuple[EpisodeRecord, ...]:
-    """The records of a block whose policy cannot be used at all."""
-    return tuple(
-        EpisodeRecord(
-            block=index,
-            seat=seat,
-            part=block.part,
-            town=block.town,
-            profile=episode.profile,
-            status=REFUSED,
-            reason=reason[:400],
-            route_m=episode.route_m,
-            reference_s=episode.reference_s,
-        )
-        for seat, episode in enumerate(block.episodes)
+def _record(piece: Piece, seat: int, status: str, reason: str, **more: Any) -> EpisodeRecord:
+    """The record of a seat's episode; `more` is what was driven, by the names of its fields."""
+    block = piece.block
+    return EpisodeRecord(
+        block=piece.index,
+        seat=seat,
+        part=block.part,
+        town=block.town,
+        profile=block.episodes[seat].profile,
+        status=status,
+        reason=reason[:400],
+        **more,
     )
 
 
-def open_tight(block: BlockFile, work: Path) -> Town:
-    """Write and build a block's scene in `work`. Raises TownError when it is another than the list's."""
+def refused(piece: Piece, reason: str) -> tuple[EpisodeRecord, ...]:
+    """The records of a block whose policy cannot be used at all."""
+    return tuple(
+        _record(piece, seat, REFUSED, reason, route_m=episode.route_m, reference_s=episode.reference_s)
+        for seat, episode in enumerate(piece.block.episodes)
+    )
+
+
+def in_scene(piece: Piece, config: RunConfig, work: Path) -> BlockOrder:
+    """Write and build the scene of a tight block in `work`; its settings are laid over `config`.
+
+    Raises TownError when it is another than the list's.
+    """
+    block = piece.block
     folder = write_scene(block.town, block.seed, work / SCENE)
     got = scene_digest(folder)
     if got != block.scene_sha256:
@@ -307,11 +310,5 @@ def open_tight(block: BlockFile, work: Path) -> Town:
             f"scene {block.town} {block.seed} has the hash {got[:12]}; expected {str(block.scene_sha256)[:12]}, as "
             "the list says: the list was made by another version of wcsim"
         )
-    return build_scene(folder, work / SCENE_TOWN)[0]
-
-
-def in_scene(order: BlockOrder, work: Path) -> BlockOrder:
-    """The order with the settings, the seed and the recorded joystick of the scene that `open_tight` wrote."""
-    folder = work / SCENE
-    scene = scene_of(folder)
-    return replace(order, config=scene_config(scene, order.config), recordings=folder, world_seed=scene.seed)
+    town, scene = build_scene(folder, work / SCENE_TOWN)
+    return BlockOrder(piece=piece, town=town, config=scene_config(scene, config), seed=scene.seed, recordings=folder)

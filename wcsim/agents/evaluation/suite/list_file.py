@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from wcsim.config import parse
-from wcsim.config.suite import BlockFile, SuiteFile
+from wcsim.config.suite import SuiteFile
 from wcsim.core.reading import FileKind, escaped, is_file, read_json
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.making.asked_town import made_seed, made_town
@@ -112,8 +111,3 @@ def require_towns(file: SuiteFile) -> None:
 def block_key(suite: Suite, index: int, policy: str) -> str:
     """What the result of a block depends on: its list, its place in it, and the policy's digest."""
     return hashlib.sha256(_canonical([suite.file.suite, suite.sha256, index, policy])).hexdigest()
-
-
-def profiles_of(blocks: Iterable[BlockFile]) -> tuple[str, ...]:
-    """The users of these blocks, sorted."""
-    return tuple(sorted({episode.profile for block in blocks for episode in block.episodes}))

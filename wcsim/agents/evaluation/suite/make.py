@@ -16,7 +16,7 @@ from itertools import product
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks, place_of
+from wcsim.agents.evaluation.suite.draw import SEATS, DrawPlace, Wanted, crossing_blocks, free_blocks
 from wcsim.agents.evaluation.suite.drive import SCENE, SCENE_TOWN
 from wcsim.agents.evaluation.suite.list_file import suite_of
 from wcsim.agents.evaluation.suite.records import CRASHED, EpisodeRecord
@@ -78,7 +78,7 @@ def make_suite(order: MakeOrder, towns: Sequence[tuple[Town, int | None]], told:
         for name, (town, seed) in zip(listed, towns, strict=True)
     )
     streets = [(name, town.name, load_street(town)) for name, (town, _) in zip(listed, towns, strict=True)]
-    places = [place_of(own, street, config, name) for name, own, street in streets]
+    places = [DrawPlace(own, street, config, name) for name, own, street in streets]
     free = [block for place in places for block in _free(place, order)]
     crossing = [block for place in places for block in _crossing(place, order)]
     drawn = f"{len(free)} block{'s' * (len(free) != 1)} of free routes and {len(crossing)} of attempts at crossings"

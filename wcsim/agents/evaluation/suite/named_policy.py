@@ -7,7 +7,6 @@ behind: with them `saved`, `lost` and the score would compare drives that were n
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
@@ -22,6 +21,7 @@ from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import policy_path, policy_settings, run_of
 from wcsim.config import RunConfig, resolve
 from wcsim.config.load import texts_of
+from wcsim.core import files
 from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class, running_own, sources_of
 from wcsim.core.reading import is_file
@@ -47,7 +47,7 @@ def identity_of(name: str, preset: str) -> list[Any]:
         return ["onnx", preset, _files(Path(name))]
     if named.kind == "class":
         read = {**sources_of(name, "policy"), **_read_by(name)}
-        return ["class", name, preset, {part: file_digest(path) for part, path in read.items()}]
+        return ["class", name, preset, {part: files.sha256(path) for part, path in read.items()}]
     return ["folder", preset, _files(policy_path(name), "**/*"), *([] if named.level is None else [named.level])]
 
 
@@ -73,8 +73,8 @@ def own_files(settings: Iterable[str], network: str, users: Iterable[str] = ()) 
 
 def _files(folder: Path, pattern: str = "*") -> list[list[str]]:
     """What a policy consists of; one of values on top of dangers has these in a folder of its own below."""
-    files = [path for path in sorted(folder.glob(pattern)) if path.is_file()]
-    return [[path.relative_to(folder).as_posix(), file_digest(path)] for path in files]
+    found = (path for path in sorted(folder.glob(pattern)) if path.is_file())
+    return [[path.relative_to(folder).as_posix(), files.sha256(path)] for path in found]
 
 
 def open_named(name: str, config: RunConfig, seed: int, network: str | None = None) -> Policy:
@@ -111,15 +111,15 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
     return policy
 
 
-def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
-    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
+def sensing(config: RunConfig, policy: Policy) -> RunConfig:
+    """A configuration with the senses that a policy wants, and as many images in an observation as it needs.
 
     Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
     """
     from wcsim.agents.evaluation.open_policy import window_of  # torch is loaded here
 
     window = f"env.window={max(window_of(policy), config.env.frames)}"
-    return (window, *sense_settings(config, senses_of(policy)))
+    return resolve(config, (window, *sense_settings(config, senses_of(policy))))
 
 
 def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:
@@ -148,11 +148,6 @@ def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_lis
     config = resolve(own, settings)
     action_set(config.env.actions)
     return config
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def told_of_rules(policies: Iterable[str], preset: str, settings: tuple[str, ...]) -> Iterator[str]:

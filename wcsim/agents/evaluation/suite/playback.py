@@ -10,8 +10,9 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.records import EpisodeRecord
-from wcsim.agents.evaluation.suite.run import Piece, drive_piece
+from wcsim.agents.evaluation.suite.run import drive_piece
 from wcsim.agents.policy_api import Policy
 from wcsim.bridge.world import World
 from wcsim.errors import ConfigError
@@ -112,14 +113,9 @@ class _LastSteps:
     """Keeps the last steps of some seats."""
 
     def __init__(self, seats: frozenset[int], steps: int, draw: Draw | None) -> None:
-        self._seats, self._draw = seats, draw
+        self.seats, self._draw = seats, draw
         self.kept: dict[int, deque[PlayedStep]] = {seat: deque(maxlen=steps) for seat in seats}
         self.drawn: dict[int, Any] = {}
-
-    @property
-    def seats(self) -> frozenset[int]:
-        """Those that are looked at."""
-        return self._seats
 
     def see(self, seat: int, step: EpisodeStep, world: World, policy: Policy) -> None:
         """Keep a step."""

@@ -83,17 +83,11 @@ def read_result(folder: Path) -> TestResult:
     changed = data.get("changed")
     if not isinstance(changed, list):
         raise ConfigError(f"{escaped(path)}: is damaged; expected the list `changed`: run the test again")
-    return result_of(
-        read_episodes(folder),
-        suite=_text(data.get("suite"), path),
-        set=_text(data.get("set"), path),
-        list_sha256=_text(data.get("list_sha256"), path),
-        changed=tuple(_text(word, path) for word in changed),
-        list_name=_text(asked.get("suite", data.get("set")), path),
-        preset=_text(asked.get("preset", "quick"), path),
-        network=_text(asked.get("network", ""), path),
-        out=_text(asked.get("out", ""), path),
-    )
+    said = {name: data.get(name) for name in ("suite", "set", "list_sha256")}
+    said |= {name: asked.get(name, usual) for name, usual in (("preset", "quick"), ("network", ""), ("out", ""))}
+    said["list_name"] = asked.get("suite", data.get("set"))
+    texts = {name: _text(value, path) for name, value in said.items()}
+    return result_of(read_episodes(folder), changed=tuple(_text(word, path) for word in changed), **texts)
 
 
 def _text(value: object, path: Path) -> str:

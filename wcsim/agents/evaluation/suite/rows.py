@@ -103,13 +103,8 @@ def mcnemar(only_first: int, only_second: int) -> float:
     0.0215
     """
     pairs = only_first + only_second
-    if pairs == 0:
-        return 1.0
-    ways, term = 0, 1  # whole numbers: no float holds the powers of two of a long list
-    for k in range(min(only_first, only_second) + 1):
-        ways += term
-        term = term * (pairs - k) // (k + 1)
-    return min(1.0, 2 * ways / (1 << pairs))
+    ways = sum(math.comb(pairs, k) for k in range(min(only_first, only_second) + 1))
+    return min(1.0, 2 * ways / (1 << pairs))  # of whole numbers: no float holds the powers of two of a long list
 
 
 _DIGITS: Final = 6

@@ -11,25 +11,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from wcsim.agents.evaluation.suite.drive import BlockOrder, Watch, drive_block, in_scene, open_tight, refused
-from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, profiles_of, require_towns, towns_of
-from wcsim.agents.evaluation.suite.named_policy import (
-    config_for,
-    file_digest,
-    identity_of,
-    open_named,
-    own_files,
-    sensing,
-)
+from wcsim.agents.evaluation.suite.drive import LATE_S, BlockOrder, Piece, Watch, drive_block, in_scene, refused
+from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, block_key, require_towns, towns_of
+from wcsim.agents.evaluation.suite.named_policy import config_for, identity_of, open_named, own_files, sensing
 from wcsim.agents.evaluation.suite.records import EpisodeRecord, record_of
 from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
-from wcsim.config import RunConfig, resolve
+from wcsim.config import RunConfig
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
-from wcsim.core.files import write_json
+from wcsim.core.files import sha256, write_json
 from wcsim.core.plugins import sources_of
 from wcsim.core.reading import FileKind, escaped, read_json
 from wcsim.core.sources import code_digest
@@ -47,22 +40,6 @@ Look = Callable[[tuple[WorkerNow, ...]], object]  # told every second who drives
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
-    """What a process drives: one block with one policy; everything in it can be sent."""
-
-    index: int
-    block: BlockFile
-    town: str  # a folder or a name
-    settings: tuple[str, ...]
-    policy: str
-    network: str
-    preset: str
-    judged: bool
-    late_s: float
-    hook: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SuiteOrder:
     """How to drive a suite."""
 
@@ -75,7 +52,7 @@ class SuiteOrder:
     settings: tuple[str, ...] = ()  # over those of the suite: what is changed on purpose
     network: str = ""
     forks: int = 1 << 30  # episodes whose interventions are judged, evenly spread
-    late_s: float = 10.0
+    late_s: float = LATE_S
     hook: str = ""  # the user's own step hook, module:Class
 
 
@@ -121,7 +98,7 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
     for name in policies:
         config = config_for(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
         with ExitStack() as opened:
-            resolve(config, sensing(config, _open_in(opened, name, config, 0, order.network)))
+            sensing(config, _open_in(opened, name, config, 0, order.network))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
@@ -228,21 +205,14 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
         try:
-            config = resolve(config, sensing(config, _open_in(opened, piece.policy, config, 0, piece.network)))
+            config = sensing(config, _open_in(opened, piece.policy, config, 0, piece.network))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
-            return refused(piece.index, piece.block, str(error))
-        order = BlockOrder(
-            index=piece.index,
-            block=piece.block,
-            town=find_town(piece.town) if piece.block.part != TIGHT else open_tight(piece.block, Path(work)),
-            config=config,
-            judged=piece.judged,
-            late_s=piece.late_s,
-            hook=piece.hook,
-        )
+            return refused(piece, str(error))
         if piece.block.part == TIGHT:
-            order = in_scene(order, Path(work))
+            order = in_scene(piece, config, Path(work))
+        else:
+            order = BlockOrder(piece=piece, town=find_town(piece.town), config=config, seed=piece.block.seed)
         return drive_block(order, iter(drivers).__next__, watch)
 
 
@@ -250,7 +220,7 @@ def _policy_digest(name: str, order: SuiteOrder) -> str:
     """What a policy's result depends on besides the list: its weights or name, the settings, all code and files."""
     named = own_files(_all_settings(order), order.network, _users(order))
     hooks = sources_of(order.hook, "step hook") if order.hook else {}
-    own = {word: file_digest(path) for word, path in (named | hooks).items()}
+    own = {word: sha256(path) for word, path in (named | hooks).items()}
     said = [order.settings, order.forks, order.network, order.hook, own, code_digest()]
     said += identity_of(name, order.preset)
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()
@@ -264,7 +234,8 @@ def _all_settings(order: SuiteOrder) -> list[str]:
 
 def _users(order: SuiteOrder) -> list[str]:
     """The users of a list; those of a scene lie in it."""
-    return list(profiles_of(block for block in order.suite.file.blocks if block.part != TIGHT))
+    blocks = (block for block in order.suite.file.blocks if block.part != TIGHT)
+    return sorted({episode.profile for block in blocks for episode in block.episodes})
 
 
 def _judged_blocks(blocks: Sequence[BlockFile], episodes: int) -> frozenset[int]:

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Final
 
 from wcsim.agents.envs.episode_view import EpisodeStep
+from wcsim.agents.evaluation.suite.drive import Piece
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.evaluation.suite.playback import require_same
 from wcsim.agents.evaluation.suite.result_files import TestResult, read_result
-from wcsim.agents.evaluation.suite.run import Piece, drive_piece, piece_of, town_addresses
+from wcsim.agents.evaluation.suite.run import drive_piece, piece_of, town_addresses
 from wcsim.agents.policy_api import UNAIDED, Policy, TellsUnsafe, Warns
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.bridge.world import World
