@@ -57,7 +57,7 @@ def find_scene(name_or_path: str) -> Path:
     )
 
 
-def _scene_of(folder: Path) -> SceneFile:
+def scene_of(folder: Path) -> SceneFile:
     """The `scene.toml` of a scene. Raises ConfigError or TownError with every fault and its place."""
     toml = folder / "scene.toml"
     return parse(SceneFile, read_toml(toml, _SCENE_TOML), escaped(toml))
@@ -70,7 +70,7 @@ def build_scene(folder: Path, work: Path) -> tuple[Town, SceneFile]:
         TownError: a file of the scene is missing, broken, or elsewhere.
         SumoError: netconvert refuses it.
     """
-    scene = _scene_of(folder)
+    scene = scene_of(folder)
     work.mkdir(parents=True, exist_ok=True)
     _build_net(scene, folder, work)
     additional = []
