@@ -297,7 +297,7 @@ def test_advice_waits_for_the_second_phase_and_presets_say_who_uses_it():
     assert [plan.aid_weight(step) for step in (0, 29, 30, 99)] == [0, 0, 3, 3]
     assert resolve("paper").learn.aid == "none"
     assert resolve("dqn").learn.aid == "oracle"
-    assert learner(aid="none").replay_buffer.advice is None
+    assert not learner(aid="none").replay_buffer.advised
 
 
 def test_a_camera_off_the_middle_has_no_mirror_image():

@@ -16,7 +16,7 @@ from wcsim.agents.clients.group_run import GroupRun, open_clients_folder, read_c
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.learning.metrics import STEP_COLUMNS, read_metrics
+from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit

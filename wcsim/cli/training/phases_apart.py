@@ -16,7 +16,7 @@ from rich.table import Table
 
 from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, GroupRun, read_choice
 from wcsim.agents.networks.names import is_own
-from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS
+from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json

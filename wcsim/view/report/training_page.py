@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from wcsim.agents.learning.metrics import KPI1_STEPS
+from wcsim.agents.runs.metrics import KPI1_STEPS
 from wcsim.config.run_file import TrainedRound
 from wcsim.core.reading import counted
 from wcsim.errors import PolicyError
