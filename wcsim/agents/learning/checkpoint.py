@@ -185,27 +185,12 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
 
 def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
-    size = _stored_steps(replay, arrays)
+    _, size = arrays["total"].tolist()
     for name, own in _replay_arrays(replay).items():
         got, count = arrays[name], size if name in _per_step(replay) else len(arrays[name])
         shape = (count, *own.shape[1:])
         if got.shape != shape or got.dtype != own.dtype:
             raise ValueError(f"replay: {name} is {got.dtype} {got.shape}; expected {own.dtype} {shape}")
-    lengths, coming = arrays["blob_bytes"], {len(arrays["next_images"]), len(arrays["next_vectors"])}
-    if coming not in ({0}, {replay.n_envs}):
-        raise ValueError("replay: its images do not go together")
-    if (lengths < 0).any() or int(lengths.sum()) != len(arrays["frames"]):
-        raise ValueError("replay: its frames have other lengths than it says")
-
-
-def _stored_steps(replay: FrameReplay, arrays: Arrays) -> int:
-    counts = arrays["total"]
-    if counts.dtype != np.int64 or counts.shape != (2,):
-        raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
-    total, size = (int(value) for value in counts)
-    if not 0 <= size <= total or size != min(total, replay.buffer_size):
-        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
-    return size
 
 
 def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
@@ -217,7 +202,7 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
     Raises:
         ValueError: Their frames are not those of their steps; the memory has to be reset then.
     """
-    total, size = (int(value) for value in arrays["total"])
+    total, size = arrays["total"].tolist()
     replay.reset()
     index = total - size + np.arange(size)
     rows = index % replay.buffer_size

@@ -38,7 +38,7 @@ from torch.nn import functional
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
-from wcsim.agents.replay.buffer import AdviceBatch, FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.groups import SequenceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
@@ -171,11 +171,6 @@ def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: 
         actions=actions[batch.actions.long()],
         next_observations=_mirrored(batch.next_observations, actions, signs),
     )
-
-
-def _mirror_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
-    """The same for a batch of the training aid."""
-    return AdviceBatch(observations=_mirrored(batch.observations, actions, signs), safe=batch.safe[:, actions])
 
 
 def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
@@ -449,15 +444,14 @@ class SeqDQN(DQN):
         advice = self.replay_buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
             return torch.zeros((), device=self.device)
-        seen, points = advice.observations, self.action_points.points
-        sticks = seen[JOYSTICK_KEY].cpu().numpy()
-        wishes = relabelled(sticks, points, RELABELLED, self.rng)
-        advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
+        seen, safe = advice
+        wishes = relabelled(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
+        seen = {**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)}
         if self._flips():
-            advice = _mirror_advice(advice, self._mirror_map(), self.mirror_signs)
-        distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
-        values = self.q_net(advice.observations)
-        return aid_loss(values, distances, advice.safe, self.settings.reward_scale, AID_MARGIN)
+            actions = self._mirror_map()
+            seen, safe = _mirrored(seen, actions, self.mirror_signs), safe[:, actions]
+        distances = self.q_net.distances(seen[JOYSTICK_KEY])
+        return aid_loss(self.q_net(seen), distances, safe, self.settings.reward_scale, AID_MARGIN)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,14 +44,8 @@ from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
 
-
-class AdviceBatch(NamedTuple):
-    """Observations with the actions that end well in them."""
-
-    observations: dict[str, torch.Tensor]
-    safe: torch.Tensor  # (B, A) bool
-
-
+Advice = tuple[dict[str, torch.Tensor], torch.Tensor]
+"""Observations (B, ...), and which actions end well in them, (B, A) bool."""
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
 
 
@@ -332,7 +326,7 @@ class FrameReplay(ReplayBuffer):
             discounts=self.to_torch(chains.discounts[:, None], copy=False),
         )
 
-    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> AdviceBatch | None:
+    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> Advice | None:
         """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
 
         An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already, as long as
@@ -350,10 +344,8 @@ class FrameReplay(ReplayBuffer):
         index, seats = np.concatenate([picks, known[self.rng.integers(0, len(known), count - many)]]).T
         rows = index % self.buffer_size
         seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
-        return AdviceBatch(
-            observations={key: self.to_torch(value, copy=False) for key, value in seen.items()},
-            safe=self.to_torch(self._safe_ahead(index, seats, ahead), copy=False),
-        )
+        observations = {key: self.to_torch(value, copy=False) for key, value in seen.items()}
+        return observations, self.to_torch(self._safe_ahead(index, seats, ahead), copy=False)
 
     def safe(self, index: I64, seats: I64) -> Bool:
         """Safe actions of these steps, (..., A)."""
