@@ -22,11 +22,10 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from wcsim.agents.envs.episode_view import FrameWindow, windowed_space
-from wcsim.agents.learning.callbacks import TrainingLogs
 from wcsim.agents.learning.checkpoint import restoring
-from wcsim.agents.learning.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.runs.checkpoint import Restored, restore_newest
+from wcsim.agents.runs.metrics import STEP_COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.config import CameraConfig, LearnConfig, RunConfig
 from wcsim.config.run_file import SittingFile
@@ -52,10 +51,9 @@ def a_run(config: RunConfig, out: Path, seed: int, *, resume: bool = False, **in
     return ResolvedRun(config=config, out=out, info=RunInfo(seed=seed, **info), resume=resume)
 
 
-def logs_in(folder: Path) -> TrainingLogs:
+def logs_in(folder: Path) -> tuple[MetricsFile, MetricsFile]:
     """Fresh logs of a training."""
-    steps = MetricsFile(folder / "steps.csv", columns=STEP_COLUMNS)
-    return TrainingLogs(episodes=MetricsFile(folder / "metrics.csv"), steps=steps)
+    return MetricsFile(folder / "metrics.csv"), MetricsFile(folder / "steps.csv", columns=STEP_COLUMNS)
 
 
 def full_once(monkeypatch: Any, where: str, stage: str) -> None:
@@ -281,6 +279,12 @@ class WindowedStreet(gym.Wrapper):
 def load_checkpoint(folder: Path, model: SeqDQN, alive: Callable[[], object] = lambda: None) -> Restored[SittingFile]:
     """Bring a learner to the newest sound checkpoint."""
     return restore_newest(folder, restoring(model, alive))
+
+
+def explores(start: float, end: float, **learn: Any) -> LearnConfig:
+    """Q-learning alone: no first phase, no imitation, unscaled rewards, any action explored."""
+    plain = {"phase1_steps": 0, "margin": 0.0, "reward_scale": 1.0, "exploration": "uniform"}
+    return LearnConfig(**{**plain, "epsilon_start": start, "epsilon_end": end, **learn})
 
 
 def memory_of(seed: int = 0, **learn: Any) -> dict[str, Any]:

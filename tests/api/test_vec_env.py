@@ -153,7 +153,7 @@ def test_seqdqn_learns_from_chairs_that_share_a_street_and_equal_seeds_give_equa
     buffer = model.replay_buffer
     assert (model.num_timesteps, buffer.n_envs, buffer.total) == (120, 2, 60)
     assert model._n_updates > 0
-    assert buffer.advice.known.any(axis=0).all(), "advice for every chair"
+    assert buffer.advice_known.any(axis=0).all(), "advice for every chair"
     assert buffer.ended[: buffer.total].sum(axis=0).tolist() == [4, 4], "every episode ends, and nothing else does"
     assert equal(weights, learned(corner)[1])
 

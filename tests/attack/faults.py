@@ -118,7 +118,7 @@ def audited(run: Path) -> str:
         report = report_of(open_clients_folder(run), 0, TickRate(), PaidTimes(clients={}, waited_s={}))
     except WcsimError as error:
         return str(error)
-    bad = [client for client in report.clients if client.missing or client.duplicated]
+    bad = [client for client in report["clients"] if client["missing"] or client["duplicated"]]
     return f"lost or doubled: {bad}" if bad else ""
 
 

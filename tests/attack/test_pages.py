@@ -17,7 +17,7 @@ from tests.drive.playing import films
 from tests.support.worlds import dqn_config
 from tests.view.report.results import write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.agents.learning.metrics import COLUMNS, MetricsFile
+from wcsim.agents.runs.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
 from wcsim.drive.playing.play_messages import FailedLine, film_about

@@ -16,7 +16,6 @@ from wcsim.agents.clients.client import (
     _ProcessGrownError,
     _ProcessGrowth,
     _StatusPipe,
-    _Stopwatch,
     _TimeShares,
     exit_code,
     learn,
@@ -117,15 +116,6 @@ def test_a_client_whose_launcher_is_gone_is_asked_once_and_may_save():
         pipe.show(told(100))
         os.close(writes)
     assert (request.asked, request.forced) == (True, False)
-
-
-def test_a_call_within_a_call_counts_once(monkeypatch):
-    clock = count()
-    monkeypatch.setattr("wcsim.agents.clients.client.time.perf_counter", lambda: next(clock))
-    watch = _Stopwatch()
-    inner = watch.around(lambda: next(clock))
-    watch.around(lambda: (inner(), inner()))()
-    assert (watch.calls, watch.seconds) == (1, 3)
 
 
 def test_time_shares_of_a_run_and_progress_at_every_rollout(tmp_path):

@@ -13,7 +13,6 @@ from wcsim.agents.clients.group_run import (
     ClientsFolder,
     create_clients_folder,
     open_clients_folder,
-    rewrite_client_configs,
 )
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.errors import PolicyError
@@ -64,10 +63,10 @@ def test_a_process_that_ends_while_configurations_are_written_leaves_a_run_that_
     with monkeypatch.context() as dying:
         die_after(dying, "write_bytes", written)
         with pytest.raises(KeyboardInterrupt):
-            rewrite_client_configs(folder, more)
+            folder.rewrite(more)
             folder.with_status("running", 0)
     again = open_clients_folder(folder.path)
-    rewrite_client_configs(again, more)
+    again.rewrite(more)
     again = again.with_status("running", 7)
     assert open_clients_folder(folder.path) == again
     assert {again.client_config(name).learn.total_steps for name in "ab"} == {900}

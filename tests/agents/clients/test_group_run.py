@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.clients.group_run import Client, GroupRun, WorldTerms, create_clients_folder, world_order
+from wcsim.agents.clients.group_run import Client, GroupRun, create_clients_folder, world_order
 from wcsim.agents.runs.run_folder import make_manifest
 from wcsim.cli import serve
 from wcsim.server.host import recovery
@@ -20,7 +20,7 @@ def test_who_may_think_for_so_long_may_do_so_over_the_death_of_a_world_that_repl
     config, info = dqn_config(), RunInfo(seed=1, town="t")
     folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
     run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
-    trained = world_order(run, "t", folder, tmp_path, WorldTerms(expected=1, lease_s=lease_s, recovery="replay"))
+    trained = world_order(run, "t", folder, tmp_path, 1, lease_s, "replay")
     served = serve._order(serve.Options(lease=lease_s), find_town("helsinki"), config, Path("place"))
     for rules in (trained.rules, served.rules):
         assert rules.lease_s == lease_s and rules.rejoin_s >= max(lease_s, 30.0)
@@ -32,7 +32,7 @@ def test_each_generation_of_a_world_is_in_the_next_town(
     config, info = dqn_config(), RunInfo(seed=1, town="t", more_towns={str(corner): "0" * 64, "made:7": "0" * 64})
     folder = create_clients_folder(tmp_path / "run", config, make_manifest(config, info), {"a": config})
     run = GroupRun(clients=(Client(name="a", seat=0, config=config),), out=folder.path, info=info)
-    order = world_order(run, "helsinki", folder, tmp_path, WorldTerms(expected=1, lease_s=10.0))
+    order = world_order(run, "helsinki", folder, tmp_path, 1, 10.0)
     assert order.more_towns == (find_town(str(corner)).address, "made:7")
     monkeypatch.setattr(recovery, "asked_town", str)
     monkeypatch.setattr(recovery, "World", lambda town, *given, epoch: (town, epoch))

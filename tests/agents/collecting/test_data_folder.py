@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import zstandard
 
+from tests.agents.danger.sights import write_segment
 from tests.support.worlds import dqn_config
 from wcsim.agents.collecting import data_folder
 from wcsim.agents.collecting.data_folder import (
     Segment,
     SegmentKey,
-    _write_segment,
     data_digest,
     joined,
     read_manifest,
@@ -56,11 +56,11 @@ def a_segment(rows: int = 7, seed: int = 0) -> Segment:
 
 def test_a_segment_is_read_as_it_was_written_and_its_bytes_follow_from_it_alone(tmp_path: Path):
     segment, path = a_segment(), segment_path(tmp_path, KEY.name)
-    sha256 = _write_segment(path, segment)
+    sha256 = write_segment(path, segment)
     for name, column in read_segment(path, sha256).arrays().items():
         assert column.dtype == segment.arrays()[name].dtype and (column == segment.arrays()[name]).all(), name
-    assert _write_segment(tmp_path / "again", a_segment()) == sha256
-    assert _write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
+    assert write_segment(tmp_path / "again", a_segment()) == sha256
+    assert write_segment(tmp_path / "other", a_segment(seed=1)) != sha256
 
 
 def test_segments_are_joined_in_their_order():
@@ -74,7 +74,7 @@ def test_segments_are_joined_in_their_order():
 @pytest.mark.parametrize("bytes_left", [0, 10, 2000])
 def test_a_segment_that_was_cut_short_is_refused(tmp_path: Path, bytes_left: int):
     path = tmp_path / "a.npz.zst"
-    _write_segment(path, a_segment())
+    write_segment(path, a_segment())
     path.write_bytes(path.read_bytes()[:bytes_left])
     with pytest.raises(PolicyError, match="cannot be read"):
         read_segment(path)
@@ -82,8 +82,8 @@ def test_a_segment_that_was_cut_short_is_refused(tmp_path: Path, bytes_left: int
 
 def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
     path = tmp_path / "a.npz.zst"
-    sha256 = _write_segment(path, a_segment())
-    _write_segment(path, a_segment(seed=1))
+    sha256 = write_segment(path, a_segment())
+    write_segment(path, a_segment(seed=1))
     with pytest.raises(PolicyError, match="damaged or replaced"):
         read_segment(path, sha256)
 
@@ -92,7 +92,7 @@ def test_a_segment_that_was_exchanged_is_refused(tmp_path: Path):
 def test_numbers_that_are_none_are_refused(tmp_path: Path, value: float):
     segment, path = a_segment(), tmp_path / "a.npz.zst"
     segment.imu[2, 1] = value
-    _write_segment(path, segment)
+    write_segment(path, segment)
     with pytest.raises(PolicyError, match="not finite"):
         read_segment(path)
 
@@ -216,7 +216,7 @@ def test_a_folder_is_a_dataset_of_minari(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     ends = np.array([0, 0, 1, 0, 0, 0, 1], np.bool_)
     segment = replace(a_segment(), ended=ends, crashed=ends & (np.arange(7) < 3))
-    _write_segment(segment_path(tmp_path, KEY), segment)
+    write_segment(segment_path(tmp_path, KEY), segment)
     monkeypatch.setattr(sys, "argv", ["to_minari.py", str(tmp_path), "wcsim/street-v0"])
     runpy.run_path(str(EXAMPLES / "to_minari.py"))
     episodes = list(minari.load_dataset("wcsim/street-v0").iterate_episodes())

@@ -16,8 +16,8 @@ from wcsim.agents.collecting.segment_places import (
     _drawn_settings,
     _is_of_scenes,
     _town_in_turn,
-    orders_of,
     places_of,
+    require_recordable,
 )
 from wcsim.bridge.world import World
 from wcsim.config import CollectConfig, RunConfig, resolve
@@ -94,12 +94,12 @@ def test_variants_are_drawn_by_key():
         ("world.attention_share=2", "less than or equal to 1"),
     ],
 )
-def test_a_variant_that_cannot_be_used_is_named_before_anything_is_driven(corner: Path, variant: str, told: str):
+def test_a_variant_that_cannot_be_used_is_named_before_anything_is_driven(variant: str, told: str):
     usable = "vary.action_delay_ticks=[0,2] world.attention_share=0.7"
     config = dqn_config(f'collect.variants=["{usable}", "{variant}"]')
     with pytest.raises(ConfigError, match=f"variants: '{re.escape(variant)}' cannot be used.*{told}"):
-        orders_of(config, (str(corner),), KEY, 1)
-    assert len(orders_of(dqn_config(f'collect.variants=["{usable}"]'), (str(corner),), KEY, 2)) == 2
+        require_recordable(config)
+    require_recordable(dqn_config(f'collect.variants=["{usable}"]'))
 
 
 class Recorder:
@@ -129,11 +129,11 @@ def test_a_network_is_told_what_is_sent_in_its_place():
     stick = np.array([0.0, 1.0], np.float32)
     said = Verdict(danger=False, first_s=np.full(81, np.inf))
     chosen = [driver.choose({"joystick": stick}, said) for _ in range(300)]
-    reckless = [choice for choice in chosen if choice.driver == RECKLESS]
+    reckless = [choice for choice in chosen if choice["driver"] == RECKLESS]
     assert 10 < len(reckless) < 150
-    assert all(choice.action == ACTIONS.nearest(choice.wish) for choice in reckless)
-    assert all(choice.action == 3 for choice in chosen if choice.driver != RECKLESS)
-    assert learned.calls[1:3] in (["choose", "sent 3"], ["observe", f"sent {chosen[0].action}"])
+    assert all(choice["action"] == ACTIONS.nearest(choice["wish"]) for choice in reckless)
+    assert all(choice["action"] == 3 for choice in chosen if choice["driver"] != RECKLESS)
+    assert learned.calls[1:3] in (["choose", "sent 3"], ["observe", f"sent {chosen[0]['action']}"])
     assert learned.calls.count("observe") == len(reckless)
     assert sum(call.startswith("sent") for call in learned.calls) == 300
 
@@ -143,7 +143,7 @@ def test_the_oracle_takes_the_nearest_action_that_ends_well():
     driver = _DataDriver(settings, ACTIONS, np.random.default_rng(0), None)
     first_s = np.where(ACTIONS.points[:, 1] > 0.3, 0.4, np.inf)
     choice = driver.choose({"joystick": np.array([0.0, 1.0], np.float32)}, Verdict(danger=True, first_s=first_s))
-    assert ACTIONS.points[choice.action].tolist() == [0.0, 0.25] and choice.driver == ORACLE
+    assert ACTIONS.points[choice["action"]].tolist() == [0.0, 0.25] and choice["driver"] == ORACLE
 
 
 def test_labels_and_senses_are_of_the_moment_in_which_the_action_is_chosen(

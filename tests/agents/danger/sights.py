@@ -1,14 +1,17 @@
-"""LabelledSteps and settings for tests of danger networks: tiny pictures, streets of noise."""
+"""Recorded steps and settings for tests of danger networks: tiny pictures, streets of noise."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import SAFE, Segment
-from wcsim.agents.danger.dataset import Dataset, labelled_steps
+from wcsim.agents.collecting.data_folder import SAFE, Segment, packed_segment
+from wcsim.agents.danger.dataset import Dataset
 from wcsim.config import RunConfig
+from wcsim.core import files
 from wcsim.supervisor.actions import action_set
 
 HEIGHT_PX, WIDTH_PX = 24, 32
@@ -51,17 +54,23 @@ def a_segment(rows: int = 24, seed: int = 0, ends: tuple[int, ...] = (9,)) -> Se
     )
 
 
+def write_segment(path: Path, segment: Segment) -> str:
+    """The SHA-256 of its file."""
+    files.write_bytes(path, packed_segment(segment))
+    return files.sha256(path)
+
+
 def lectures(config: RunConfig, rows: int = 64, seed: int = 0) -> Dataset:
-    """LabelledSteps of such a drive."""
+    """Data of such a drive."""
     found = Dataset(config)
-    found.add(labelled_steps(a_segment(rows, seed), config))
+    found.add(a_segment(rows, seed))
     found.begin(np.random.default_rng(seed))
     return found
 
 
 def all_of(lessons: Dataset) -> np.ndarray:
-    """Part and row of all there are."""
-    return np.stack([np.zeros(len(lessons), np.int64), np.arange(len(lessons))], 1)
+    """All steps that there are."""
+    return np.arange(len(lessons))
 
 
 def observation(config: RunConfig, tick: int = 0, seed: int = 0) -> dict[str, np.ndarray]:

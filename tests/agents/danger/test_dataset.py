@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import HEIGHT_PX, WIDTH_PX, a_segment, all_of, lectures, small_config
-from wcsim.agents.danger.dataset import Dataset, _frame_windows, labelled_steps
+from wcsim.agents.danger.dataset import Dataset, _frame_windows
 from wcsim.agents.danger.network import spec_of
 from wcsim.agents.danger.street_map import MIRRORED, SIDE, SLICES, FeatureExtractor
 from wcsim.supervisor.actions import action_set
@@ -44,27 +44,33 @@ def flipped(swept: torch.Tensor) -> torch.Tensor:
     return points.reshape(swept.shape)
 
 
+def unsafe_of(segment, *words):
+    lessons = Dataset(small_config(*words))
+    lessons.add(segment)
+    return lessons.batch(all_of(lessons)).unsafe.numpy()
+
+
 def test_an_action_is_unsafe_already_a_step_before_it_is_and_never_for_another_episode():
     segment = a_segment(12, ends=(5,))
     segment.visible[:] = 255
     segment.visible[4, 7] = segment.visible[6, 8] = 2
     for ahead, rows in ((0, [4]), (1, [3, 4]), (2, [2, 3, 4])):
-        lessons = labelled_steps(segment, small_config(f"danger.ahead={ahead}"))
-        assert np.flatnonzero(lessons.unsafe[:, 7]).tolist() == rows
-        assert np.flatnonzero(lessons.unsafe[:, 8]).tolist() == [6], "row 5 ended its episode"
+        unsafe = unsafe_of(segment, f"danger.ahead={ahead}")
+        assert np.flatnonzero(unsafe[:, 7]).tolist() == rows
+        assert np.flatnonzero(unsafe[:, 8]).tolist() == [6], "row 5 ended its episode"
 
 
 def test_the_teacher_is_the_one_that_was_asked_for():
     segment = a_segment(6, ends=())
     segment.visible[:], segment.truth[:] = 255, 0
-    assert not labelled_steps(segment, small_config("danger.teacher=visible", "danger.ahead=0")).unsafe.any()
-    assert labelled_steps(segment, small_config("danger.teacher=truth", "danger.ahead=0")).unsafe.all()
+    assert not unsafe_of(segment, "danger.teacher=visible", "danger.ahead=0").any()
+    assert unsafe_of(segment, "danger.teacher=truth", "danger.ahead=0").all()
 
 
 def test_windows_hold_the_pictures_of_their_own_episode():
     config = small_config(*BOTH)
     segment, lessons = a_segment(8, ends=(3,)), Dataset(config)
-    lessons.add(labelled_steps(segment, config))
+    lessons.add(segment)
     frames = lessons.batch(all_of(lessons)).inputs[3].numpy()
     wanted = [[0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3], [4, 4, 4], [4, 4, 5], [4, 5, 6], [5, 6, 7]]
     assert _frame_windows(segment.ended, 3).tolist() == wanted
@@ -77,7 +83,7 @@ def test_an_eye_sees_the_windows_that_its_lessons_have():
     config = small_config(*BOTH)
     segment, eye = a_segment(5, ends=()), FeatureExtractor(config, 1, pictures=spec_of(config).pictures)
     lessons = Dataset(config)
-    lessons.add(labelled_steps(segment, config))
+    lessons.add(segment)
     told = lessons.batch(all_of(lessons)).inputs[3].numpy()
     for row in range(5):
         seen = {"depth": segment.depth[row][None], "seg": segment.seg[row][None], "imu": segment.imu[row]}

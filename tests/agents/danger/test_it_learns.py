@@ -17,7 +17,7 @@ from tests.agents.danger.sights import Silent, all_of
 from tests.agents.danger.toy_rides import ACTIONS, follow, mixed, ride, segment_of, slides, toy_config
 from wcsim.agents.collecting.data_folder import SAFE
 from wcsim.agents.danger import dataset as dataset_module
-from wcsim.agents.danger.dataset import Dataset, labelled_steps
+from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import DangerPolicy
 from wcsim.config.run_file import DangerRule
@@ -44,7 +44,7 @@ BAR = Known(precision=0.79, sides=0.89, bits=0.5)
 
 @pytest.fixture(scope="module")
 def streets():
-    """Slides to learn from, and to be judged by; there the street's own labels count, not those of `labelled_steps`."""
+    """Slides to learn from, and to be judged by; there the street's own labels count, not those of `Dataset`."""
     return slides(toy_config(), 1200, seed=1), slides(toy_config(), 300, seed=2)
 
 
@@ -69,8 +69,8 @@ def learned(part, seed, streets):
     """What this part alone knows after its updates."""
     config, (shown, held) = toy_config(*ALONE[part]), streets
     lectures, asked = Dataset(config), Dataset(config)
-    lectures.add(labelled_steps(shown, config))
-    asked.add(labelled_steps(held, config))
+    lectures.add(shown)
+    asked.add(held)
     lectures.begin(np.random.default_rng(seed))
     learner = DangerLearner(config, seed, UPDATES[part])
     setattr(learner.net, OTHER[part], Silent())
@@ -178,7 +178,7 @@ def driven(seed, rides):
     """20 rides of a network that has learned, in the streets of the user alone."""
     config = toy_config(*RIDE)
     lectures, learner = Dataset(config), DangerLearner(config, seed, RIDE_UPDATES)
-    lectures.add(labelled_steps(segment_of(rides[0].rows), config))
+    lectures.add(segment_of(rides[0].rows))
     lectures.begin(np.random.default_rng(seed))
     learner.learn(lectures, RIDE_UPDATES)
     return ride(config, DangerPolicy("toy", learner.net, config, DangerRule(threshold=0.15)), 20, seed=99)

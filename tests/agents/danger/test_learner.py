@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.agents.danger.sights import a_segment, all_of, lectures, small_config
-from wcsim.agents.danger.dataset import Dataset, labelled_steps
+from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner, _rate_share
 from wcsim.errors import PolicyError
 
@@ -18,7 +18,7 @@ def test_64_steps_are_learned_by_heart(words):
     config = small_config(*fast, "danger.weight_decay=0", "danger.ahead=0", *words)
     lessons, learner = Dataset(config), DangerLearner(config, 1, 60)
     ends = () if words else tuple(range(64))  # a street map of noise tells nothing of a step once it has seen others
-    lessons.add(labelled_steps(a_segment(64, ends=(9, *ends)), config))
+    lessons.add(a_segment(64, ends=(9, *ends)))
     lessons.begin(np.random.default_rng(0))
     before = float(learner.learn(lessons, 1))
     learner.learn(lessons, 59)

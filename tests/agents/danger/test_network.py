@@ -83,13 +83,13 @@ def test_the_position_of_the_stick_is_no_input():
     """Two wishes in the same street: the same logits for the same action, for there is nowhere to put a wish."""
     config = small_config("danger.eye=both")
     from tests.agents.danger.sights import a_segment
-    from wcsim.agents.danger.dataset import Dataset, labelled_steps
+    from wcsim.agents.danger.dataset import Dataset
 
     segment = a_segment(8, ends=())
     told = []
     for stick in (0.9, -0.9):
         segment.wish[1:] = (0.0, stick)  # the first one tells who drove before the chair was seen
         lessons = Dataset(config)
-        lessons.add(labelled_steps(segment, config))
+        lessons.add(segment)
         told.append(net_of(config).eval()(*lessons.batch(all_of(lessons)).inputs))
     assert torch.equal(told[0], told[1])

@@ -8,14 +8,13 @@ import torch
 from torch import nn
 
 from tests.agents.chain import LENGTH, Chain
-from tests.agents.toy import logs_in, memory_of
+from tests.agents.toy import explores, logs_in, memory_of
 from tests.support.plants import CALM
 from wcsim.agents.learning.callbacks import EpisodeMetrics, EventWatch, _ValueWatch
-from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
-from wcsim.config import LearnConfig
+from wcsim.agents.runs.metrics import read_metrics
 from wcsim.config.run_file import FollowPrior, NetSpec
 
 GAMMA = 0.97
@@ -88,15 +87,15 @@ def overestimates(folder, double_q, seed):
     """
     spec = NetSpec(network="mean-of-planes", head="plain", prior=FollowPrior(reward_scale=1.0))
     learner = SeqDQN(
-        SeqQPolicy, Worthless(), settings=LearnConfig(reward_scale=1.0, exploration="uniform", double_q=double_q),
+        SeqQPolicy, Worthless(), settings=explores(1.0, 1.0, double_q=double_q),
         seed=seed, gamma=GAMMA, learning_rate=1e-3, buffer_size=2000, learning_starts=50, batch_size=32, tau=0.002,
-        train_freq=1, exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        train_freq=1, device="cpu",
         policy_kwargs={"spec": spec},
         replay_buffer_kwargs=memory_of(gamma=GAMMA, seed=seed),
     )  # fmt: skip
     torch.manual_seed(seed)
     learner.q_net_target.advantage.bias.data += torch.randn(81)  # it errs in a way of its own, and forgets that slowly
-    learner.learn(400, callback=EpisodeMetrics(logs_in(folder), 0.0))
+    learner.learn(400, callback=EpisodeMetrics(*logs_in(folder), 0.0))
     return [float(row["overestimate"]) for row in read_metrics(folder / "metrics.csv")]
 
 

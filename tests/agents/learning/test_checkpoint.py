@@ -15,9 +15,9 @@ from tests.agents.toy import a_run, load_checkpoint
 from tests.attack.files.checkpoints import Bench, config, content, street
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import save_checkpoint
-from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.train import train
 from wcsim.agents.runs.checkpoint import STATE, checkpoints
+from wcsim.agents.runs.metrics import read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.core import files
 from wcsim.errors import InterruptedRunError, PolicyError

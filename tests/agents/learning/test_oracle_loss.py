@@ -15,13 +15,12 @@ from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.learning.seqdqn import (
     MARGIN_OFFSET,
-    _mirror_advice,
     _mirror_batch,
     _teacher_actions,
     aid_loss,
     relabelled,
 )
-from wcsim.agents.replay.buffer import AdviceBatch, FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.config import LearnConfig, RunConfig, resolve
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
@@ -127,16 +126,16 @@ def filled(steps, rows=1000, crash_every=7, unknown=()):
     return replay
 
 
-def numbers(batch):
-    return np.rint(batch.observations["joystick"][:, 1].numpy() * 1000).astype(int)
+def numbers(seen):
+    return np.rint(seen["joystick"][:, 1].numpy() * 1000).astype(int)
 
 
 @pytest.mark.parametrize("rows", [1000, 25])
 def test_advice_belongs_to_its_observation(rows):
     replay = filled(60, rows, unknown=(50, 51))
-    batch = replay.sample_advice(300, 0.5)
-    seen = numbers(batch)
-    assert np.array_equal(batch.safe.numpy(), np.stack([mask(k) for k in seen]))
+    observations, safe = replay.sample_advice(300, 0.5)
+    seen = numbers(observations)
+    assert np.array_equal(safe.numpy(), np.stack([mask(k) for k in seen]))
     assert not set(seen) & ({8 * k for k in range(10)} | {50, 51})  # first observations and untold ones
     if rows == 25:
         assert seen.min() > 68 - 30
@@ -144,8 +143,8 @@ def test_advice_belongs_to_its_observation(rows):
 
 def test_a_look_ahead_ends_with_the_episode():
     replay = filled(40)
-    batch = replay.sample_advice(200, 0.5, ahead=2)
-    for number, safe in zip(numbers(batch), batch.safe.numpy(), strict=True):
+    seen, known = replay.sample_advice(200, 0.5, ahead=2)
+    for number, safe in zip(numbers(seen), known.numpy(), strict=True):
         last = min(8 * (number // 8) + 6, number + 2, 39 + 39 // 7)
         assert np.array_equal(safe, np.all([mask(k) for k in range(number, last + 1)], axis=0))
 
@@ -155,8 +154,8 @@ def test_a_look_ahead_leaves_an_action():
     for k in range(20):
         info = {"truth": SimpleNamespace(safe_actions=AHEAD if (k + 1) % 2 else ~AHEAD)}
         replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
-    batch = replay.sample_advice(100, 0.5, ahead=3)
-    for number, safe in zip(numbers(batch), batch.safe.numpy(), strict=True):
+    seen, known = replay.sample_advice(100, 0.5, ahead=3)
+    for number, safe in zip(numbers(seen), known.numpy(), strict=True):
         assert np.array_equal(safe, AHEAD if number % 2 else ~AHEAD)
 
 
@@ -166,7 +165,7 @@ def test_tight_moments_get_their_share():
         safe = np.ones(81, bool) if (k + 1) % 50 else ~AHEAD
         info = {"truth": SimpleNamespace(safe_actions=safe)}
         replay.add(observed(k), observed(k + 1), np.array([0]), np.zeros(1), np.array([False]), [info])
-    tight = (~replay.sample_advice(400, 0.5).safe.all(dim=1)).float().mean()
+    tight = (~replay.sample_advice(400, 0.5)[1].all(dim=1)).float().mean()
     assert 0.45 < tight < 0.6
 
 
@@ -175,8 +174,8 @@ def test_advice_survives_a_checkpoint():
     again = memory(25, n_step=3, seed=5)
     _restore_replay(again, _replay_arrays(replay))
     one, two = replay.sample_advice(50, 0.5, 3), again.sample_advice(50, 0.5, 3)
-    assert torch.equal(one.safe, two.safe)
-    assert np.array_equal(numbers(one), numbers(two))
+    assert torch.equal(one[1], two[1])
+    assert np.array_equal(numbers(one[0]), numbers(two[0]))
 
 
 def test_without_advice_there_is_none_to_draw():
@@ -216,13 +215,6 @@ def test_a_mirror_image_of_a_mirror_image_is_the_first_one():
     for part in ("observations", "next_observations"):
         for key, value in getattr(batch, part).items():
             assert torch.equal(getattr(twice, part)[key], value)
-
-
-def test_advice_in_the_mirror():
-    left_safe = safe_rows(POINTS[:, 0] < 0)
-    batch = AdviceBatch({k: v[:1] for k, v in random_batch().observations.items()}, left_safe)
-    there = _mirror_advice(batch, torch.as_tensor(ACTIONS.mirror))
-    assert np.array_equal(there.safe[0].numpy(), POINTS[:, 0] > 0)
 
 
 # --- the learner ---
@@ -297,7 +289,7 @@ def test_advice_waits_for_the_second_phase_and_presets_say_who_uses_it():
     assert [plan.aid_weight(step) for step in (0, 29, 30, 99)] == [0, 0, 3, 3]
     assert resolve("paper").learn.aid == "none"
     assert resolve("dqn").learn.aid == "oracle"
-    assert learner(aid="none").replay_buffer.advice is None
+    assert not learner(aid="none").replay_buffer.advised
 
 
 def test_a_camera_off_the_middle_has_no_mirror_image():

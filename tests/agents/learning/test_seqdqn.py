@@ -8,15 +8,15 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
 
 from tests.agents.chain import CLASSES, SIDE, Chain, chain_values
-from tests.agents.toy import ToyStreet, logs_in, memory_of, toy_camera
+from tests.agents.toy import ToyStreet, explores, logs_in, memory_of, toy_camera
 from wcsim.agents.learning import seqdqn
 from wcsim.agents.learning.build import build_model
 from wcsim.agents.learning.callbacks import EpisodeMetrics
-from wcsim.agents.learning.metrics import read_metrics
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.replay.buffer import FrameReplay
+from wcsim.agents.runs.metrics import read_metrics
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 from wcsim.errors import PolicyError
@@ -185,7 +185,7 @@ def test_the_running_means_of_a_network_are_its_target_s_too_and_those_that_it_a
         cameras=(CAMERA,), learn=LearnConfig(**SMALL, network=f"{__name__}:Normed", updates="while_waiting")
     )
     learner = build_model(config, DummyVecEnv([lambda: ToyStreet(CAMERA, max_steps=9)]), 0)
-    learner.learn(60, callback=EpisodeMetrics(logs_in(tmp_path), 0.0))
+    learner.learn(60, callback=EpisodeMetrics(*logs_in(tmp_path), 0.0))
     learner.catch_up()
     assert len(read_metrics(tmp_path / "metrics.csv")) >= 6
     nets = (learner.q_net, learner.q_net_target)
@@ -199,9 +199,9 @@ def chain_errors(n_step=1, seed=1):
     """Largest error of the values of going on and of giving up, over the states of a chain."""
     gamma, forward = 0.9, action_set("square81").points[:, 1] > 0
     learner = SeqDQN(
-        SeqQPolicy, Chain(), settings=LearnConfig(reward_scale=1.0, exploration="uniform"), seed=seed,
+        SeqQPolicy, Chain(), settings=explores(1.0, 1.0), seed=seed,
         gamma=gamma, learning_rate=1e-3, buffer_size=2000, learning_starts=100, batch_size=64, tau=0.05, train_freq=1,
-        exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", prior=FollowPrior(reward_scale=1.0))},
         replay_buffer_kwargs=memory_of(n_step=n_step, gamma=gamma, seed=seed),
     )  # fmt: skip

@@ -251,7 +251,7 @@ def test_groups_are_learned_from_in_the_way_that_the_first_phase_is_set_to(phase
     batch = whole_groups(learner)
     monkeypatch.setattr(learner.replay_buffer, "sample_groups", lambda size: batch)
     with torch.no_grad():
-        plain, whole = (float(learner._drawn_loss(learner.replay_buffer, 16, weight)) for weight in (0.0, 2.0))
+        plain, whole = (float(learner._drawn_loss(16, weight)) for weight in (0.0, 2.0))
         length = batch.live.shape[1]
         values = _group_values(learner.q_net, batch)[:, :length][batch.live]
         sticks = batch.observations["joystick"][:, :length][batch.live]

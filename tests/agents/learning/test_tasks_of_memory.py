@@ -8,27 +8,26 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from tests.agents.recall import LENGTH, Biased, Clock, Recall
-from tests.agents.toy import memory_of
+from tests.agents.toy import explores, memory_of
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
 from wcsim.agents.replay.groups import Groups
-from wcsim.config import LearnConfig
 from wcsim.config.run_file import FollowPrior, NetSpec
 
 CARRYING = ("fig6", "convlstm")
 
 
-def recall_model(network, seed=0, task=Recall):
-    """A learner of a task of memory; `patch` carries no state."""
+def recall_model(network, steps, seed=0, task=Recall):
+    """A learner of a task of memory that explores less and less in half of its steps; `patch` carries no state."""
     spec = NetSpec(
         network=network, head="plain", prior=FollowPrior(reward_scale=1.0), stateful=registry.carries_state(network)
     )
     return SeqDQN(
         SeqQPolicy, DummyVecEnv([lambda: Monitor(task())] * 8),
-        settings=LearnConfig(reward_scale=1.0, exploration="uniform"), seed=seed, gamma=0.9,
+        settings=explores(1.0, 0.1, total_steps=steps // 2), seed=seed, gamma=0.9,
         learning_rate=2e-3, buffer_size=4000, learning_starts=200, batch_size=64, tau=0.05, train_freq=1,
-        exploration_fraction=0.5, exploration_initial_eps=1.0, exploration_final_eps=0.1, device="cpu",
+        device="cpu",
         policy_kwargs={"spec": spec},
         replay_buffer_kwargs=memory_of(
             n_step=2, gamma=0.9, memory="groups", group_steps=LENGTH, burn_in=2, seed=seed
@@ -45,7 +44,7 @@ def test_a_network_with_a_state_recalls_and_one_without_cannot():
     """It is worth 1 to remember the first image, and 0 to guess."""
     scores = []
     for network, steps in (("fig6", 2600), ("patch", 800)):
-        learner = recall_model(network)
+        learner = recall_model(network, steps)
         learner.learn(steps)
         scores.append(mean_return(learner, Recall))
     assert scores[0] > 0.9
@@ -54,7 +53,7 @@ def test_a_network_with_a_state_recalls_and_one_without_cannot():
 
 def counted(network, seed=0):
     """Mean returns of a clock: of the last 100 episodes that it drove while it learned, and of what it learned."""
-    learner = recall_model(network, seed, Clock)
+    learner = recall_model(network, 1600, seed, Clock)
     learner.learn(1600)
     return np.mean([episode["r"] for episode in learner.ep_info_buffer]), mean_return(learner, Clock)
 
@@ -121,9 +120,9 @@ def test_a_state_that_outlives_its_episode_is_found_out(fault, seed, monkeypatch
 
 def value_of_going_right(double_q, noise):
     learner = SeqDQN(
-        SeqQPolicy, Biased(noise), settings=LearnConfig(reward_scale=1.0, exploration="uniform", double_q=double_q),
+        SeqQPolicy, Biased(noise), settings=explores(1.0, 1.0, double_q=double_q),
         seed=1, gamma=0.95, learning_rate=1e-2, buffer_size=64, learning_starts=48, batch_size=32, tau=0.003,
-        train_freq=1, exploration_fraction=1.0, exploration_initial_eps=1.0, exploration_final_eps=1.0, device="cpu",
+        train_freq=1, device="cpu",
         policy_kwargs={"spec": NetSpec(head="plain", dueling=False, network="tests.attack.files.checkpoints:Tiny")},
         replay_buffer_kwargs=memory_of(gamma=0.95, seed=1),
     )  # fmt: skip

@@ -7,8 +7,8 @@ import pytest
 
 from tests.agents.learning.test_train import CAMERA, config, street
 from tests.agents.toy import ToyStreet, a_run
-from wcsim.agents.learning.metrics import COLUMNS, BoardLog, read_metrics
 from wcsim.agents.learning.train import train
+from wcsim.agents.runs.metrics import COLUMNS, BoardLog, read_metrics
 from wcsim.errors import ConfigError
 
 MODULE = "torch.utils.tensorboard"

@@ -24,12 +24,11 @@ from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.evaluation.open_policy import open_policy
 from wcsim.agents.evaluation.suite.named_policy import config_for
 from wcsim.agents.learning.build import build_model
-from wcsim.agents.learning.callbacks import EverySeconds
 from wcsim.agents.learning.checkpoint import _generator_state, _restored_generator, save_checkpoint
-from wcsim.agents.learning.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.learning.saved_policy import load_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.learning.train import train
+from wcsim.agents.runs.metrics import COLUMNS, STEP_COLUMNS, MetricsFile, read_metrics
 from wcsim.agents.runs.run_folder import create_run, make_manifest, open_run, policy_path, run_of
 from wcsim.config import LearnConfig, RunConfig
 from wcsim.core import files
@@ -137,7 +136,7 @@ def test_an_episode_that_its_world_cut_says_so_and_counts_no_step_that_nobody_dr
 def test_work_is_saved_by_wall_time(tmp_path, monkeypatch):
     """Weights every 60 s, weights and replay every 900 s; here each reading of the clock is 10 s later."""
     clock = count(0, 10)
-    monkeypatch.setattr(EverySeconds.__init__, "__defaults__", (lambda: float(next(clock)),))
+    monkeypatch.setattr("wcsim.agents.learning.train._now_s", lambda: float(next(clock)))
     path = train(a_run(config(checkpoint_every=10**6), tmp_path / "run", 5), street)
     events = [json.loads(line) for line in (path / "events.jsonl").read_text().splitlines()]
     kinds = [event["event"] for event in events if event["event"] in ("weights", "checkpoint")]

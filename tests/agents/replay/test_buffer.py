@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from tests.agents.toy import memory_of
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning import checkpoint
 from wcsim.agents.learning.checkpoint import _replay_arrays, _restore_replay
 from wcsim.agents.replay import frame_store
 from wcsim.agents.replay.buffer import FrameReplay
@@ -116,7 +115,8 @@ def test_every_draw_is_the_references_transition(data):
     assert starts.max() < buffer.total
     check(buffer, reference, starts, drawn)
     kept = {(index, seat) for seat in range(seats) for index, s in enumerate(reference.steps[seat]) if s[4] == "crash"}
-    assert set(buffer.crashes) == {c for c in kept if c[0] >= buffer.total - buffer.size()}
+    crashes = {tuple(step) for step in buffer._flagged(buffer.terminated).tolist()}
+    assert crashes == {c for c in kept if c[0] >= buffer.total - buffer.size()}
     assert len(buffer.after_end) <= buffer.size() * seats
 
 
@@ -187,7 +187,6 @@ def test_large_frames_are_packed_and_come_back(smooth):
     rows, seats = np.array([4, 0, 3]), np.array([1, 0, 1])
     assert np.array_equal(store.read(rows, seats), frames[rows, seats])
     assert max(len(blob) for row in store._blobs for blob in row) < 20_000
-    assert np.array_equal(checkpoint._unpack(checkpoint._pack(frames[:, 0]), 50_000), frames[:, 0])
 
 
 @pytest.mark.parametrize("steps", [30, 500])

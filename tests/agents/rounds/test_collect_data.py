@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tests.agents.danger.sights import a_segment, small_config
-from wcsim.agents.collecting.data_folder import _write_segment, read_manifest, segment_path
+from tests.agents.danger.sights import a_segment, small_config, write_segment
+from wcsim.agents.collecting.data_folder import read_manifest, segment_path
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.network import DangerNet, spec_of
 from wcsim.agents.danger.policy import save_danger
@@ -37,13 +37,13 @@ class OneDies:
     def __exit__(self, *exception: object) -> None:
         """Nobody works."""
 
-    def take(self, orders: Sequence[SegmentOrder], back: Callable[[], object]) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
         found = {}
         for number, order in enumerate(orders):
             if self.dies and number == 1:
                 raise KeyboardInterrupt
             path = segment_path(self._folder, order.key.name)
-            found[path.name] = _write_segment(path, a_segment(seed=order.key.index))
+            found[path.name] = write_segment(path, a_segment(seed=order.key.index))
         return found
 
 

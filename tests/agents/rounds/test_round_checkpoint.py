@@ -14,10 +14,10 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from tests.agents.danger.sights import a_segment, lectures, small_config
+from tests.agents.danger.sights import a_segment, lectures, small_config, write_segment
 from tests.agents.rounds.small_runs import SMALL, outcome, run_in
 from tests.support.worlds import dqn_config
-from wcsim.agents.collecting.data_folder import SegmentKey, _write_segment, segment_path, write_manifest
+from wcsim.agents.collecting.data_folder import SegmentKey, segment_path, write_manifest
 from wcsim.agents.collecting.segment_places import SegmentOrder
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds import train_rounds
@@ -51,10 +51,10 @@ class NoiseCrew:
     def ask(self, orders: Sequence[SegmentOrder]) -> None:
         assert all(not order.policy or Path(order.policy, "policy.json").is_file() for order in orders)
 
-    def take(self, orders: Sequence[SegmentOrder], done: Callable[[], object], watch: object) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], told: object) -> dict[str, str]:
         self.ask(orders)
         paths = {segment_path(self._folder, order.key.name): order.key for order in orders}
-        return {path.name: _write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
+        return {path.name: write_segment(path, a_segment(seed=key.round)) for path, key in paths.items()}
 
 
 @pytest.fixture(autouse=True)
@@ -101,7 +101,7 @@ def test_driving_of_others_that_is_gone_or_another_when_a_run_goes_on_is_told(
     (name,) = others_drive(tmp_path / "mine", 1)
     train_danger(run_in(corner, tmp_path / "run", *words), town)
     path = tmp_path / "mine" / "segments" / name
-    path.unlink() if gone else _write_segment(path, a_segment(seed=99))
+    path.unlink() if gone else write_segment(path, a_segment(seed=99))
     told = r"No such file.*learned_data\.json names it" if gone else r"replaced.*learned_data\.json names it"
     with pytest.raises(PolicyError, match=told):
         train_danger(run_in(corner, tmp_path / "run", *words, resume=True), town)
@@ -129,7 +129,7 @@ def test_folders_without_driving_are_refused_where_nobody_drives(corner: Path, t
 def others_drive(folder: Path, count: int) -> dict[str, str]:
     """A data folder with so many segments of noise; their SHA-256 by file name."""
     paths = [segment_path(folder, SegmentKey(run=8, round=0, index=index).name) for index in range(count)]
-    held = {path.name: _write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
+    held = {path.name: write_segment(path, a_segment(seed=50 + number)) for number, path in enumerate(paths)}
     write_manifest(folder, dqn_config(*SMALL), {"corner": "0" * 64}, held)
     return held
 

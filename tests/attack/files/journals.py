@@ -16,7 +16,7 @@ from tests.attack.scenarios.twists import cleared
 from tests.log.test_log import HEADER, RECORDS, tick
 from tests.support.events import read_events
 from tests.support.framing import chained, pieces, read_whole
-from wcsim.agents.learning.metrics import COLUMNS, MetricsFile, read_metrics
+from wcsim.agents.runs.metrics import COLUMNS, MetricsFile, read_metrics
 from wcsim.log.framing import MAX_RECORD_BYTES, framed
 from wcsim.log.reader import iter_inputs, log_digest
 from wcsim.log.records import Ended, Input, LogRecord, SeenFrame, header_bytes

@@ -19,7 +19,7 @@ from tests.attack.files.family import Family
 from tests.attack.files.policies import CHANGES, bad_header, packed, unpacked
 from tests.attack.scenarios.twists import Rng, cleared, integer, json_text, pick, spoiled, twisted
 from wcsim.agents.collecting.data_folder import packed_segment, read_segment
-from wcsim.agents.danger.dataset import labelled_steps
+from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.rounds.train_rounds import _restoring, _save_round
 from wcsim.agents.runs.checkpoint import STATE, number_of, restore_newest
@@ -67,7 +67,7 @@ def _take_segment(path: Path) -> bool:
     segment = read_segment(path)
     path.write_bytes(packed_segment(segment))
     again = read_segment(path).arrays()
-    labelled_steps(segment, small_config())
+    Dataset(small_config()).add(segment)
     return all(np.array_equal(column, again[name]) for name, column in segment.arrays().items())
 
 

@@ -16,12 +16,12 @@ from wcsim.agents.clients.group_run import GroupRun, open_clients_folder, read_c
 from wcsim.agents.evaluation.suite.list_file import write_list
 from wcsim.agents.evaluation.suite.result_files import result_of
 from wcsim.agents.evaluation.suite.rows import pooled_rows
-from wcsim.agents.learning.metrics import STEP_COLUMNS, read_metrics
+from wcsim.agents.runs.metrics import STEP_COLUMNS, read_metrics
 from wcsim.agents.runs.run_folder import open_run
 from wcsim.cli.main import main
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.cli.training import phases_apart
-from wcsim.cli.training.phases_apart import _best_of, _first_phase, _judged_of, _policy_of, _second_phase
+from wcsim.cli.training.phases_apart import _best_of, _figures_of, _first_phase, _policy_of, _second_phase
 from wcsim.cli.training.train_clients import Options, resolved
 from wcsim.config import resolve
 from wcsim.errors import PolicyError
@@ -71,7 +71,7 @@ def test_the_highest_score_goes_on_then_fewer_crashes_then_the_first_seat():
         return replace(result_of({}, **UNNAMED), pooled=(replace(follow, score=0.9), *rows))
 
     def best(**scores):
-        return _best_of(_judged_of(result(**scores), Path("r"), list(scores)))
+        return _best_of(_figures_of(result(**scores), Path("r"), list(scores)))
 
     assert best(a=(0.1, 0), b=(0.3, 5), c=(0.2, 0)) == "b"
     assert best(a=(0.3, 2), b=(0.3, 1)) == "b"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from wcsim.agents.rounds.train_rounds import RoundProgress, _RoundTeller
+from wcsim.agents.rounds.train_rounds import RoundProgress
 from wcsim.agents.runs.run_folder import ResolvedRun
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.run_config import how_it_learns
@@ -18,6 +18,7 @@ from wcsim.cli.training.rounds import _share_done
 from wcsim.config import resolve
 from wcsim.errors import InterruptedRunError
 from wcsim.server.specs import RunInfo
+from wcsim.server.workers.machines import HERE, Machines
 from wcsim.towns.scenario.town import find_town
 
 Show = Callable[[RoundProgress], object]
@@ -32,7 +33,7 @@ def run(tmp_path: Path) -> ResolvedRun:
 def stopped(policy: str) -> Callable[..., Path]:
     """A training that is stopped when it has kept a policy, or before."""
 
-    def train(run: ResolvedRun, town: object, worlds: int, show: Show, stage: object) -> Path:
+    def train(run: ResolvedRun, town: object, machines: Machines, show: Show, stage: object) -> Path:
         (run.out / "data").mkdir(parents=True)
         if policy:
             (run.out / "policies" / policy).mkdir(parents=True)
@@ -44,19 +45,19 @@ def stopped(policy: str) -> Callable[..., Path]:
 def test_what_was_stopped_before_its_first_segment_leaves_nothing(run, corner, monkeypatch):
     monkeypatch.setattr(rounds, "train_danger", stopped(""))
     with pytest.raises(NothingKept, match="first segment"):
-        rounds.train_rounds_in(run, find_town(str(corner)), 1)
+        rounds.train_rounds_in(run, find_town(str(corner)), HERE)
     assert not run.out.parent.exists()
 
 
 def test_what_was_stopped_later_is_kept(run, corner, monkeypatch):
     monkeypatch.setattr(rounds, "train_danger", stopped("round-000"))
     with pytest.raises(InterruptedRunError):
-        rounds.train_rounds_in(run, find_town(str(corner)), 1)
+        rounds.train_rounds_in(run, find_town(str(corner)), HERE)
     assert (run.out / "policies" / "round-000").is_dir()
 
 
 def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corner, monkeypatch, capsys):
-    def train(run: ResolvedRun, town: object, worlds: int, show: Show, stage: object) -> Path:
+    def train(run: ResolvedRun, town: object, machines: Machines, show: Show, stage: object) -> Path:
         for back in (1, 2):
             show(RoundProgress(round=0, rounds=3, segments=back, of=2))
         show(RoundProgress(round=0, rounds=3, segments=2, of=2, learned=1))
@@ -64,22 +65,10 @@ def test_a_log_file_says_when_a_round_is_driven_and_when_it_is_learned(run, corn
         return run.out
 
     monkeypatch.setattr(rounds, "train_danger", train)
-    rounds.train_rounds_in(run, find_town(str(corner)), 1)
+    rounds.train_rounds_in(run, find_town(str(corner)), HERE)
     driven, learned = capsys.readouterr().err.splitlines()
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments: learning, about \d+ s left", driven)
     assert re.fullmatch(r"round 1 of 3, 2 of 2 segments, 7 updates, loss 0.5000, about \d+ s left", learned)
-
-
-def test_what_a_run_that_goes_on_finds_there_is_told_as_one():
-    told: list[int] = []
-    teller = _RoundTeller(lambda now: told.append(now.segments), RoundProgress(round=0, rounds=2, segments=0, of=5))
-    for _ in range(3):
-        teller.back()
-    assert told == [], "they took no time, which is no pace for the rest"
-    teller.watch(())
-    teller.back()
-    teller.watch(())
-    assert told == [3, 4, 4]
 
 
 def test_the_work_of_rounds_adds_up():

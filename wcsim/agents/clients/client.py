@@ -14,7 +14,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
@@ -105,19 +105,15 @@ class _Stopwatch:
 
     seconds: float = 0.0
     calls: int = 0
-    _open: bool = field(default=False, repr=False)
 
     def around(self, call: Callable[_P, _R]) -> Callable[_P, _R]:
-        """The same call, measured; one within another counts once."""
+        """The same call, measured."""
 
         def measured(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-            if self._open:
-                return call(*args, **kwargs)
-            self._open, begun_s = True, time.perf_counter()
+            begun_s = time.perf_counter()
             try:
                 return call(*args, **kwargs)
             finally:
-                self._open = False
                 self.seconds += time.perf_counter() - begun_s
                 self.calls += 1
 
@@ -133,8 +129,7 @@ class _TimeShares(SeqCallback):
 
     def _on_training_start(self) -> None:
         learner = self.learner
-        setattr(learner, "predict", self.inference.around(learner.predict))  # noqa: B010 - mypy knows methods as fixed
-        setattr(learner.policy, "predict", self.inference.around(learner.policy.predict))  # noqa: B010
+        setattr(learner.policy, "predict", self.inference.around(learner.policy.predict))  # noqa: B010 - to mypy it is fixed
         setattr(learner, "do_updates", self.learning.around(learner.do_updates))  # noqa: B010
 
 

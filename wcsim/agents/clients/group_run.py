@@ -16,10 +16,10 @@ import os
 import re
 import secrets
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from wcsim.agents.runs.run_folder import (
     CONFIG,
@@ -50,6 +50,7 @@ from wcsim.towns.scenario.town import find_town
 from wcsim.types import CLIENT_NAME
 from wcsim.users.profiles import recordings
 
+T = TypeVar("T")
 _FILES, _FILES_TO_COME = "files_sha256", "files_to_come_sha256"
 _NAME = re.compile(CLIENT_NAME)
 _CLAIM = re.compile(r"[0-9a-f]{32}")
@@ -103,8 +104,11 @@ class ClientsFolder:
 
     def fruitless(self) -> bool:
         """Whether nothing was done: no tick of the world, no step of a client, no episode, nothing saved."""
-        stepped = any(_stepped(self.ledger(name)) for name in self.clients)
-        return not (stepped or _ticked(self.path / JOURNAL) or any(has_work(self.path / name) for name in self.clients))
+        journal, ledgers = self.path / JOURNAL, [self.ledger(name) for name in self.clients]
+        ticked = part_files(journal) and _may_hold(journal, iter_inputs, lambda record: isinstance(record, Ticked))
+        # The frame that its join gave a client is no step.
+        stepped = any(path.exists() and _may_hold(path, iter_ledger, lambda seen: seen.stepped) for path in ledgers)
+        return not (ticked or stepped or any(has_work(self.path / name) for name in self.clients))
 
     def client_config(self, name: str) -> RunConfig:
         """The configuration of a client. Raises PolicyError when it is not there, or damaged."""
@@ -121,6 +125,16 @@ class ClientsFolder:
     def with_status(self, status: Status, steps: int) -> ClientsFolder:
         """Write a new status into the manifest."""
         return _written(replace(self, manifest=replace(self.manifest, status=status, steps=steps)))
+
+    def rewrite(self, clients: Mapping[str, RunConfig]) -> None:
+        """Write other configurations of clients over theirs. Raises DiskFullError.
+
+        Killed on the way it leaves a run that can be opened, with some of them written: do it again, or write a status.
+        """
+        texts = _texts(clients)
+        _written(self, {name: files.sha256_text(text) for name, text in texts.items()})
+        for name, text in texts.items():
+            files.write_bytes(self.path / name, text.encode())
 
 
 def create_clients_folder(
@@ -142,24 +156,6 @@ def create_clients_folder(
     for name, text in _texts(clients).items():
         files.write_bytes(path / name, text.encode())
     return _written(ClientsFolder(path=path, config=config, manifest=manifest, clients=tuple(clients)))
-
-
-def rewrite_client_configs(folder: ClientsFolder, clients: Mapping[str, RunConfig]) -> None:
-    """Write other configurations of clients over theirs.
-
-    Killed on the way, it leaves a run that can be opened, with some of them written; do it again, or write a status.
-
-    Args:
-        folder: The run.
-        clients: The configuration of each.
-
-    Raises:
-        DiskFullError: There is no room.
-    """
-    texts = _texts(clients)
-    _written(folder, {name: files.sha256_text(text) for name, text in texts.items()})
-    for name, text in texts.items():
-        files.write_bytes(folder.path / name, text.encode())
 
 
 def _texts(clients: Mapping[str, RunConfig]) -> dict[str, str]:
@@ -219,22 +215,10 @@ def _check_sealed(path: Path, data: dict[str, Any]) -> None:
             raise PolicyError(f"{path / name} is damaged, or was changed by hand; restore it")
 
 
-def _ticked(journal: Path) -> bool:
-    """Whether the world of a journal has done a tick, or may have: one that cannot be read counts as work too."""
-    if not part_files(journal):
-        return False
+def _may_hold(log: Path, read: Callable[[Path], Iterator[T]], is_work: Callable[[T], bool]) -> bool:
+    """Whether one of the records is work; a log that cannot be read may hold some."""
     try:
-        return any(isinstance(record, Ticked) for record in iter_inputs(journal))
-    except WcsimError:
-        return True
-
-
-def _stepped(ledger: Path) -> bool:
-    """Whether a client has done a step, or may have; the frame that its join gave it is none."""
-    if not ledger.exists():
-        return False
-    try:
-        return any(entry.stepped for entry in iter_ledger(ledger))
+        return any(map(is_work, read(log)))
     except WcsimError:
         return True
 
@@ -282,24 +266,33 @@ class GroupRun:
     last: bool = True  # whether the run is done when all have learned for `Client.steps`
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldTerms:
-    """How a world deals with its clients."""
+def world_order(
+    run: GroupRun,
+    town: str,
+    folder: ClientsFolder,
+    place: Path,
+    expected: int,
+    lease_s: float,
+    recovery: Recovery = "new_epoch",
+) -> WorldSpec:
+    """The world of a run, with its rules.
 
-    expected: int  # clients that the first tick waits for
-    lease_s: float
-    recovery: Recovery = "new_epoch"
-
-
-def world_order(run: GroupRun, town: str, folder: ClientsFolder, place: Path, terms: WorldTerms) -> WorldSpec:
-    """The world of a run, with its rules; `town` is the town's address, `place` where sockets and orders lie."""
+    Args:
+        run: The run.
+        town: The town's address.
+        folder: Of the run.
+        place: Where sockets and orders lie.
+        expected: Clients that the first tick waits for.
+        lease_s: So long a client may be silent.
+        recovery: What follows when it dies.
+    """
     rules = Rules(
         capacity=len(run.clients),
         config=folder.config.world_digest(),
-        expected=terms.expected,
+        expected=expected,
         gather_s=GATHER_S,
-        lease_s=terms.lease_s,
-        rejoin_s=rejoin_within(terms.lease_s),
+        lease_s=lease_s,
+        rejoin_s=rejoin_within(lease_s),
         recordings=recordings(client.config.env.profile for client in run.clients),
     )
     more = [word if made_seed(word) is not None else find_town(word).address for word in run.info.more_towns]
@@ -314,7 +307,7 @@ def world_order(run: GroupRun, town: str, folder: ClientsFolder, place: Path, te
         name=folder.path.name,
         run=str(folder.path.absolute()),
         hook=run.info.hook,
-        recovery=terms.recovery,
+        recovery=recovery,
         epoch_ticks=_epoch_ticks(run),
     )
 

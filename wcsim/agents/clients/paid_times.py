@@ -87,18 +87,11 @@ class PaidTimesLog:
     def __init__(self, run: Path) -> None:
         """Go on with what a run folder holds. Raises PolicyError when that is damaged."""
         self._run = run
-        known = read_paid_times(run) or PaidTimes(clients={}, waited_s={})
-        self._sums = dict(known.clients)
-        self._waited_s = {who: dict(row) for who, row in known.waited_s.items()}
+        self.times = read_paid_times(run) or PaidTimes(clients={}, waited_s={})  # the sums of now
         self._last: dict[str, tuple[int, PaidShares]] = {}  # process and reading of each client
         self._saved_s = 0.0
         self._world_pid = 0
         self._pairs_s: dict[tuple[str, str], float] = {}  # the same of its world, by who waited and for whom
-
-    @property
-    def times(self) -> PaidTimes:
-        """The sums of now."""
-        return PaidTimes(clients=dict(self._sums), waited_s=self._waited_s)
 
     def add(self, state: LaunchState) -> None:
         """Take in how things are."""
@@ -115,10 +108,9 @@ class PaidTimesLog:
 
     def save(self) -> None:
         """Leave it in the run folder, unless the disk is full: what is learned is of more weight."""
-        times = self.times
-        if times.clients:
+        if self.times.clients:
             with suppress(DiskFullError):
-                files.write_json(self._run / WAITS, asdict(times))
+                files.write_json(self._run / WAITS, asdict(self.times))
 
     def _client(self, client: ClientState) -> None:
         if client.status is None:
@@ -127,7 +119,7 @@ class PaidTimesLog:
         last_pid, before = self._last.get(client.name, (pid, PaidShares()))
         if pid != last_pid:  # of another life
             before = PaidShares()
-        self._sums[client.name] = self._sums.get(client.name, PaidShares()).plus(now, before)
+        self.times.clients[client.name] = self.times.clients.get(client.name, PaidShares()).plus(now, before)
         self._last[client.name] = pid, now
 
     def _pairs(self, pid: int, world: WorldStatus) -> None:
@@ -141,7 +133,7 @@ class PaidTimesLog:
         now = _by_name(world)
         for (who, whom), seconds in now.items():
             was_s = last.get((who, whom), 0.0)
-            row = self._waited_s.setdefault(who, {})
+            row = self.times.waited_s.setdefault(who, {})
             row[whom] = round(row.get(whom, 0.0) + (seconds - was_s if seconds >= was_s else seconds), 2)
         self._pairs_s = last | now
 

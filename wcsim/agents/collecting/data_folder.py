@@ -177,13 +177,6 @@ def in_order(segments: Iterable[str]) -> list[str]:
     return sorted(segments, key=lambda name: (key_of(name).round, name))
 
 
-def _write_segment(path: Path, segment: Segment) -> str:
-    """Write a segment, whole or not at all; returns its SHA-256 (hex). Raises DiskFullError."""
-    data = packed_segment(segment)
-    files.write_bytes(path, data)
-    return hashlib.sha256(data).hexdigest()
-
-
 def packed_segment(segment: Segment) -> bytes:
     """A segment as its file holds it, compressed."""
     return zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True).compress(_packed(segment))

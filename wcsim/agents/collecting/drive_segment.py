@@ -7,7 +7,7 @@ of the time an offset is laid over the wish, and some of these wishes are carrie
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,7 +32,7 @@ _ASTRAY_TICKS = (4, 12)  # shortest and longest time that an offset is held
 _RECKLESS_SHARE = 0.4  # share of these offsets that are executed as they are
 
 
-class Learned(HearsSent, Protocol):
+class _Learned(HearsSent, Protocol):
     """The network as a driver: in each step `choose` or `observe`, then `sent`."""
 
     def reset(self) -> None:
@@ -40,15 +40,6 @@ class Learned(HearsSent, Protocol):
 
     def observe(self, observation: Observation) -> None:
         """Take in an observation without choosing."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Choice:
-    """What was done in one step."""
-
-    action: int
-    wish: F64  # (2,)
-    driver: int
 
 
 class _DataDriver:
@@ -62,7 +53,7 @@ class _DataDriver:
     """
 
     def __init__(
-        self, settings: CollectConfig, actions: ActionSet, rng: np.random.Generator, learned: Learned | None
+        self, settings: CollectConfig, actions: ActionSet, rng: np.random.Generator, learned: _Learned | None
     ) -> None:
         self._settings, self._actions, self._rng, self._learned = settings, actions, rng, learned
         self._held, self._offset, self._reckless = 0, np.zeros(2), False
@@ -72,8 +63,8 @@ class _DataDriver:
             self._driver = NETWORK
             learned.reset()
 
-    def choose(self, observation: Observation, said: Verdict) -> _Choice:
-        """Answer an observation; `said` is the oracle's verdict of its moment."""
+    def choose(self, observation: Observation, said: Verdict) -> dict[str, Any]:
+        """Answer an observation, in columns of a segment; `said` is the oracle's verdict of its moment."""
         wish = self._wish(np.asarray(observation[JOYSTICK_KEY], np.float64))
         reckless = self._held > 0 and self._reckless
         action = self._actions.nearest(wish)
@@ -85,7 +76,7 @@ class _DataDriver:
             self._learned.sent(action)
         elif self._driver == ORACLE and not reckless:
             action = self._safest(wish, said.first_s)
-        return _Choice(action=action, wish=wish, driver=RECKLESS if reckless else self._driver)
+        return {"action": action, "wish": wish, "driver": RECKLESS if reckless else self._driver}
 
     def _wish(self, stick: F64) -> F64:
         """The user's stick, or with an offset that is held for a while."""
@@ -107,7 +98,7 @@ class _DataDriver:
         return int(np.argmin(np.where(first_s == first_s.max(), distance, np.inf)))
 
 
-MakeLearned = Callable[[int], Learned]  # for a chair whose commands arrive so many ticks late
+MakeLearned = Callable[[int], _Learned]  # for a chair whose commands arrive so many ticks late
 
 
 def collect(order: SegmentOrder, make_learned: MakeLearned | None) -> Segment:
@@ -154,7 +145,7 @@ class _Seat:
         self._config, self._make, self._rng = config, make_learned, rng
         self._actions = action_set(config.env.actions)
         self._delay = 0
-        self._choice: _Choice
+        self._choice: dict[str, Any]
         self._agent: _DataDriver
         self.driver = SeatDriver(config, self, first)
 
@@ -168,12 +159,12 @@ class _Seat:
         """Answer what is seen now."""
         said: Truth = info["truth"]
         self._choice = self._agent.choose(observation, said.visible or said)
-        return self._choice.action
+        return int(self._choice["action"])
 
     def take(self, client: ClientSnapshot) -> None:
         """Write down what came of it."""
         seen, said = self.driver.observation, self.driver.info["truth"]
-        step, choice = self.driver.take(client), self._choice
+        step = self.driver.take(client)
         self.rows.append(
             {
                 "depth": seen[DEPTH_KEY][-1],
@@ -181,9 +172,7 @@ class _Seat:
                 "imu": seen[IMU_KEY],
                 "odometry": seen[ODOMETRY_KEY],
                 "stick": seen[JOYSTICK_KEY],
-                "wish": choice.wish,
-                "action": choice.action,
-                "driver": choice.driver,
+                **self._choice,
                 "visible": codes_of((said.visible or said).first_s),
                 "truth": codes_of(said.first_s),
                 "reward": step.reward,

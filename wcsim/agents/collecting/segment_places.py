@@ -54,11 +54,7 @@ def orders_of(
         first: The key of the first one.
         count: How many.
         policy: The folder of the network that drives, "" for none.
-
-    Raises:
-        ConfigError: See `require_recordable`.
     """
-    require_recordable(config)
     keys = [replace(first, index=first.index + number) for number in range(count)]
     return [SegmentOrder(key=key, towns=towns, config=config, policy=policy) for key in keys]
 

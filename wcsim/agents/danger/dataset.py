@@ -14,7 +14,7 @@ from wcsim.agents.danger.street_map import EACH_SLICE, MIRRORED, PLANES, SIDE, S
 from wcsim.agents.policies.depth_check import sees_in_a_mirror
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY, ODOMETRY_KEY
 from wcsim.agents.replay.frame_store import pack_each, unpack_each
-from wcsim.config import DangerConfig, RunConfig
+from wcsim.config import RunConfig
 from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 from wcsim.types import F32, F64, I64, U8, Bool
@@ -22,67 +22,6 @@ from wcsim.types import F32, F64, I64, U8, Bool
 Inputs = tuple[torch.Tensor, ...]
 """Picture, vector, swept cells and frames, see `DangerNet.forward`."""
 _START_MIRRORED = (1, 2, 4)  # y, yaw, w
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LabelledSteps:
-    """Features of N steps, and which actions are unsafe in each."""
-
-    pictures: list[bytes]  # zstd, (PLANES, SIDE, SIDE) uint8 each
-    frames: list[bytes]  # zstd, (2, H, W) uint8 each: classes, depth; empty without `danger.eye` of pictures
-    windows: I64  # (N, T) which of the frames are seen in a step, the newest last
-    vectors: F32  # (N, VECTOR)
-    starts: F32  # (N, 6)
-    unsafe: Bool  # (N, A)
-
-    def __len__(self) -> int:
-        """How many steps."""
-        return len(self.pictures)
-
-
-def labelled_steps(segment: Segment, config: RunConfig) -> LabelledSteps:
-    """Extract the features of a segment again, as a chair that drives would. Raises PolicyError for other actions."""
-    actions = len(action_set(config.env.actions))
-    if segment.truth.shape[1] != actions:
-        labels = segment.truth.shape[1]
-        raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
-    spec = spec_of(config)
-    extractors: dict[int, FeatureExtractor] = {}
-    pictures, frames, vectors, starts = list[bytes](), list[bytes](), list[F32](), list[F32]()
-    begins = True
-    for row in range(len(segment)):
-        delay = int(segment.delay[row])
-        if begins:
-            # Where roll-outs begin depends on the delay, which an episode may draw.
-            if delay not in extractors:
-                extractors[delay] = FeatureExtractor(config, delay, spec.street, spec.pictures)
-            extractor = extractors[delay]
-            extractor.forget()
-        features = extractor.extract(
-            {
-                DEPTH_KEY: segment.depth[row][None],
-                CLASS_KEY: segment.seg[row][None],
-                IMU_KEY: segment.imu[row],
-                ODOMETRY_KEY: segment.odometry[row],
-                JOYSTICK_KEY: segment.wish[row],
-            }
-        )
-        extractor.command(int(segment.action[row]))
-        # Packed at once: the pictures of a whole segment would take a hundred times the memory.
-        pictures += pack_each(features.picture.reshape(1, -1))
-        frames += pack_each(features.frames[-1:].reshape(1, -1)) if spec.pictures else []
-        vectors.append(features.vector)
-        starts.append(features.start)
-        begins = bool(segment.ended[row])
-    codes = segment.truth if config.danger.teacher == "truth" else segment.visible
-    return LabelledSteps(
-        pictures=pictures,
-        frames=frames,
-        windows=_frame_windows(segment.ended, spec.pictures),
-        vectors=np.stack(vectors),
-        starts=np.stack(starts),
-        unsafe=unsafe_ahead(codes, segment.ended, config.danger.ahead),
-    )
 
 
 def _frame_windows(ended: Bool, frames: int) -> I64:
@@ -114,23 +53,61 @@ class Dataset:
     """
 
     def __init__(self, config: RunConfig) -> None:
-        self._danger: DangerConfig = config.danger
-        spec = spec_of(config)
-        self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config, street=spec.street)
+        self._config, self._spec = config, spec_of(config)
+        self._rng, self._extractor = np.random.default_rng(0), FeatureExtractor(config, street=self._spec.street)
         # A street map lies around the chair wherever its camera looks; pictures need one that looks straight ahead.
-        self._may_mirror = not spec.pictures or sees_in_a_mirror(config.cameras[0])
+        self._may_mirror = not self._spec.pictures or sees_in_a_mirror(config.cameras[0])
         self._size = (2, config.cameras[0].height_px, config.cameras[0].width_px)
         self._mirror = action_set(config.env.actions).mirror
-        self._parts: list[LabelledSteps] = []
-        self._rows = np.zeros((0, 2), np.int64)  # part and row
-        self._tight = np.zeros((0, 2), np.int64)
+        self._pictures: list[bytes] = []  # of each step: zstd, (PLANES, SIDE, SIDE) uint8
+        self._frames: list[bytes] = []  # zstd, (2, H, W) uint8: classes, depth; empty without `danger.eye` of pictures
+        self._windows: list[I64] = []  # (T,) which of the frames are seen, the newest last
+        self._vectors: list[F32] = []  # (VECTOR,)
+        self._starts: list[F32] = []  # (6,)
+        self._unsafe: list[Bool] = []  # (A,)
+        self._tight = np.zeros(0, np.int64)  # steps in which something is unsafe
 
-    def add(self, steps: LabelledSteps) -> None:
-        """Learn from these, too."""
-        rows = np.stack([np.full(len(steps), len(self._parts)), np.arange(len(steps))], 1)
-        self._parts.append(steps)
-        self._rows = np.concatenate([self._rows, rows])
-        self._tight = np.concatenate([self._tight, rows[steps.unsafe.any(axis=1)]])
+    def add(self, segment: Segment) -> None:
+        """Learn from its steps, too; their features are extracted again, as a chair that drives would.
+
+        Raises:
+            PolicyError: It has labels for other actions.
+        """
+        actions, labels = len(self._mirror), segment.truth.shape[1]
+        if labels != actions:
+            raise PolicyError(f"a segment has labels for {labels} actions; expected {actions}: collect it again")
+        first, spec, danger = len(self), self._spec, self._config.danger
+        codes = segment.truth if danger.teacher == "truth" else segment.visible
+        unsafe = unsafe_ahead(codes, segment.ended, danger.ahead)
+        extractors: dict[int, FeatureExtractor] = {}
+        begins = True
+        for row in range(len(segment)):
+            delay = int(segment.delay[row])
+            if begins:
+                # Where roll-outs begin depends on the delay, which an episode may draw.
+                if delay not in extractors:
+                    extractors[delay] = FeatureExtractor(self._config, delay, spec.street, spec.pictures)
+                extractor = extractors[delay]
+                extractor.forget()
+            features = extractor.extract(
+                {
+                    DEPTH_KEY: segment.depth[row][None],
+                    CLASS_KEY: segment.seg[row][None],
+                    IMU_KEY: segment.imu[row],
+                    ODOMETRY_KEY: segment.odometry[row],
+                    JOYSTICK_KEY: segment.wish[row],
+                }
+            )
+            extractor.command(int(segment.action[row]))
+            # Packed at once: the pictures of a whole segment would take a hundred times the memory.
+            self._pictures += pack_each(features.picture.reshape(1, -1))
+            self._frames += pack_each(features.frames[-1:].reshape(1, -1)) if spec.pictures else []
+            self._vectors.append(features.vector)
+            self._starts.append(features.start)
+            begins = bool(segment.ended[row])
+        self._windows += list(first + _frame_windows(segment.ended, spec.pictures))
+        self._unsafe += list(unsafe)
+        self._tight = np.concatenate([self._tight, first + np.flatnonzero(unsafe.any(axis=1))])
 
     def begin(self, rng: np.random.Generator) -> None:
         """Draw with this generator from now on."""
@@ -138,52 +115,48 @@ class Dataset:
 
     def __len__(self) -> int:
         """How many steps there are."""
-        return len(self._rows)
+        return len(self._pictures)
 
     @property
     def tight_share(self) -> float:
         """The share of steps in which something is unsafe."""
-        return len(self._tight) / max(len(self._rows), 1)
+        return len(self._tight) / max(len(self), 1)
 
     def draw(self) -> _Batch:
         """A batch, a share of it from steps in which something is unsafe, mirrored half of the time if it may be."""
-        size, rng = self._danger.batch, self._rng
+        danger, size, rng = self._config.danger, self._config.danger.batch, self._rng
         # Steps with a danger are rare. Drawn evenly, they would hardly move the weights.
-        tight = round(self._danger.tight_share * size) if len(self._tight) else 0
+        tight = round(danger.tight_share * size) if len(self._tight) else 0
         picks = np.concatenate(
             [
                 self._tight[rng.integers(0, max(len(self._tight), 1), tight)],
-                self._rows[rng.integers(0, len(self._rows), size - tight)],
+                rng.integers(0, len(self), size - tight),
             ]
         )
         return self.batch(picks, mirror=bool(rng.random() < 0.5) and self._may_mirror)
 
-    def batch(self, picks: np.ndarray, mirror: bool = False) -> _Batch:
-        """These rows, (B, 2) part and row."""
-        chosen = [(self._parts[part], row) for part, row in picks.tolist()]
-        pictures = unpack_each([part.pictures[row] for part, row in chosen], PLANES * SIDE * SIDE)
+    def batch(self, picks: I64, mirror: bool = False) -> _Batch:
+        """These steps, (B,)."""
+        rows = picks.tolist()
+        pictures = unpack_each([self._pictures[row] for row in rows], PLANES * SIDE * SIDE)
         picture = pictures.reshape(-1, PLANES, SIDE, SIDE)
-        frames = self._frames(chosen)
-        vector = np.stack([part.vectors[row] for part, row in chosen])
+        seen = [self._frames[at] for row in rows for at in self._windows[row].tolist()]
+        frames = unpack_each(seen, int(np.prod(self._size))).reshape(len(rows), -1, *self._size)
+        vector = np.stack([self._vectors[row] for row in rows])
         # Through float32 to float64, as `Features.batch` does: learned and driven roll-outs are equal to the bit.
-        start = np.stack([part.starts[row] for part, row in chosen]).astype(np.float64)
-        unsafe = np.stack([part.unsafe[row] for part, row in chosen])
+        start = np.stack([self._starts[row] for row in rows]).astype(np.float64)
+        unsafe = np.stack([self._unsafe[row] for row in rows])
         if mirror:
             picture, unsafe = picture[..., ::-1].copy(), unsafe[:, self._mirror]
             frames = frames[..., ::-1].copy()
             # What turns or leans changes its sign with the sides. Otherwise left would teach right the wrong way.
             vector[:, MIRRORED] *= -1.0
             start[:, _START_MIRRORED] *= -1.0
-        seen, *rest = to_tensors(self._extractor, picture, vector, start, frames)
+        street, *rest = to_tensors(self._extractor, picture, vector, start, frames)
         return _Batch(
-            inputs=(seen.contiguous(memory_format=torch.channels_last), *rest),
+            inputs=(street.contiguous(memory_format=torch.channels_last), *rest),
             unsafe=torch.from_numpy(unsafe).float(),
         )
-
-    def _frames(self, chosen: list[tuple[LabelledSteps, int]]) -> U8:
-        """The windows of these rows, (B, T, 2, H, W)."""
-        blobs = [part.frames[at] for part, row in chosen for at in part.windows[row].tolist()]
-        return unpack_each(blobs, int(np.prod(self._size))).reshape(len(chosen), -1, *self._size)
 
 
 def to_tensors(extractor: FeatureExtractor, picture: U8, vector: F32, start: F64, frames: U8) -> Inputs:

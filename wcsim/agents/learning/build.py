@@ -7,7 +7,6 @@ from typing import Final
 
 from stable_baselines3.common.type_aliases import GymEnv
 
-from wcsim.agents.learning.phases import PhasePlan
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks import registry
 from wcsim.agents.networks.q_network import SeqQPolicy
@@ -119,19 +118,15 @@ def _built(config: RunConfig, env: GymEnv, seed: int) -> SeqDQN:
         settings=learn,
         actions=config.env.actions,
         mirror_signs=tuple((name, m.mirror) for name, m in config.sensors.measures().items()),
-        plan=PhasePlan(learn),
         seed=seed,
         learning_rate=_FadingRate(rate=learn.learning_rate, fade=learn.learning_rate_fade),
         buffer_size=learn.replay_frames,
         learning_starts=_learning_starts(learn, getattr(env, "num_envs", 1)),
-        batch_size=learn.batch_size,
-        tau=learn.tau,
-        gamma=learn.gamma,
         train_freq=learn.train_every,
         max_grad_norm=LARGEST_GRADIENT,
         replay_buffer_kwargs={"settings": learn, "seed": seed},
         policy_kwargs={"spec": _net_spec(config)},
-        device=learn.device,
+        **learn.model_dump(include={"batch_size", "tau", "gamma", "device"}),
     )
 
 

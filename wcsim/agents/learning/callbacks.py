@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Final
 
 import numpy as np
@@ -21,9 +21,9 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
-from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS, BoardLog, MetricsFile, Value
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.policy_api import JOYSTICK_KEY
+from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS, BoardLog, MetricsFile, Value
 from wcsim.server.launch.states import WAIT_NO_MORE
 from wcsim.supervisor.kpi import KpiTotals
 from wcsim.types import Events
@@ -148,22 +148,23 @@ class EventWatch(SeqCallback):
         return True
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainingLogs:
-    """Where a run writes what it learns by."""
-
-    episodes: MetricsFile  # metrics.csv
-    steps: MetricsFile  # steps.csv
-    board: BoardLog | None = None  # TensorBoard, where that is wanted
-
-
 class EpisodeMetrics(SeqCallback):
     """Writes a row at the end of each episode, and KPI 1 of the agent's own choice every `ROW_STEPS` steps."""
 
-    def __init__(self, logs: TrainingLogs, begun_s: float, episodes: int = 0, crashes: int = 0) -> None:
+    def __init__(
+        self,
+        rows: MetricsFile,
+        steps: MetricsFile,
+        begun_s: float,
+        board: BoardLog | None = None,
+        episodes: int = 0,
+        crashes: int = 0,
+    ) -> None:
+        """`rows` is metrics.csv, `steps` steps.csv; episodes and crashes are those of what was done before."""
         super().__init__()
-        self.logs, self.begun_s = logs, begun_s
-        self.episodes, self.crashes = episodes, crashes  # of what was done before
+        self.begun_s, self.episodes, self.crashes = begun_s, episodes, crashes
+        self._logs: list[MetricsFile | BoardLog] = [rows] if board is None else [rows, board]
+        self._steps = steps
         self.sums: list[_EpisodeSums] = []
         self._looks: list[float] = []  # distances since the last row of steps.csv
         self._rows: deque[float] = deque(maxlen=KPI1_STEPS // ROW_STEPS)
@@ -175,7 +176,6 @@ class EpisodeMetrics(SeqCallback):
 
     def _on_training_start(self) -> None:
         self.sums = [_EpisodeSums() for _ in range(self.training_env.num_envs)]
-        self.episodes = self.learner._episode_num
 
     def _on_step(self) -> bool:
         self._look_greedy()
@@ -190,7 +190,7 @@ class EpisodeMetrics(SeqCallback):
     def _look_greedy(self) -> None:
         """KPI 1 is about what the agent chooses; in the first phase the user's action is executed."""
         learner, observation = self.learner, self.learner._last_obs
-        if self.n_calls % GREEDY_EVERY or not isinstance(observation, dict):
+        if self.n_calls % GREEDY_EVERY:
             return
         for seat, action in enumerate(learner.greedy(observation)):
             distance = learner.action_points.distance(int(action), observation[JOYSTICK_KEY][seat])
@@ -203,25 +203,24 @@ class EpisodeMetrics(SeqCallback):
         """A row of steps.csv."""
         self._rows.append(float(np.mean(self._looks)))
         self._looks = []
-        row: dict[str, Value] = {
-            "step": self.num_timesteps,
-            "phase": self._phase(),
-            "kpi1_greedy": self._rows[-1],
-            "elapsed_s_wall": time.monotonic() - self.begun_s,
-        }
-        self.logs.steps.add(row)
+        self._steps.add(
+            {
+                "step": self.num_timesteps,
+                "phase": self._phase(),
+                "kpi1_greedy": self._rows[-1],
+                "elapsed_s_wall": time.monotonic() - self.begun_s,
+            }
+        )
 
     def _phase(self) -> int:
         """The phase of the step that was just done."""
-        learner = self.learner
-        plan = learner.plan
-        return int(learner.phase if plan is None else plan.phase(self.num_timesteps - learner.n_envs))
+        return int(self.learner.plan.phase(self.num_timesteps - self.learner.n_envs))
 
     def _look_at_starts(self) -> None:
         """The value of what the agent saw when its episode began."""
         learner, observation = self.learner, self.learner._last_obs
         starts = [seat for seat, sums in enumerate(self.sums) if not sums.kpis.ticks]
-        if not starts or not isinstance(observation, dict):
+        if not starts:
             return
         seen, _ = learner.policy.obs_to_tensor(observation)
         with torch.no_grad():
@@ -238,62 +237,22 @@ class EpisodeMetrics(SeqCallback):
         crashed = not info.get("TimeLimit.truncated", False)
         self.episodes += 1
         self.crashes += int(crashed)
-        plan = learner.plan
-        self._write(
-            {
-                "step": self.num_timesteps,
-                "episode": self.episodes,
-                "phase": self._phase(),
-                **sums.row(info, crashed),
-                "epsilon": learner.exploration_rate,
-                "margin_weight": 0.0 if plan is None else plan.margin_weight(self.num_timesteps),
-                "loss": learner.last_loss,
-                "max_abs_q": learner.max_abs_q,
-                "updates": learner._n_updates,
-                "elapsed_s_wall": time.monotonic() - self.begun_s,
-                **sums.values.row(ended=crashed),
-            }
-        )
+        row: dict[str, Value] = {
+            "step": self.num_timesteps,
+            "episode": self.episodes,
+            "phase": self._phase(),
+            **sums.row(info, crashed),
+            "epsilon": learner.exploration_rate,
+            "margin_weight": learner.plan.margin_weight(self.num_timesteps),
+            "loss": learner.last_loss,
+            "max_abs_q": learner.max_abs_q,
+            "updates": learner._n_updates,
+            "elapsed_s_wall": time.monotonic() - self.begun_s,
+            **sums.values.row(ended=crashed),
+        }
+        for log in self._logs:
+            log.add(row)
         self.sums[seat] = _EpisodeSums()
-
-    def _write(self, row: dict[str, Value]) -> None:
-        self.logs.episodes.add(row)
-        if self.logs.board is not None:
-            self.logs.board.add(row)
-
-
-class Every(SeqCallback):
-    """Calls a function between rollouts whenever so many more steps are done; everything is stored then."""
-
-    def __init__(self, steps: int, call: Callable[[], None]) -> None:
-        super().__init__()
-        self.steps, self.call = steps, call
-        self.next_at = 0
-
-    def _on_training_start(self) -> None:
-        self.next_at = (self.num_timesteps // self.steps + 1) * self.steps
-
-    def _on_rollout_start(self) -> None:
-        if self.num_timesteps >= self.next_at:
-            self.next_at = (self.num_timesteps // self.steps + 1) * self.steps
-            self.call()
-
-
-class EverySeconds(SeqCallback):
-    """Calls a function between rollouts whenever so many more seconds of wall time have passed."""
-
-    def __init__(self, seconds: float, call: Callable[[], None], now_s: Callable[[], float] = time.monotonic) -> None:
-        super().__init__()
-        self.seconds, self.call, self.now_s = seconds, call, now_s
-        self.next_s = 0.0
-
-    def _on_training_start(self) -> None:
-        self.next_s = self.now_s() + self.seconds
-
-    def _on_rollout_start(self) -> None:
-        if self.now_s() >= self.next_s:
-            self.call()
-            self.next_s = self.now_s() + self.seconds  # counted from its end: a slow disk must not be all that is done
 
 
 class Between(SeqCallback):
@@ -334,9 +293,7 @@ class StopRequest:
                 self._before[number] = signal.signal(number, self._handle)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
         self._before.clear()

@@ -2,12 +2,11 @@
 
 Taken between rollouts, where every step is stored. Weights are small and saved often; most checkpoints share the replay
 of the newest one that was saved with it. A world cannot be saved: a resumed run begins a new episode and with it a new
-exploration offset. All else that the learner holds is restored exactly, or the learner is not touched.
+exploration offset. All else that the learner holds is restored exactly.
 """
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -20,15 +19,15 @@ from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.frame_store import LEVEL
 from wcsim.agents.runs.checkpoint import STATE, Arrays, Restore, newest_arrays, save, tag
+from wcsim.agents.runs.weights import checked_tensors
 from wcsim.config import parse
 from wcsim.config.run_file import SeqFile, SittingFile
-from wcsim.core.reading import escaped
 from wcsim.errors import PolicyError
 from wcsim.types import I64, U8
 
 _MODEL: Final = "model.safetensors"
 _PER_STEP = ("vectors", "actions", "rewards", "ended", "terminated", "episode_step")
-_SLICE = 512  # steps read at once
+_OF_ADVICE = ("advice_bits", "advice_known")
 _CHUNK_FRAMES = 256  # frames of one blob in a checkpoint
 
 
@@ -52,11 +51,11 @@ def save_checkpoint(
         "n_updates": model._n_updates,
         "episodes": model._episode_num,
         "explore_rng": _generator_state(model.rng),
-        "replay_rng": _generator_state(_replay(model).rng),
+        "replay_rng": _generator_state(model.replay_buffer.rng),
         "extra": dict(extra),
     }
     held = None if replay else newest_arrays(folder, "replay")
-    arrays = {"model": _model_arrays(model), "replay": held or _replay_arrays(_replay(model), alive)}
+    arrays = {"model": _model_arrays(model), "replay": held or _replay_arrays(model.replay_buffer, alive)}
     return save(folder, tag("step", model.num_timesteps), state, arrays, alive)
 
 
@@ -90,12 +89,6 @@ def _restored_generator(state: dict[str, Any]) -> np.random.Generator:
     return np.random.Generator(bits)
 
 
-def _replay(model: SeqDQN) -> FrameReplay:
-    if not isinstance(model.replay_buffer, FrameReplay):
-        raise PolicyError(f"replay is {type(model.replay_buffer).__name__}; expected FrameReplay for a checkpoint")
-    return model.replay_buffer
-
-
 def _nets(model: SeqDQN) -> tuple[tuple[str, torch.nn.Module], ...]:
     return ("q_net", model.q_net), ("q_net_target", model.q_net_target)
 
@@ -112,49 +105,23 @@ def _model_arrays(model: SeqDQN) -> Arrays:
 
 
 def _restore(model: SeqDQN, state: SeqFile, arrays: Arrays, replay: Arrays, alive: Callable[[], object]) -> None:
-    """All of it, or, with an exception, nothing."""
-    memory = _replay(model)
-    slots = _optimizer_slots(model, arrays)
-    _check_same_arrays(model, arrays)
+    """All of it. What fails on the way leaves a learner that has to be restored from another checkpoint."""
+    memory, optimizer = model.replay_buffer, model.policy.optimizer
     _check_fit(memory, replay)
-    nets = [copy.deepcopy(net.state_dict()) for _, net in _nets(model)]
-    optimizer = copy.deepcopy(model.policy.optimizer.state_dict())
-    torch_rng, memory_rng = torch.get_rng_state(), memory.rng
-    try:
-        for prefix, net in _nets(model):
-            head = f"{prefix}/"
-            net.load_state_dict(
-                {k.removeprefix(head): torch.from_numpy(v) for k, v in arrays.items() if k.startswith(head)}
-            )
-        model.policy.optimizer.load_state_dict({"state": slots, "param_groups": optimizer["param_groups"]})
-        _restore_replay(memory, replay, alive)
-        memory.rng, explore_rng = (
-            _restored_generator(rng.model_dump()) for rng in (state.replay_rng, state.explore_rng)
-        )
-        torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
-    except BaseException:
-        for (_, net), before in zip(_nets(model), nets, strict=True):
-            net.load_state_dict(before)
-        model.policy.optimizer.load_state_dict(optimizer)
-        memory.reset()
-        memory.rng = memory_rng
-        torch.set_rng_state(torch_rng)
-        raise
-    model.rng = explore_rng
+    for prefix, net in _nets(model):
+        held = {key: torch.from_numpy(value) for key, value in _below(prefix, arrays).items()}
+        net.load_state_dict(checked_tensors(_MODEL, held, net.state_dict()))
+    slots = _optimizer_slots(model, _below("optimizer", arrays))
+    optimizer.load_state_dict({"state": slots, "param_groups": optimizer.state_dict()["param_groups"]})
+    _restore_replay(memory, replay, alive)
+    memory.rng, model.rng = (_restored_generator(rng.model_dump()) for rng in (state.replay_rng, state.explore_rng))
+    torch.set_rng_state(torch.from_numpy(arrays["torch_rng"]))
     model._n_updates, model._episode_num = state.n_updates, state.episodes
 
 
-def _check_same_arrays(model: SeqDQN, arrays: Arrays) -> None:
-    """Raise PolicyError unless the arrays of the networks have the names, shapes and types that the model's have."""
-    expected = {key: value for key, value in _model_arrays(model).items() if not key.startswith("optimizer/")}
-    got = {key: value for key, value in arrays.items() if not key.startswith("optimizer/")}
-    if set(got) != set(expected):
-        other = escaped(sorted(set(got) ^ set(expected)))
-        raise PolicyError(f"{_MODEL} has other arrays ({other}) than this configuration")
-    for key, value in expected.items():
-        here, there = (value.dtype, value.shape), (got[key].dtype, got[key].shape)
-        if here != there:
-            raise PolicyError(f"{_MODEL}: {key} is {there[0]} {there[1]}, in this configuration {here[0]} {here[1]}")
+def _below(prefix: str, arrays: Arrays) -> Arrays:
+    """The arrays of that prefix, by what follows it."""
+    return {key.removeprefix(f"{prefix}/"): value for key, value in arrays.items() if key.startswith(f"{prefix}/")}
 
 
 def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch.Tensor]]:
@@ -162,14 +129,17 @@ def _optimizer_slots(model: SeqDQN, arrays: Arrays) -> dict[int, dict[str, torch
     sizes = [tuple(value.shape) for group in model.policy.optimizer.param_groups for value in group["params"]]
     slots: dict[int, dict[str, torch.Tensor]] = {}
     for key, value in arrays.items():
-        if not key.startswith("optimizer/"):
-            continue
-        _, index, name = key.split("/")
+        index, name = key.split("/")
         number = int(index)
         if not 0 <= number < len(sizes) or (value.size != 1 if name == "step" else value.shape != sizes[number]):
             raise PolicyError(f"{_MODEL}: {key} has the shape {value.shape}; it is of another network")
         slots.setdefault(number, {})[name] = torch.from_numpy(value.reshape(()) if name == "step" else value)
     return slots
+
+
+def _per_step(replay: FrameReplay) -> tuple[str, ...]:
+    """Which arrays of a memory have a row for each step."""
+    return (*_PER_STEP, *(_OF_ADVICE if replay.advised else ()))
 
 
 def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: None) -> Arrays:
@@ -180,17 +150,14 @@ def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: No
     first, size = replay.total - replay.size(), replay.size()
     index = first + np.arange(size)
     rows = index % replay.buffer_size
-    blobs: list[bytes] = []
+    blobs, packer = list[bytes](), zstandard.ZstdCompressor(level=LEVEL)
     for seat in range(replay.n_envs):
-        for k in range(0, size, _SLICE):
-            blobs += _pack(replay.windows.read_newest(index[k : k + _SLICE], seat))
+        for k in range(0, size, _CHUNK_FRAMES):
+            frames = replay.windows.read_newest(index[k : k + _CHUNK_FRAMES], seat)
+            blobs.append(packer.compress(frames.tobytes()))
             alive()
     ends, groups = sorted(replay.after_end), replay.groups
-    end_images = [replay.observation_after_end(*key)[0] for key in ends]
-    end_vectors = [replay.after_end[key][1] for key in ends]
-    arrays: Arrays = {name: getattr(replay, name)[rows] for name in _PER_STEP}
-    if replay.advice is not None:
-        arrays.update(replay.advice.arrays(rows))
+    arrays: Arrays = {name: getattr(replay, name)[rows] for name in _per_step(replay)}
     if groups is not None:
         states = np.array(list(groups.states.values()), dtype=np.float32)
         arrays["state_at"] = np.array(list(groups.states), dtype=np.int64).reshape(-1, 2)
@@ -201,8 +168,8 @@ def _replay_arrays(replay: FrameReplay, alive: Callable[[], object] = lambda: No
     arrays["end_at"] = np.array(ends, dtype=np.int64).reshape(-1, 2)
     empty_image = np.zeros((0, replay.layout.image_bytes), dtype=np.uint8)
     empty_vector = np.zeros((0, replay.layout.vector_size), dtype=np.float32)
-    arrays["end_images"] = np.stack(end_images) if ends else empty_image
-    arrays["end_vectors"] = np.stack(end_vectors) if ends else empty_vector
+    arrays["end_images"] = np.stack([replay.after_end[key][0] for key in ends]) if ends else empty_image
+    arrays["end_vectors"] = np.stack([replay.after_end[key][1] for key in ends]) if ends else empty_vector
     arrays["whole_at"] = np.array(_whole(replay), dtype=np.int64).reshape(-1, 2)
     arrays["whole_images"] = replay.windows.read(*arrays["whole_at"].T)
     arrays["next_images"], arrays["next_vectors"] = replay.expected or (empty_image, empty_vector)
@@ -218,27 +185,12 @@ def _whole(replay: FrameReplay) -> list[tuple[int, int]]:
 
 def _check_fit(replay: FrameReplay, arrays: Arrays) -> None:
     """Raise ValueError unless the arrays are those of a memory like this one, each of its shape and type."""
-    size = _stored_steps(replay, arrays)
+    _, size = arrays["total"].tolist()
     for name, own in _replay_arrays(replay).items():
-        got, count = arrays[name], size if name in _PER_STEP else len(arrays[name])
+        got, count = arrays[name], size if name in _per_step(replay) else len(arrays[name])
         shape = (count, *own.shape[1:])
         if got.shape != shape or got.dtype != own.dtype:
             raise ValueError(f"replay: {name} is {got.dtype} {got.shape}; expected {own.dtype} {shape}")
-    lengths, coming = arrays["blob_bytes"], {len(arrays["next_images"]), len(arrays["next_vectors"])}
-    if coming not in ({0}, {replay.n_envs}):
-        raise ValueError("replay: its images do not go together")
-    if (lengths < 0).any() or int(lengths.sum()) != len(arrays["frames"]):
-        raise ValueError("replay: its frames have other lengths than it says")
-
-
-def _stored_steps(replay: FrameReplay, arrays: Arrays) -> int:
-    counts = arrays["total"]
-    if counts.dtype != np.int64 or counts.shape != (2,):
-        raise ValueError(f"replay has counts {counts.dtype} {counts.shape}; expected two numbers")
-    total, size = (int(value) for value in counts)
-    if not 0 <= size <= total or size != min(total, replay.buffer_size):
-        raise ValueError(f"replay holds {size} of {total} steps; expected the last {replay.buffer_size}, or all")
-    return size
 
 
 def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], object] = lambda: None) -> None:
@@ -250,14 +202,14 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
     Raises:
         ValueError: Their frames are not those of their steps; the memory has to be reset then.
     """
-    total, size = (int(value) for value in arrays["total"])
+    total, size = arrays["total"].tolist()
     replay.reset()
     index = total - size + np.arange(size)
     rows = index % replay.buffer_size
-    for name in _PER_STEP:
+    for name in _per_step(replay):
         getattr(replay, name)[rows] = arrays[name]
-    if replay.advice is not None:
-        replay.advice.restore(arrays, index)
+    safe = replay.safe(index[:, None], np.arange(replay.n_envs))
+    replay.advice_tight[rows] = replay.advice_known[rows] & ~safe.all(axis=-1)
     if replay.groups is not None:
         keys = map(tuple, arrays["state_at"].tolist())
         replay.groups.states = dict(zip(keys, arrays["states"], strict=True))
@@ -265,10 +217,7 @@ def _restore_replay(replay: FrameReplay, arrays: Arrays, alive: Callable[[], obj
     for (step, seat), window in zip(arrays["whole_at"], arrays["whole_images"], strict=True):
         replay.windows.whole[int(step), int(seat)] = window
     for (step, seat), image, vector in zip(arrays["end_at"], arrays["end_images"], arrays["end_vectors"], strict=True):
-        replay.store_end(int(step), int(seat), image, vector)
-    for k in np.flatnonzero(replay.terminated[rows].any(axis=1)):
-        for seat in np.flatnonzero(replay.terminated[rows[k]]):
-            replay.crashes.append((total - size + int(k), int(seat)))
+        replay.after_end[int(step), int(seat)] = image, vector
     replay.total, replay.pos, replay.full = total, total % replay.buffer_size, size == replay.buffer_size
     if len(arrays["next_images"]):
         replay.expected = (arrays["next_images"], arrays["next_vectors"])
@@ -281,7 +230,7 @@ def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Call
     each = len(blobs) // replay.n_envs  # one seat after the other
     at = 0
     for parts in zip(*(blobs[seat * each : (seat + 1) * each] for seat in range(replay.n_envs)), strict=True):
-        frames = np.stack([_unpack([blob], replay.layout.frame_bytes) for blob in parts], axis=1)
+        frames = np.stack([_unpacked(blob, replay.layout.frame_bytes) for blob in parts], axis=1)
         for step, frame in zip(index[at : at + len(frames)], frames, strict=True):  # (seats, frame_bytes)
             fresh = replay.episode_step[step % replay.buffer_size] == 0
             replay.windows.write_newest(int(step), frame, fresh)
@@ -291,15 +240,7 @@ def _restore_frames(replay: FrameReplay, arrays: Arrays, index: I64, alive: Call
         raise ValueError(f"replay has frames of {at} steps; expected {len(index)}")
 
 
-def _pack(frames: U8) -> list[bytes]:
-    """Frames (K, size) as compressed blobs of up to 256 frames, for a file."""
-    packer = zstandard.ZstdCompressor(level=LEVEL)
-    return [packer.compress(frames[k : k + _CHUNK_FRAMES].tobytes()) for k in range(0, len(frames), _CHUNK_FRAMES)]
-
-
-def _unpack(blobs: list[bytes], size: int) -> U8:
-    """What `_pack` packed, (K, size)."""
-    unpacker = zstandard.ZstdDecompressor()
-    limit = _CHUNK_FRAMES * size
-    parts = [np.frombuffer(unpacker.decompress(blob, max_output_size=limit), dtype=np.uint8) for blob in blobs]
-    return np.concatenate(parts).reshape(-1, size) if parts else np.zeros((0, size), dtype=np.uint8)
+def _unpacked(blob: bytes, size: int) -> U8:
+    """The frames (K, size) of a blob."""
+    held = zstandard.ZstdDecompressor().decompress(blob, max_output_size=_CHUNK_FRAMES * size)
+    return np.frombuffer(held, dtype=np.uint8).reshape(-1, size)

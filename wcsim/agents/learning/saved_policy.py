@@ -12,10 +12,10 @@ from gymnasium import spaces
 
 from wcsim.agents.envs.episode_view import newest, windowed_space
 from wcsim.agents.learning.seqdqn import SeqDQN
-from wcsim.agents.networks import registry
 from wcsim.agents.networks.encoder import image_size, observation_form, vector_keys, vector_size, window_size
-from wcsim.agents.networks.names import require_named
+from wcsim.agents.networks.names import NETWORK_NAMES, require_named
 from wcsim.agents.networks.q_network import QNet
+from wcsim.agents.networks.registry import NETWORKS
 from wcsim.agents.policies.alarm import TWO_TICKS, Alarm, next_alarm
 from wcsim.agents.policy_api import CLASS_KEY, JOYSTICK_KEY, Observation
 from wcsim.agents.runs.policy_file import read_policy_file
@@ -121,9 +121,9 @@ def load_policy(path: Path, network: str | None = None) -> NetPolicy:
     Raises PolicyError when a file is missing, damaged or does not fit.
     """
     file = read_policy_file(path)
-    if not registry.is_registered(file.net.network):
+    if file.net.network not in NETWORKS:
         require_named(escaped(path), file.net.network, network)
-    net = load_network(path, file.weights_sha256, lambda: _empty_net(file), own=registry.is_own(file.net.network))
+    net = load_network(path, file.weights_sha256, lambda: _empty_net(file), own=file.net.network in NETWORK_NAMES)
     policy = NetPolicy(net, path.name, file)
     for observation in _probes(file):
         policy.values(observation)

@@ -30,7 +30,6 @@ import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples, GymEnv
 from stable_baselines3.common.utils import polyak_update
@@ -39,7 +38,7 @@ from torch.nn import functional
 from wcsim.agents.learning.phases import LearningPhase, PhasePlan
 from wcsim.agents.networks.q_network import QNet, SeqQPolicy
 from wcsim.agents.policy_api import IMU_KEY, JOYSTICK_KEY
-from wcsim.agents.replay.buffer import AdviceBatch, FrameReplay
+from wcsim.agents.replay.buffer import FrameReplay
 from wcsim.agents.replay.groups import SequenceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
@@ -174,11 +173,6 @@ def _mirror_batch(batch: DictReplayBufferSamples, actions: torch.Tensor, signs: 
     )
 
 
-def _mirror_advice(batch: AdviceBatch, actions: torch.Tensor, signs: Signs = ()) -> AdviceBatch:
-    """The same for a batch of the training aid."""
-    return AdviceBatch(observations=_mirrored(batch.observations, actions, signs), safe=batch.safe[:, actions])
-
-
 def _mirrored(observations: Tensors, actions: torch.Tensor, further: Signs) -> Tensors:
     out = dict(observations)
     for key, value in observations.items():
@@ -201,7 +195,7 @@ MAX_SKIPPED = 10  # updates in a row with a loss or gradient that is not finite
 
 
 class SeqDQN(DQN):
-    """Double DQN over wcsim's observations; without a `plan` it explores like SB3's DQN and never imitates the user.
+    """Double DQN over wcsim's observations.
 
     Args:
         policy: See SB3.
@@ -209,7 +203,6 @@ class SeqDQN(DQN):
         settings: What it has beside SB3's DQN.
         actions: Name of the set of joystick positions.
         mirror_signs: Of the sensors of [sensors], for batches that are mirrored.
-        plan: Of the two phases.
         seed: Of all that is drawn.
         **dqn: Of SB3's DQN.
     """
@@ -217,6 +210,8 @@ class SeqDQN(DQN):
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {"SeqQPolicy": SeqQPolicy}
     q_net: QNet  # type: ignore[assignment]
     q_net_target: QNet  # type: ignore[assignment]
+    replay_buffer: FrameReplay
+    _last_obs: dict[str, npt.NDArray[Any]]
 
     def __init__(
         self,
@@ -226,14 +221,13 @@ class SeqDQN(DQN):
         settings: LearnConfig | None = None,
         actions: str = "square81",
         mirror_signs: Signs = (),
-        plan: PhasePlan | None = None,
         seed: int | None = None,
         _init_setup_model: bool = True,
         **dqn: Any,
     ) -> None:
         self.settings = settings if settings is not None else LearnConfig()
         self.actions, self.mirror_signs = actions, mirror_signs
-        self.plan = plan
+        self.plan = PhasePlan(self.settings)
         self.rng = seeding.generator(0 if seed is None else seed, "agent", "explore")
         self._offsets: npt.NDArray[np.float64] = np.zeros((0, 2))  # (N, 2) explored by each seat
         self._held: npt.NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # (N,) steps for which it is still held
@@ -250,7 +244,7 @@ class SeqDQN(DQN):
 
     def _setup_model(self) -> None:
         super()._setup_model()
-        if isinstance(self.replay_buffer, FrameReplay) and self.replay_buffer.groups is not None:
+        if self.replay_buffer.groups is not None:
             self.replay_buffer.groups.state_size = self.q_net.encoder.state_size
 
     @property
@@ -261,7 +255,7 @@ class SeqDQN(DQN):
     @property
     def phase(self) -> LearningPhase:
         """Whose joystick is executed at the present step."""
-        return LearningPhase.AGENT_DRIVEN if self.plan is None else self.plan.phase(self.num_timesteps)
+        return self.plan.phase(self.num_timesteps)
 
     # --- acting ---
 
@@ -301,13 +295,9 @@ class SeqDQN(DQN):
             return self.rng.integers(0, len(self.action_points), len(sticks))
         return self.action_points.nearest_many(np.clip(sticks + self._offsets, -1.0, 1.0))
 
-    def _sample_action(
-        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
-    ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def _sample_action(self, *given: Any, **named: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Phase 1: the user's nearest action. Phase 2: greedy with exploration, from the first step on."""
         observation = self._last_obs
-        if not isinstance(observation, dict):
-            raise PolicyError(f"observation is {type(observation).__name__}; expected wcsim's dict of arrays")
         if self.phase is LearningPhase.ACTION_DRIVEN:
             actions = self.action_points.nearest_many(observation[JOYSTICK_KEY])
             if self.q_net.spec.stateful:  # it has to see what is driven
@@ -335,7 +325,7 @@ class SeqDQN(DQN):
                 f"the reward of step {self.num_timesteps} was {rewards[~np.isfinite(rewards)][0]}; expected a finite "
                 "number: correct your own reward term (--reward), then wcsim resume RUN"
             )
-        groups = replay_buffer.groups if isinstance(replay_buffer, FrameReplay) else None
+        groups = self.replay_buffer.groups
         if groups is not None and self._carried is not None:
             groups.coming = self._carried[0]
         super()._store_transition(replay_buffer, *step)
@@ -351,19 +341,13 @@ class SeqDQN(DQN):
             self._carried = None
         if self._total_timesteps > self.num_timesteps:  # SB3 sets both after a step, too late for the first one
             self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
-            self._set_exploration_rate()
+            self.exploration_rate = self.plan.epsilon(self.num_timesteps)
         return out
 
     def _on_step(self) -> None:
         """Set the exploration rate; the target network follows the gradient steps instead of the world's steps."""
-        self._set_exploration_rate()
+        self.exploration_rate = self.plan.epsilon(self.num_timesteps)
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
-
-    def _set_exploration_rate(self) -> None:
-        if self.plan is None:
-            self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
-        else:
-            self.exploration_rate = self.plan.epsilon(self.num_timesteps)
 
     # --- learning ---
 
@@ -393,13 +377,10 @@ class SeqDQN(DQN):
         """Do so many updates. Raises PolicyError when loss or gradient stay out of the finite numbers."""
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
-        buffer = self.replay_buffer
-        if buffer is None:
-            raise PolicyError("there is no replay buffer; build the model with an environment before training it")
-        plan, step = self.plan, self.num_timesteps
-        margin, aid = (0.0, 0.0) if plan is None else (plan.margin_weight(step), plan.aid_weight(step))
+        step = self.num_timesteps
+        margin, aid = self.plan.margin_weight(step), self.plan.aid_weight(step)
         for _ in range(gradient_steps):
-            loss = self._drawn_loss(buffer, batch_size, margin)
+            loss = self._drawn_loss(batch_size, margin)
             if aid > 0.0:
                 loss = loss + aid * self.advice_loss()
             self._update(loss)
@@ -411,14 +392,14 @@ class SeqDQN(DQN):
         self.logger.record("train/margin_weight", margin)
         self.logger.record("train/aid_weight", aid)
 
-    def _drawn_loss(self, buffer: ReplayBuffer, batch_size: int, margin: float) -> torch.Tensor:
-        if self.q_net.spec.stateful and isinstance(buffer, FrameReplay):
+    def _drawn_loss(self, batch_size: int, margin: float) -> torch.Tensor:
+        if self.q_net.spec.stateful:
             settings, nets = self.settings, (self.q_net, self.q_net_target)
             supervised = (lambda *seen: margin * self.supervised_loss(*seen)) if margin > 0.0 else None
-            batch = buffer.sample_groups(batch_size)
+            batch = self.replay_buffer.sample_groups(batch_size)
             loss, self.max_abs_q = _sequence_loss(nets, batch, settings.reward_scale, settings.double_q, supervised)
             return loss
-        drawn: DictReplayBufferSamples = buffer.sample(batch_size)  # type: ignore[assignment]
+        drawn = self.replay_buffer.sample(batch_size)
         if self._flips():
             drawn = _mirror_batch(drawn, self._mirror_map(), self.mirror_signs)
         return self.loss(drawn, margin)
@@ -460,21 +441,17 @@ class SeqDQN(DQN):
 
     def advice_loss(self) -> torch.Tensor:
         """Loss of a batch of advice from the truth (`agents/learning/seqdqn.py`), 0 while there is none."""
-        settings, buffer = self.settings, self.replay_buffer
-        advice = None
-        if isinstance(buffer, FrameReplay):
-            advice = buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
+        advice = self.replay_buffer.sample_advice(AID_BATCH, AID_SHARE, AID_AHEAD)
         if advice is None:
             return torch.zeros((), device=self.device)
-        seen, points = advice.observations, self.action_points.points
-        sticks = seen[JOYSTICK_KEY].cpu().numpy()
-        wishes = relabelled(sticks, points, RELABELLED, self.rng)
-        advice = advice._replace(observations={**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)})
+        seen, safe = advice
+        wishes = relabelled(seen[JOYSTICK_KEY].cpu().numpy(), self.action_points.points, RELABELLED, self.rng)
+        seen = {**seen, JOYSTICK_KEY: torch.as_tensor(wishes, device=self.device)}
         if self._flips():
-            advice = _mirror_advice(advice, self._mirror_map(), self.mirror_signs)
-        distances = self.q_net.distances(advice.observations[JOYSTICK_KEY])
-        values = self.q_net(advice.observations)
-        return aid_loss(values, distances, advice.safe, settings.reward_scale, AID_MARGIN)
+            actions = self._mirror_map()
+            seen, safe = _mirrored(seen, actions, self.mirror_signs), safe[:, actions]
+        distances = self.q_net.distances(seen[JOYSTICK_KEY])
+        return aid_loss(self.q_net(seen), distances, safe, self.settings.reward_scale, AID_MARGIN)
 
     def _flips(self) -> bool:
         return self.settings.mirror and bool(self.rng.random() < 0.5)

@@ -6,7 +6,6 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,30 +19,28 @@ from wcsim.agents.learning.callbacks import (
     Between,
     EpisodeMetrics,
     EventWatch,
-    Every,
-    EverySeconds,
     StopRequest,
-    TrainingLogs,
     TrainProgress,
 )
 from wcsim.agents.learning.checkpoint import restoring, save_checkpoint
-from wcsim.agents.learning.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
 from wcsim.agents.learning.phases import LearningPhase
 from wcsim.agents.learning.saved_policy import save_policy
 from wcsim.agents.learning.seqdqn import SeqDQN
 from wcsim.agents.networks.device import checked_device, torch_settings
 from wcsim.agents.runs.checkpoint import go_on
+from wcsim.agents.runs.metrics import STEP_COLUMNS, BoardLog, MetricsFile, check_tensorboard
 from wcsim.agents.runs.run_folder import METRICS, STEPS, ResolvedRun, RunFolder, folder_of, how_to_resume
 from wcsim.config.run_file import SittingFile
 from wcsim.core import files, seeding
-from wcsim.errors import DiskFullError, InterruptedRunError, LinkError, PolicyError
+from wcsim.errors import DiskFullError, InterruptedRunError, LinkError
 
-WEIGHTS_EVERY_S, REPLAY_EVERY_S = 60.0, 900.0  # between checkpoints; those of weights take the newest replay along
+SAVE_EVERY_S = {True: 900.0, False: 60.0}  # between checkpoints with their replay, and those that take the newest along
 
 MakeEnv = Callable[[], gymnasium.Env[Any, Any]]
 Progress = Callable[[TrainProgress], None]
 PROGRESS_EVERY = 50  # steps
 Q_ALARM = 1.5  # times the largest value that the reward allows
+_now_s = time.monotonic
 
 
 def train(
@@ -91,7 +88,7 @@ def train(
             sitting = _restored(folder, model, log, alive) if run.resume else None
             session = _Session(folder, model, request, progress, run.resume, sitting, progress_every, alive)
             session.callbacks.extend(callbacks)
-            with session.logs.board or contextlib.nullcontext():
+            with session.board or contextlib.nullcontext():
                 return session.learn()
         finally:
             env.close()
@@ -104,16 +101,8 @@ def _learn_meanwhile(model: SeqDQN, env: DummyVecEnv) -> None:
         inner.due_work, model.meanwhile = model.due_updates, True
 
 
-def _stopped_error(path: Path, step: int, total: int, unsaved: str) -> InterruptedRunError | DiskFullError:
-    """What is raised when a run was stopped at a step: `unsaved` says why its last checkpoint is not there."""
-    message = f"stopped after {step} of {total} steps"
-    if unsaved:
-        return DiskFullError(
-            f"{message}; the policy so far is saved, but the last checkpoint could not be written ({unsaved}): "
-            f"{how_to_resume(path)} continues from the one before it, or starts again if there is none; free some "
-            "disk space"
-        )
-    return InterruptedRunError(f"{message}; {path} holds the policy so far; continue it: {how_to_resume(path)}")
+def _next_multiple(step: int, steps: int) -> int:
+    return (step // steps + 1) * steps
 
 
 class _Session:
@@ -135,31 +124,28 @@ class _Session:
         if before is not None:
             self._new_segment()
         before = before or SittingFile()
-        plan = model.plan
-        if plan is None:
-            raise PolicyError("the model has no phase plan; build it with agents.build.build_model")
         kept = model.num_timesteps if resume else None
-        self.logs = TrainingLogs(
-            episodes=MetricsFile(run.path / METRICS, kept),
-            steps=MetricsFile(run.path / STEPS, kept, STEP_COLUMNS),
-            board=BoardLog(run.path, kept) if self.learn_config.tensorboard else None,
+        self.board = BoardLog(run.path, kept) if self.learn_config.tensorboard else None
+        self.episodes = EpisodeMetrics(
+            MetricsFile(run.path / METRICS, kept),
+            MetricsFile(run.path / STEPS, kept, STEP_COLUMNS),
+            time.monotonic(),
+            self.board,
+            model._episode_num,
+            before.crashes,
         )
-        self.episodes = EpisodeMetrics(self.logs, time.monotonic(), model._episode_num, before.crashes)
-        self.plan, self.phase1_done = plan, before.phase1_done
+        self.phase1_done = before.phase1_done
         self.alarmed = before.q_alarm
         self.unsaved = ""  # why the last checkpoint could not be written
         if before.owes_updates:
             model.due = 1, model.batch_size
-        self.callbacks: list[BaseCallback] = [
-            self.episodes,
-            Between(self._switch_phase),
-            EventWatch(self.run.event),
-            Every(self.learn_config.checkpoint_every, self._checkpoint),
-            EverySeconds(REPLAY_EVERY_S, self._checkpoint),
-            EverySeconds(WEIGHTS_EVERY_S, partial(self._checkpoint, replay=False)),
-            Every(progress_every, self._report),
-            Between(request.look),
-        ]
+        self._every: dict[Callable[[], None], int] = {
+            self._checkpoint: self.learn_config.checkpoint_every,
+            self._report: progress_every,
+        }
+        self._next_at = {call: _next_multiple(model.num_timesteps, steps) for call, steps in self._every.items()}
+        self._save_s = {replay: _now_s() + seconds for replay, seconds in SAVE_EVERY_S.items()}
+        self.callbacks: list[BaseCallback] = [self.episodes, EventWatch(self.run.event), Between(self._between)]
 
     def learn(self) -> Path:
         """Run to the end. Raises InterruptedRunError when it was stopped."""
@@ -191,11 +177,34 @@ class _Session:
         """Write the last files; what is to be raised then."""
         self.request.ending = True
         self._finish("interrupted")
-        return _stopped_error(self.run.path, self.model.num_timesteps, self.learn_config.total_steps, self.unsaved)
+        path, done = self.run.path, f"{self.model.num_timesteps} of {self.learn_config.total_steps} steps"
+        if not self.unsaved:
+            return InterruptedRunError(
+                f"stopped after {done}; {path} holds the policy so far; continue it: {how_to_resume(path)}"
+            )
+        return DiskFullError(
+            f"stopped after {done}; the policy so far is saved, but the last checkpoint could not be written "
+            f"({self.unsaved}): {how_to_resume(path)} continues from the one before it, or starts again if there is "
+            "none; free some disk space"
+        )
+
+    def _between(self) -> None:
+        """What is due between two rollouts. Raises KeyboardInterrupt once a stop was asked for."""
+        self._switch_phase()
+        step = self.model.num_timesteps
+        for call, steps in self._every.items():
+            if step >= self._next_at[call]:
+                self._next_at[call] = _next_multiple(step, steps)
+                call()
+        for replay, seconds in SAVE_EVERY_S.items():
+            if _now_s() >= self._save_s[replay]:
+                self._checkpoint(replay)
+                self._save_s[replay] = _now_s() + seconds  # from its end: a slow disk must not be all that is done
+        self.request.look()
 
     def _switch_phase(self) -> None:
         """Before the first rollout of the second phase: the first is complete and stored then."""
-        if not self.phase1_done and self.plan.phase(self.model.num_timesteps) is LearningPhase.AGENT_DRIVEN:
+        if not self.phase1_done and self.model.phase is LearningPhase.AGENT_DRIVEN:
             if self.learn_config.phase1_steps > 0:
                 self._switched()
             self.phase1_done = True  # not before: what fails on a full disk is done when the run goes on

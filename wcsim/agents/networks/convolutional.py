@@ -59,26 +59,17 @@ class PatchNet(nn.Module):
         return torch.as_tensor(self.dense(torch.cat([self.cnn(image), vector], dim=1)))
 
 
-class Figure6Net(nn.Module):
-    """Figure 6 of the paper: each image to 128 numbers, an LSTM over the window; its last output joins the vector.
-
-    The dense voter is the head, which gets IMU and joystick besides.
-    """
+class _Remembering(nn.Module):
+    """A network that carries a state: over the images of a window, or from tick to tick where its caller holds it."""
 
     windowed: ClassVar[bool] = True
     window: ClassVar[int] = 4
 
-    def __init__(self, image_shape: _Shape, vector_size: int) -> None:
-        super().__init__()
-        del vector_size
-        memory = _lstm()  # before the eye: the order decides which random numbers each gets
-        self.eye = PatchNet(image_shape[1:], 0)
-        self.memory = memory
-        self.state_size = 2 * _MEMORY
+    state_size: int
 
     def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
         """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
-        remembered, _ = self.memory(self._seen(image))
+        remembered, _ = self._remembered(image, image.new_zeros(len(image), self.state_size))
         return torch.cat([remembered[:, -1], vector], dim=1)
 
     def unroll(
@@ -88,12 +79,31 @@ class Figure6Net(nn.Module):
 
         The state (B, state_size) is the one before them: zeros where an episode begins.
         """
-        remembered, after = _carried(self.memory, self._seen(image), state)
+        remembered, after = self._remembered(image, state)
         return torch.cat([remembered, vector], dim=2), after
 
-    def _seen(self, image: torch.Tensor) -> torch.Tensor:
+    def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """What the LSTM gives after each image, (B, T, 128), and the flat state after the last."""
+        raise NotImplementedError
+
+
+class Figure6Net(_Remembering):
+    """Figure 6 of the paper: each image to 128 numbers, an LSTM over the window; its last output joins the vector.
+
+    The dense voter is the head, which gets IMU and joystick besides.
+    """
+
+    def __init__(self, image_shape: _Shape, vector_size: int) -> None:
+        super().__init__()
+        del vector_size
+        memory = _lstm()  # before the eye: the order decides which random numbers each gets
+        self.eye = PatchNet(image_shape[1:], 0)
+        self.memory = memory
+        self.state_size = 2 * _MEMORY
+
+    def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         seen = self.eye(image.flatten(0, 1), image.new_zeros(image.shape[0] * image.shape[1], 0))
-        return torch.unflatten(seen, 0, image.shape[:2])
+        return _carried(self.memory, torch.unflatten(seen, 0, image.shape[:2]), state)
 
 
 def _lstm() -> nn.LSTM:
@@ -122,11 +132,8 @@ def _carried(memory: nn.LSTM, seen: torch.Tensor, state: torch.Tensor) -> tuple[
     return remembered, torch.cat(after, dim=2)[0]
 
 
-class ConvLstmNet(nn.Module):
+class ConvLstmNet(_Remembering):
     """A ConvLSTM in the place of Figure 6's CNN: its map becomes 128 numbers, and the LSTM behind it stays."""
-
-    windowed: ClassVar[bool] = True
-    window: ClassVar[int] = 4
 
     def __init__(self, image_shape: _Shape, vector_size: int) -> None:
         super().__init__()
@@ -143,23 +150,7 @@ class ConvLstmNet(nn.Module):
             bias[_CELL : 2 * _CELL] = 1.0  # it begins by remembering
             self.gates.bias = nn.Parameter(bias)
 
-    def forward(self, image: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
-        """Features (B, 128 + V) of image (B, T, C, H, W) and vector (B, V)."""
-        remembered, _ = self._remembered(image, image.new_zeros(len(image), self.state_size))
-        return torch.cat([remembered[:, -1], vector], dim=1)
-
-    def unroll(
-        self, image: torch.Tensor, vector: torch.Tensor, state: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Features (B, T, 128 + V) of images (B, T, C, H, W) and vectors (B, T, V) in a row, and the state after them.
-
-        The state (B, state_size) is the one before them: zeros where an episode begins.
-        """
-        remembered, after = self._remembered(image, state)
-        return torch.cat([remembered, vector], dim=2), after
-
     def _remembered(self, image: torch.Tensor, state: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """What the LSTM gives after each image, (B, T, 128), and the flat state after the last."""
         seen = self.eye(image.flatten(0, 1)).unflatten(0, image.shape[:2])
         hidden, cell = torch.unflatten(state[:, : self._cells], 1, (2, _CELL, *self._map)).unbind(1)
         maps = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from wcsim.agents.networks.q_network import QNet
 from wcsim.agents.networks.registry import preferred_window
 from wcsim.agents.policy_api import CLASS_KEY, DEPTH_KEY, IMU_KEY, JOYSTICK_KEY
 from wcsim.config.run_file import NetSpec
+from wcsim.errors import PolicyError
 from wcsim.supervisor.actions import action_set
 
 LIMIT_MS: Final = 100.0  # for a decision: a tick of the paper
@@ -37,7 +37,7 @@ class NetworkCost:
     mb: float  # of weights, and of what one decision keeps in memory at a time
     p50_ms: float
     p99_ms: float
-    onnx_p50_ms: float | None  # by ONNX Runtime; None where that is not installed
+    onnx_p50_ms: float | None  # by ONNX Runtime; None where that is not installed or cannot run it
 
     @property
     def within_100_ms(self) -> bool:
@@ -116,16 +116,17 @@ def _counted(net: nn.Module, seen: dict[str, torch.Tensor]) -> tuple[int, int]:
 
 
 def _onnx_ms(net: QNet, seen: dict[str, torch.Tensor], runs: int) -> float | None:
-    from wcsim.agents.networks.onnx_form import Bare, can_export, exported
+    from wcsim.agents.networks.onnx_form import Bare, exported
 
-    if not can_export():
+    keys = tuple(seen)
+    try:
+        model = exported(Bare(net, keys), tuple(seen.values()), keys, ("values",))
+    except PolicyError:
         return None
     import onnxruntime
 
-    keys = tuple(seen)
-    model = io.BytesIO(exported(Bare(net, keys), tuple(seen.values()), keys, ("values",)))
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(model.getvalue(), options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     given = {key: value.numpy() for key, value in seen.items()}
     return _timed(lambda: session.run(None, given), runs)[0]

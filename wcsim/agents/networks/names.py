@@ -37,7 +37,7 @@ def check_network(name: str) -> None:
     registry = sys.modules.get("wcsim.agents.networks.registry")  # a caller that registered own names has loaded it
     if is_own(name):
         find_class(name, "network")
-    elif name not in NETWORK_NAMES and not (registry is not None and registry.is_registered(name)):
+    elif name not in NETWORK_NAMES and not (registry is not None and name in registry.NETWORKS):
         raise unknown_network(name, NETWORK_NAMES)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Sequence
-from importlib.util import find_spec
 
 import torch
 from torch import nn
@@ -13,11 +12,6 @@ from torch import nn
 from wcsim.errors import PolicyError, check_installed
 
 OPSET = 18
-
-
-def can_export() -> bool:
-    """Whether what the extra `onnx` brings is there."""
-    return find_spec("onnx") is not None and find_spec("onnxruntime") is not None
 
 
 def check_onnx() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy.typing as npt
 import torch
@@ -91,9 +91,6 @@ class QNet(BasePolicy):
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
         return torch.as_tensor(self(observation)).argmax(dim=1)
 
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {"observation_space": self.observation_space, "action_space": self.action_space, "spec": self.spec}
-
 
 class SeqQPolicy(DQNPolicy):
     """Online and target network for `SeqDQN`, in the form that SB3's `predict`, `save` and `load` expect."""
@@ -129,10 +126,9 @@ class SeqQPolicy(DQNPolicy):
         if not self.spec.stateful:
             return super().predict(observation, state, episode_start, deterministic)
         self.set_training_mode(False)
-        seen, many = self.obs_to_tensor(observation)
-        if not isinstance(seen, dict):
-            raise TypeError(f"observation is {type(observation).__name__}; expected a dict of arrays")
-        before = self.q_net.begin(len(next(iter(seen.values()))))
+        tensors, many = self.obs_to_tensor(observation)
+        seen = cast(Tensors, tensors)
+        before = self.q_net.begin(len(seen[JOYSTICK_KEY]))
         if state is not None:
             before = torch.tensor(state[0], device=self.device)
             if episode_start is not None:
@@ -144,16 +140,4 @@ class SeqQPolicy(DQNPolicy):
 
     def make_q_net(self) -> QNet:  # type: ignore[override]
         """A fresh network of this policy's specification."""
-        space, actions = self.observation_space, self.action_space
-        if not isinstance(space, spaces.Dict) or not isinstance(actions, spaces.Discrete):
-            raise TypeError(f"spaces are {space} and {actions}; expected a Dict and a Discrete one")
-        return QNet(space, actions, self.spec).to(self.device)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {
-            "observation_space": self.observation_space,
-            "action_space": self.action_space,
-            "lr_schedule": self._dummy_schedule,
-            "spec": self.spec,
-            "optimizer_kwargs": self.optimizer_kwargs,
-        }
+        return QNet(self.observation_space, self.action_space, self.spec).to(self.device)  # type: ignore[arg-type]

@@ -29,7 +29,7 @@ from typing import Any
 from torch import nn
 
 from wcsim.agents.networks.convolutional import Conv3dNet, ConvLstmNet, Figure6Net, PatchNet
-from wcsim.agents.networks.names import NETWORK_NAMES, unknown_network
+from wcsim.agents.networks.names import unknown_network
 from wcsim.core.plugins import find_class
 from wcsim.errors import PolicyError
 
@@ -48,16 +48,6 @@ def register(name: str, network: NetworkClass) -> None:
     if ":" in name or NETWORKS.get(name, network) is not network:
         raise PolicyError(f"network name {name!r} is taken or contains a colon; expected a new plain name")
     NETWORKS[name] = network
-
-
-def is_own(name: str) -> bool:
-    """Whether a name stands for a network of wcsim itself."""
-    return name in NETWORK_NAMES and NETWORKS[name].__module__.startswith("wcsim.")
-
-
-def is_registered(name: str) -> bool:
-    """Whether a name stands for a network of wcsim itself or one given to `register`."""
-    return name in NETWORKS
 
 
 def find_network(name: str) -> NetworkClass:

@@ -22,10 +22,9 @@ reset, whose info Stable-Baselines3 does not hand to the memory: that row stays 
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,89 +37,16 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from wcsim.agents.envs.episode_view import WORLD_RESTARTED
 from wcsim.agents.policy_api import DEPTH_KEY
-from wcsim.agents.replay.frame_store import PACK_ABOVE_BYTES, WindowStore, pack_each, unpack_each
+from wcsim.agents.replay.frame_store import WindowStore
 from wcsim.agents.replay.groups import Groups, SequenceBatch
 from wcsim.config import LearnConfig
 from wcsim.core import seeding
 from wcsim.errors import PolicyError
 from wcsim.types import F32, I64, U8, Bool
 
-
-class AdviceBatch(NamedTuple):
-    """Observations with the actions that end well in them."""
-
-    observations: dict[str, torch.Tensor]
-    safe: torch.Tensor  # (B, A) bool
-
-
-class AdviceRing:
-    """Bits beside the rows of a `FrameReplay`: which actions end well."""
-
-    def __init__(self, rows: int, seats: int, actions: int) -> None:
-        self._rows, self._actions = rows, actions
-        self.bits = np.zeros((rows, seats, (actions + 7) // 8), dtype=np.uint8)  # 1 where safe, packed along the last
-        self.known = np.zeros((rows, seats), dtype=bool)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
-        self.known[:] = False
-        self._coming: list[Any] = []  # the truth of the next row, by seat
-        self._all: deque[tuple[int, int]] = deque()  # (absolute index, seat) of every known row, oldest first
-        self._tight: deque[tuple[int, int]] = deque()  # of those in which some action ends badly
-
-    def write(self, index: int, fresh: Bool, infos: Sequence[dict[str, Any]]) -> None:
-        """Keep the advice of step `index`; `infos` of that step hold the advice of the next one."""
-        self._forget(index - self._rows)
-        row = index % self._rows
-        for seat, begins in enumerate(fresh):
-            truth = None if begins or not self._coming else self._coming[seat]
-            self.known[row, seat] = truth is not None
-            if truth is not None:
-                self.bits[row, seat] = np.packbits(np.asarray(truth.safe_actions, dtype=bool))
-                self._list(index, seat)
-        self._coming = [info.get("truth") for info in infos]
-
-    def draw(self, count: int, tight_share: float, rng: np.random.Generator) -> tuple[I64, I64] | None:
-        """Absolute indices and seats of known rows, a share of them where some action ends badly; None without any."""
-        if not self._all:
-            return None
-        tight = round(tight_share * count) if self._tight else 0
-        picks = [self._tight[k] for k in rng.integers(0, max(len(self._tight), 1), tight)]
-        picks += [self._all[k] for k in rng.integers(0, len(self._all), count - tight)]
-        index, seats = np.array(picks, dtype=np.int64).T
-        return index, seats
-
-    def safe(self, index: I64, seats: I64) -> Bool:
-        """Safe actions of these rows, (K, A)."""
-        bits = self.bits[index % self._rows, seats]
-        return np.unpackbits(bits, axis=1, count=self._actions).astype(bool)
-
-    def arrays(self, rows: I64) -> dict[str, U8 | Bool]:
-        """What a checkpoint keeps of these rows."""
-        return {"advice_bits": self.bits[rows], "advice_known": self.known[rows]}
-
-    def restore(self, arrays: dict[str, npt.NDArray[Any]], index: I64) -> None:
-        """Put back what `arrays` gave, for the absolute indices (K,)."""
-        self.bits[index % self._rows] = arrays["advice_bits"]
-        self.known[index % self._rows] = arrays["advice_known"]
-        for k, seat in np.argwhere(arrays["advice_known"]):
-            self._list(int(index[k]), int(seat))
-
-    def _list(self, index: int, seat: int) -> None:
-        self._all.append((index, seat))
-        if not self.safe(np.array([index]), np.array([seat])).all():
-            self._tight.append((index, seat))
-
-    def _forget(self, index: int) -> None:
-        """Drop what belongs to a row that is overwritten now."""
-        for listed in (self._all, self._tight):
-            while listed and listed[0][0] <= index:
-                listed.popleft()
-
-
+Advice = tuple[dict[str, torch.Tensor], torch.Tensor]
+"""Observations (B, ...), and which actions end well in them, (B, A) bool."""
 Shapes = tuple[tuple[str, tuple[int, ...]], ...]
-_Folded = U8 | bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -264,8 +190,11 @@ class FrameReplay(ReplayBuffer):
         self.ended = np.zeros((rows, n_envs), dtype=bool)
         self.terminated = np.zeros((rows, n_envs), dtype=bool)
         self.episode_step = np.zeros((rows, n_envs), dtype=np.int64)  # steps since the start of the chain
-        count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
-        self.advice = AdviceRing(rows, n_envs, count) if settings.aid == "oracle" else None
+        self._actions = count = int(action_space.n) if isinstance(action_space, spaces.Discrete) else 0
+        self.advised = settings.aid == "oracle"
+        self.advice_bits = np.zeros((rows, n_envs, (count + 7) // 8), dtype=np.uint8)  # 1 where safe, packed
+        self.advice_known = np.zeros((rows, n_envs), dtype=bool)
+        self.advice_tight = np.zeros((rows, n_envs), dtype=bool)  # some action ends badly
         self.reset()
 
     def _smooth_bytes(self) -> int:
@@ -277,13 +206,11 @@ class FrameReplay(ReplayBuffer):
         """Forget everything."""
         self.total = 0  # steps added per seat, ever
         self.pos, self.full = 0, False
-        self.ended[:] = False
+        self.ended[:] = self.terminated[:] = self.advice_known[:] = self.advice_tight[:] = False
         self.windows.reset()
-        self.after_end: dict[tuple[int, int], tuple[_Folded, F32]] = {}  # by (absolute index, seat)
-        self.crashes: deque[tuple[int, int]] = deque()  # (absolute index, seat), oldest first
+        self.after_end: dict[tuple[int, int], tuple[U8, F32]] = {}  # images and vectors, by (absolute index, seat)
         self.expected: tuple[U8, F32] | None = None  # the observations that should come next
-        if self.advice is not None:
-            self.advice.reset()
+        self._coming: list[Any] = []  # the truth of the next row, by seat
         if self.groups is not None:
             self.groups.reset()
 
@@ -309,13 +236,13 @@ class FrameReplay(ReplayBuffer):
         if restarted:
             return
         row = self.pos
-        self._forget(self.total - self.buffer_size)
+        for seat in range(self.n_envs):
+            self.after_end.pop((self.total - self.buffer_size, seat), None)
         previous = (row - 1) % self.buffer_size
         fresh = self.ended[previous] if self.total > 0 else np.ones(self.n_envs, dtype=bool)
         self.windows.write(self.total, images, fresh)
         self.episode_step[row] = np.where(fresh, 0, self.episode_step[previous] + 1)
-        if self.advice is not None:
-            self.advice.write(self.total, fresh, infos)
+        self._note_advice(row, fresh, infos)
         if self.groups is not None:
             self.groups.note(self.total, self.episode_step[row], self.total + 1 - self.buffer_size)
         self.vectors[row] = vectors
@@ -327,11 +254,19 @@ class FrameReplay(ReplayBuffer):
         self.expected = (self.layout.image_rows(next_obs), self.layout.vector_rows(next_obs))
         for seat in (int(k) for k in np.flatnonzero(self.ended[row])):
             self._store_expected(self.total, seat)
-            if self.terminated[row, seat]:
-                self.crashes.append((self.total, seat))
         self.total += 1
         self.pos = (row + 1) % self.buffer_size
         self.full = self.full or self.pos == 0
+
+    def _note_advice(self, row: int, fresh: Bool, infos: Sequence[dict[str, Any]]) -> None:
+        """Keep the advice of a step; its `infos` hold that of the next one."""
+        for seat, begins in enumerate(fresh):
+            truth = None if begins or not self._coming else self._coming[seat]
+            self.advice_known[row, seat], self.advice_tight[row, seat] = truth is not None, False
+            if truth is not None:
+                safe = np.asarray(truth.safe_actions, dtype=bool)
+                self.advice_bits[row, seat], self.advice_tight[row, seat] = np.packbits(safe), not safe.all()
+        self._coming = [info.get("truth") if self.advised else None for info in infos]
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
@@ -370,8 +305,10 @@ class FrameReplay(ReplayBuffer):
         known = self.total - 1 - first + self.ended[(self.total - 1) % self.buffer_size, seats]
         starts = first + np.floor(self.rng.random(batch_size) * known).astype(np.int64)
         count = round(self.precrash_share * batch_size)
-        if count > 0 and self.crashes:
-            starts[:count], seats[:count] = self._before_crashes(count, first)
+        crashes = self._flagged(self.terminated)
+        if count > 0 and len(crashes):
+            drawn = crashes[self.rng.integers(0, len(crashes), count)]
+            starts[:count], seats[:count] = self._before_crashes(drawn)
         return starts, seats
 
     def gather(self, starts: I64, seats: I64) -> DictReplayBufferSamples:
@@ -389,7 +326,7 @@ class FrameReplay(ReplayBuffer):
             discounts=self.to_torch(chains.discounts[:, None], copy=False),
         )
 
-    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> AdviceBatch | None:
+    def sample_advice(self, count: int, tight_share: float, ahead: int = 0) -> Advice | None:
         """Observations and their safe actions, a share of them where some action is not safe; None when none is known.
 
         An action that ends badly in one of the next `ahead` steps of the episode counts as unsafe already, as long as
@@ -397,26 +334,31 @@ class FrameReplay(ReplayBuffer):
 
         Raises ValueError when the memory was built without `advice`.
         """
-        if self.advice is None:
+        if not self.advised:
             raise ValueError("replay stores no advice; build it with advice=True (learn.aid=oracle)")
-        drawn = self.advice.draw(count, tight_share, self.rng)
-        if drawn is None:
+        known, tight = self._flagged(self.advice_known), self._flagged(self.advice_tight)
+        if not len(known):
             return None
-        index, seats = drawn
+        many = round(tight_share * count) if len(tight) else 0
+        picks = tight[self.rng.integers(0, max(len(tight), 1), many)]
+        index, seats = np.concatenate([picks, known[self.rng.integers(0, len(known), count - many)]]).T
         rows = index % self.buffer_size
         seen = self.layout.split(self.windows.read(index, seats), self.vectors[rows, seats])
-        return AdviceBatch(
-            observations={key: self.to_torch(value, copy=False) for key, value in seen.items()},
-            safe=self.to_torch(self._safe_ahead(self.advice, index, seats, ahead), copy=False),
+        observations = {key: self.to_torch(value, copy=False) for key, value in seen.items()}
+        return observations, self.to_torch(self._safe_ahead(index, seats, ahead), copy=False)
+
+    def safe(self, index: I64, seats: I64) -> Bool:
+        """Safe actions of these steps, (..., A)."""
+        return np.unpackbits(self.advice_bits[index % self.buffer_size, seats], axis=-1, count=self._actions).astype(
+            bool
         )
 
-    def _safe_ahead(self, advice: AdviceRing, index: I64, seats: I64, ahead: int) -> Bool:
-        safe = advice.safe(index, seats)
-        at = index
+    def _safe_ahead(self, index: I64, seats: I64, ahead: int) -> Bool:
+        safe, at = self.safe(index, seats), index
         for _ in range(ahead):
             goes_on = ~self.ended[at % self.buffer_size, seats] & (at < self.total - 1)
             at = np.where(goes_on, at + 1, at)
-            both = safe & advice.safe(at, seats)
+            both = safe & self.safe(at, seats)
             safe = np.where(both.any(axis=1, keepdims=True), both, safe)
         return safe
 
@@ -447,20 +389,21 @@ class FrameReplay(ReplayBuffer):
         rows = (chains.last + 1) % self.buffer_size
         images, vectors = self.windows.read(chains.last + 1, seats), self.vectors[rows, seats]
         for k in np.flatnonzero(chains.ended):
-            images[k], vectors[k] = self.observation_after_end(int(chains.last[k]), int(seats[k]))
+            images[k], vectors[k] = self.after_end[int(chains.last[k]), int(seats[k])]
         return self.layout.split(images, vectors)
 
-    def observation_after_end(self, index: int, seat: int) -> tuple[U8, F32]:
-        """Images and vectors after the last step of a chain."""
-        image, vector = self.after_end[index, int(seat)]
-        return _unfolded(image, self.layout.image_bytes), vector
+    def _flagged(self, flags: Bool) -> I64:
+        """Absolute index and seat, (K, 2), of the stored steps that are true in `flags` (rows, seats), oldest first."""
+        found: I64 = np.argwhere(np.roll(flags, -self.pos, axis=0))
+        found[:, 0] += self.total - self.buffer_size
+        return found
 
-    def _before_crashes(self, count: int, first: int) -> tuple[I64, I64]:
-        """Steps 0..window-1 before crashes, within their episodes and the ring."""
-        picks = [self.crashes[k] for k in self.rng.integers(0, len(self.crashes), count)]
-        index, seats = np.array(picks, dtype=np.int64).T
+    def _before_crashes(self, crashes: I64) -> tuple[I64, I64]:
+        """Steps 0..window-1 before crashes (K, 2), within their episodes and the ring."""
+        index, seats = crashes.T
+        first = self.total - self.size()
         reach = np.minimum(self.episode_step[index % self.buffer_size, seats], index - first)
-        back = np.minimum(self.rng.integers(0, self.precrash_window, count), reach)
+        back = np.minimum(self.rng.integers(0, self.precrash_window, len(crashes)), reach)
         return index - back, seats
 
     def _goes_on(self) -> list[int]:
@@ -477,25 +420,4 @@ class FrameReplay(ReplayBuffer):
     def _store_expected(self, index: int, seat: int) -> None:
         if self.expected is not None:
             images, vectors = self.expected
-            self.store_end(index, seat, images[seat], vectors[seat])
-
-    def store_end(self, index: int, seat: int, image: U8, vector: F32) -> None:
-        """Store images and vectors after the last step of a chain."""
-        self.after_end[index, seat] = (_folded(image), vector.copy())
-
-    def _forget(self, index: int) -> None:
-        """Drop what belongs to the row that is overwritten now."""
-        for seat in range(self.n_envs):
-            self.after_end.pop((index, seat), None)
-        while self.crashes and self.crashes[0][0] <= index:
-            self.crashes.popleft()
-
-
-def _folded(frame: U8) -> _Folded:
-    """A copy of one frame, or, of a large one, its blob."""
-    return pack_each(frame[None])[0] if len(frame) > PACK_ABOVE_BYTES else frame.copy()
-
-
-def _unfolded(stored: _Folded, size: int) -> U8:
-    """The frame (size,) of which `_folded` made this."""
-    return unpack_each([stored], size)[0] if isinstance(stored, bytes) else stored
+            self.after_end[index, seat] = images[seat].copy(), vectors[seat].copy()

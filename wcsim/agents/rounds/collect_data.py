@@ -38,10 +38,8 @@ from wcsim.towns.scenario.town import Town, content_hash, find_town, streets_has
 
 _LOOK_S = 1.0
 
-Done = Callable[[], object]
-"""Told of each segment that has come back."""
-Watch = Callable[[tuple[WorkerNow, ...]], object]
-"""Told who drives what: once when all that was there before has been told of, and every second from then on."""
+Told = Callable[[int, tuple[WorkerNow, ...]], object]
+"""Told how many segments are there and who drives what: once with those from before, and every second from then on."""
 ORDERS: Final = "orders.json"  # by seed, what its segments are driven with
 _ORDERS: Final = FileKind(what="the orders.json of a data folder", limit_bytes=64 << 20, error=PolicyError)
 
@@ -75,9 +73,7 @@ class SegmentCrew:
         """Begin to drive what is not there yet."""
         self._crew.ask([_work(order) for order in orders if not segment_path(self._folder, order.key.name).is_file()])
 
-    def take(
-        self, orders: Sequence[SegmentOrder], done: Done = lambda: None, watch: Watch = lambda now: None
-    ) -> dict[str, str]:
+    def take(self, orders: Sequence[SegmentOrder], told: Told) -> dict[str, str]:
         """Wait for these segments; their SHA-256 by file name.
 
         Raises:
@@ -92,18 +88,16 @@ class SegmentCrew:
             kept = "" if name in self._sha256 else self._kept(name)
             if kept:
                 found[segment_path(self._folder, name).name] = kept
-                done()
             else:
                 asked.append(_work(order))
         self._crew.ask(asked)
-        watch(self._crew.now())
+        told(len(found), self._crew.now())
         left = {work.key for work in asked}
         while left:
             for name in sorted(self._crew.come(left, _LOOK_S)):
                 left.remove(name)
                 found[segment_path(self._folder, name).name] = self._sha256[name]
-                done()
-            watch(self._crew.now())
+            told(len(found), self._crew.now())
         return found
 
     def _keep(self, name: str, data: bytes) -> None:
@@ -205,12 +199,13 @@ def _collected(order: DataOrder, found: Sequence[Town], told: Callable[[int, int
     towns |= {town.name: streets_hash(town) for town in found}
     first = SegmentKey(run=order.seed, round=0, index=0)
     orders = orders_of(order.config, order.towns, first, order.segments, order.policy)
-    done = 0
+    last = 0
 
-    def back() -> None:
-        nonlocal done
-        done += 1
-        told(done, len(orders))
+    def back(done: int, _: object) -> None:
+        nonlocal last
+        if done > last:
+            told(done, len(orders))
+        last = done
 
     with SegmentCrew(order.config, order.folder, order.machines, order.folder) as workers:
         kept |= workers.take(orders, back)

@@ -8,7 +8,7 @@ nor on what died on the way.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copytree
@@ -28,7 +28,7 @@ from wcsim.agents.collecting.data_folder import (
     write_manifest,
 )
 from wcsim.agents.collecting.segment_places import SegmentOrder, orders_of, require_recordable
-from wcsim.agents.danger.dataset import Dataset, labelled_steps
+from wcsim.agents.danger.dataset import Dataset
 from wcsim.agents.danger.learner import DangerLearner
 from wcsim.agents.danger.policy import save_danger
 from wcsim.agents.networks.device import torch_settings
@@ -116,7 +116,7 @@ class RoundProgress:
 Progress = Callable[[RoundProgress], object]
 
 
-def train_rounds(
+def _train_rounds(
     folder: RunFolder, towns: tuple[str, ...], machines: Machines, progress: Progress, log: Callable[[str], object]
 ) -> str:
     """Do all rounds that are left; the SHA-256 of the weights.
@@ -143,39 +143,47 @@ def train_rounds(
     first, segments = (0, {}) if found is None else (number_of(found.path) + 1, dict(found.value))
     dataset = Dataset(config)
     for segment in _learned_segments(folder):
-        dataset.add(labelled_steps(segment, config))
+        dataset.add(segment)
     for name in in_order(segments):
-        dataset.add(labelled_steps(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]), config))
+        dataset.add(read_segment(folder.path / DATA / SEGMENTS / name, segments[name]))
     with SegmentCrew(config, folder.path / DATA, machines, folder.path) as workers:
         for number in range(first, total):
             began_s = time.monotonic()
-            now = _orders(folder, towns, number)
-            told = _RoundTeller(progress, RoundProgress(round=number, rounds=total, segments=0, of=len(now)))
-            came = workers.take(now, told.back, told.watch)
+            orders = _orders(folder, towns, number)
+            now = RoundProgress(round=number, rounds=total, segments=0, of=len(orders))
+            came = _drive(workers, orders, now, progress)
             if number + 1 < total:
                 workers.ask(_orders(folder, towns, number + 1))
             waited_s = time.monotonic() - began_s
             before, crashes = len(dataset), 0
             for name in sorted(came):
                 segment = read_segment(folder.path / DATA / SEGMENTS / name, came[name])
-                dataset.add(labelled_steps(segment, config))
+                dataset.add(segment)
                 crashes += int(segment.crashed.sum())
             dataset.begin(seeding.generator(seed, "agent", "lectures", number))
             torch.manual_seed(seeding.derive(seed, "agent", "learn", number))  # of networks that draw, as by dropout
-            loss = learner.learn(dataset, config.danger.updates, told.learned)
+            now = replace(now, segments=now.of)
+            loss = _learn(learner, dataset, config.danger.updates, now, progress)
             segments |= came
             _save(folder, learner, tag("round", number))
             row = (number, len(dataset), len(dataset) - before, dataset.tight_share, crashes, learner.updates, loss)
             note_round(folder.path / METRICS, (*row, waited_s, time.monotonic() - began_s - waited_s))
             _save_round(folder.checkpoints, number, learner, segments)  # the last: with it the round counts as done
-            many = len(now)
-            progress(
-                RoundProgress(round=number, rounds=total, segments=many, of=many, updates=learner.updates, loss=loss)
-            )
+            progress(replace(now, updates=learner.updates, loss=loss))
     hashes = {town.name: streets_hash(town) for town in map(find_town, towns)}
     write_manifest(folder.path / DATA, config, hashes, segments)
     _save(folder, learner, "final")
     return digest_of(learner.net)
+
+
+def _drive(
+    workers: SegmentCrew, orders: Sequence[SegmentOrder], now: RoundProgress, progress: Progress
+) -> dict[str, str]:
+    return workers.take(orders, lambda segments, drive: progress(replace(now, segments=segments, workers=drive)))
+
+
+def _learn(learner: DangerLearner, dataset: Dataset, updates: int, now: RoundProgress, progress: Progress) -> float:
+    return learner.learn(dataset, updates, lambda done: progress(replace(now, learned=done)))
 
 
 def _save_round(folder: Path, number: int, learner: DangerLearner, segments: dict[str, str]) -> None:
@@ -213,33 +221,6 @@ def _orders(folder: RunFolder, towns: tuple[str, ...], number: int) -> list[Segm
     policy = str(folder.policy(tag("round", driver))) if driver >= 0 else ""
     first = SegmentKey(run=folder.manifest.seed, round=number, index=0)
     return orders_of(folder.config, towns, first, folder.config.collect.segments, policy)
-
-
-class _RoundTeller:
-    """How far a round has come, for whoever looks on.
-
-    What a run that goes on finds of its first round is told as one: it took no time now, and the rest will.
-    """
-
-    def __init__(self, progress: Progress, now: RoundProgress) -> None:
-        self._progress, self._now, self._begun = progress, now, False
-
-    def back(self) -> None:
-        """A segment is there."""
-        self._now = replace(self._now, segments=self._now.segments + 1)
-        if self._begun:
-            self._progress(self._now)
-
-    def learned(self, updates: int) -> None:
-        """So many updates of this round are done, and all of its segments came back."""
-        self._progress(replace(self._now, segments=self._now.of, learned=updates, workers=()))
-
-    def watch(self, workers: tuple[WorkerNow, ...]) -> None:
-        """Who is at what."""
-        self._now = replace(self._now, workers=workers)
-        if not self._begun or self._now.segments < self._now.of:
-            self._begun = True
-            self._progress(self._now)
 
 
 def _save(folder: RunFolder, learner: DangerLearner, stage: str) -> None:
@@ -304,7 +285,7 @@ def train_danger(
 
     Raises:
         InterruptedRunError: Ctrl-C; policies/final is that of the last whole round, and `resume` goes on.
-        PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `train_rounds` and `folder_of`.
+        PolicyError, TownError, ConfigError, WorkersError, DiskFullError: See `_train_rounds` and `folder_of`.
     """
     _require_driving(run.config)
     require_recordable(run.config)
@@ -312,7 +293,7 @@ def train_danger(
     with files.locked(folder.path), torch_settings(folder.config.learn):
         towns = towns_of(town, folder.manifest.more_towns, folder.config, folder.path, folder.manifest.seed, stage)
         try:
-            sha256 = train_rounds(folder, towns, machines, progress, stage)
+            sha256 = _train_rounds(folder, towns, machines, progress, stage)
         except KeyboardInterrupt:
             folder.with_status("interrupted", 0)
             kept = "the policy of the complete rounds" if _keep_newest(folder) else "the segments so far, no policy yet"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich import box
@@ -18,11 +18,9 @@ from rich.table import Table
 from wcsim.agents.clients.group_run import (
     ClientsFolder,
     GroupRun,
-    WorldTerms,
     client_plan,
     create_clients_folder,
     open_clients_folder,
-    rewrite_client_configs,
     world_order,
 )
 from wcsim.agents.clients.paid_times import PaidTimes, PaidTimesLog
@@ -81,84 +79,64 @@ class TickRate:
         return (self._ticks - self._at_begin) / spent_s if spent_s > 0.0 else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClientReport:
-    """The steps of one client, counted in its ledger and compared with the journal."""
+def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> dict[str, Any]:
+    """How a run ended, as `--json` has it: ledgers are compared with the journal, whose hash is equal for equal runs.
 
-    name: str
-    first_tick: int  # of its first frame, -1 when it never had one
-    last_tick: int
-    ticks: int
-    missing: int  # steps that the world did with its action and that it never saw
-    duplicated: int  # steps that it saw twice, or that the world never did
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClientsReport:
-    """How a run ended."""
-
-    run: str
-    town: str
-    seed: int
-    status: str
-    clients: tuple[ClientReport, ...]
-    ticks: int  # of the world
-    journal_hash: str  # equal for equal runs
-    ticks_per_s: float
-    waits: PaidTimes  # what sharing the world cost each client
-
-
-def report_of(folder: ClientsFolder, seed: int, rate: TickRate, waits: PaidTimes) -> ClientsReport:
-    """Compare ledgers and journal. Raises WcsimError when one cannot be read."""
+    Raises:
+        WcsimError: One cannot be read.
+    """
     path = folder.path / JOURNAL
     journal = path if part_files(path) else None
-    ledgers = [(seat, _entries(folder.ledger(name))) for seat, name in enumerate(folder.clients)]
-    ticks, against = audits(() if journal is None else iter_inputs(journal), ledgers)
-    return ClientsReport(
-        run=str(folder.path),
-        town=", ".join((folder.manifest.town, *folder.manifest.more_towns)),
-        seed=seed,
-        status=folder.manifest.status,
-        clients=tuple(
-            _client(name, folder.ledger(name), journal, one) for name, one in zip(folder.clients, against, strict=True)
-        ),
-        ticks=ticks,
-        journal_hash="" if journal is None else log_digest(path),
-        ticks_per_s=rate.ticks_per_s,
-        waits=waits,
-    )
+    ledgers = [folder.ledger(name) for name in folder.clients]
+    ticks, against = audits(() if journal is None else iter_inputs(journal), list(enumerate(map(_entries, ledgers))))
+    rows = [_steps_of(ledger, journal, one) for ledger, one in zip(ledgers, against, strict=True)]
+    return {
+        "run": str(folder.path),
+        "town": ", ".join((folder.manifest.town, *folder.manifest.more_towns)),
+        "seed": seed,
+        "status": folder.manifest.status,
+        "clients": [{"name": name, **row} for name, row in zip(folder.clients, rows, strict=True)],
+        "ticks": ticks,
+        "journal_hash": "" if journal is None else log_digest(path),
+        "ticks_per_s": rate.ticks_per_s,
+        "waits": asdict(waits),
+    }
 
 
 def _entries(ledger: Path) -> Iterable[SeenFrame]:
     return iter_ledger(ledger) if ledger.is_file() else ()
 
 
-def _client(name: str, ledger: Path, journal: Path | None, against: Audit) -> ClientReport:
+def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, int]:
+    """The steps of one client, counted in its ledger and compared with the journal.
+
+    Missing are those that the world did with its action and that it never saw. Doubled ones it saw twice, or the world
+    never did.
+    """
     facts = ledger_facts(_entries(ledger))
     if journal is None and facts.first_tick >= 0:
         raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder")
-    return ClientReport(
-        name=name,
-        first_tick=facts.first_tick,
-        last_tick=facts.last_tick,
-        ticks=facts.ticks,
-        missing=max(facts.missing, against.lost),
-        duplicated=facts.doubled + against.phantom,
-    )
+    return {
+        "first_tick": facts.first_tick,  # -1 when it never had a frame
+        "last_tick": facts.last_tick,
+        "ticks": facts.ticks,
+        "missing": max(facts.missing, against.lost),
+        "duplicated": facts.doubled + against.phantom,
+    }
 
 
-def print_report(console: Console, report: ClientsReport) -> None:
+def print_report(console: Console, report: Mapping[str, Any], waits: PaidTimes) -> None:
     """The report as a table."""
     table = Table(
         "client", "first tick", "last tick", "ticks", "missing", "duplicated", box=box.SIMPLE_HEAD, pad_edge=False
     )
-    for client in report.clients:
-        table.add_row(*(str(value) for value in asdict(client).values()))
+    for client in report["clients"]:
+        table.add_row(*map(str, client.values()))
     console.print(table)
-    if len(report.waits.clients) > 1:
-        console.print(_paid(report.waits))
+    if len(waits.clients) > 1:
+        console.print(_paid(waits))
     console.print(
-        f"{report.ticks} world ticks, {report.ticks_per_s:.1f} per second; journal hash {report.journal_hash}",
+        f"{report['ticks']} world ticks, {report['ticks_per_s']:.1f} per second; journal hash {report['journal_hash']}",
         markup=False,
         soft_wrap=True,
     )
@@ -231,8 +209,7 @@ def train_clients(
         place = held.enter_context(workplace())
         left = tuple(client for client in run.clients if not folder.done(client.name, client.steps))
         plans = [client_plan(run, folder, place, client) for client in left]
-        terms = WorldTerms(expected=len(left), lease_s=options.lease, recovery=options.recovery)
-        order = world_order(run, town.address, folder, place, terms)
+        order = world_order(run, town.address, folder, place, len(left), options.lease, options.recovery)
         rate, paid = TickRate(), PaidTimesLog(folder.path)
         held.callback(paid.save)
         with LiveTable() as table:
@@ -269,7 +246,7 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
             _mend(folder)
             for client in run.clients:
                 _lengthen(folder.path / client.name, resolve(client.config, client.shortened))
-            rewrite_client_configs(folder, configs)
+            folder.rewrite(configs)
             yield folder.with_status("running", folder.manifest.steps)
         return
     wanted = make_manifest(world, run.info, [config.learn.network for config in configs.values()])
@@ -277,17 +254,12 @@ def _opened(run: GroupRun) -> Iterator[ClientsFolder]:
     if made:
         run.out.mkdir(parents=True)
     with locked(run.out):
+        begun: ClientsFolder | None = None
         try:
-            folder = create_clients_folder(run.out, world, wanted, configs)
-        except WcsimError:
-            if made:
-                shutil.rmtree(run.out, ignore_errors=True)
-            raise
-        try:
-            yield folder
+            yield (begun := create_clients_folder(run.out, world, wanted, configs))
         except (WcsimError, NothingKept) as error:
-            if not isinstance(error, DiskFullError) and folder.fruitless():
-                shutil.rmtree(folder.path, ignore_errors=True)
+            if made if begun is None else not isinstance(error, DiskFullError) and begun.fruitless():
+                shutil.rmtree(run.out, ignore_errors=True)
             raise
 
 
@@ -331,10 +303,10 @@ def _told(
     if outcome.code == Exit.REFUSED:
         raise ConfigError(outcome.message)
     report = report_of(folder, run.info.seed, *seen)
-    print_report(stdout_console(), report)
+    print_report(stdout_console(), report, seen[1])
     for kept in folder.truncated_parts():
         print(f"wcsim: {kept}: a truncated end was cut off earlier", file=sys.stderr)
-    write_json(json, asdict(report))
+    write_json(json, report)
     if outcome.stopped:
         raise InterruptedRunError(_told_stop(folder.path, outcome.clients))
     if outcome.code:

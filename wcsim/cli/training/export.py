@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -73,21 +74,21 @@ def run(words: list[str]) -> int:
     from wcsim.agents.networks.onnx_form import check_onnx
 
     check_onnx()
-    ride = _ride(options)
+    config, seen, actions, by = _ride(options)
     bar_ms = LIMIT_MS - RESERVE_MS
     facts = export_policy(
         path,
         options.onnx,
-        ride.config,
-        ride.seen,
+        config,
+        seen,
         math.inf if options.force else bar_ms,
         policy_name(options.policy).level,
-        ride.actions,
+        actions,
         options.network or None,
     )
     print(f"exported to {options.onnx}: {_compared(facts)}")
     if facts.same_as_recorded is not None:
-        print(_beside_recording(facts.same_as_recorded, ride.by, options.policy))
+        print(_beside_recording(facts.same_as_recorded, by, options.policy))
     print(_costs(facts, bar_ms))
     write_json(options.json, asdict(facts))
     return Exit.DONE
@@ -151,17 +152,8 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _ReferenceRide:
-    """The reference ride."""
-
-    config: RunConfig
-    seen: list[Observation]
-    actions: tuple[int, ...] | None = None  # that were chosen in a recording
-    by: str = ""  # who chose them, where the recording says it
-
-
-def _ride(options: Options) -> _ReferenceRide:
+def _ride(options: Options) -> tuple[RunConfig, Sequence[Observation], tuple[int, ...] | None, str]:
+    """The reference ride: its configuration and observations, and of a recording the actions and who chose them."""
     from wcsim.agents.export.export_folder import require_shown
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of
@@ -172,13 +164,13 @@ def _ride(options: Options) -> _ReferenceRide:
     own = sensing(own, policy)
     if options.ride is None:
         config = resolve(own, delay)
-        return _ReferenceRide(config=config, seen=reference_ride(options.town, config, options.steps, policy))
+        return config, reference_ride(options.town, config, options.steps, policy), None, ""
     header = header_of(options.ride)
     require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)
     config = resolve(own, delay or _delay(held.delay_ticks))
     by = "" if header.drive is None else header.drive.policy
-    return _ReferenceRide(config=config, seen=list(held.seen), actions=held.actions, by=by)
+    return config, held.seen, held.actions, by
 
 
 def _delay(ticks: int | None) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ What is done is in the run folder (`selection/`), so a run that was stopped anyw
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,8 +15,8 @@ from rich import box
 from rich.table import Table
 
 from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, Client, GroupRun, read_choice
-from wcsim.agents.learning.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.networks.names import is_own
+from wcsim.agents.runs.metrics import KPI1_STEPS, ROW_STEPS
 from wcsim.agents.runs.run_folder import how_to_resume
 from wcsim.cli.evaluation.judged_suite import keep_result
 from wcsim.cli.shared.common import worlds_of, write_json
@@ -36,16 +36,9 @@ if TYPE_CHECKING:  # loads the simulators, which --help must not
     from wcsim.agents.evaluation.suite.result_files import TestResult
 
 
+Figures = Mapping[str, Mapping[str, float]]
+"""What was measured of each client after its first phase, by name, as choice.json has it."""
 _HEADS = {KPI1: f"KPI 1, last {KPI1_STEPS} steps", "score": "score", "crashes_own": "own crashes"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
-    """What was measured of a client after its first phase."""
-
-    client: str
-    figures: Mapping[str, float]  # by name, as choice.json has them
-    rank: tuple[float, ...]  # the lowest goes on
 
 
 def train_group(options: GroupOptions, run: GroupRun, town: Town) -> int:
@@ -121,33 +114,31 @@ def _choose(options: GroupOptions, run: GroupRun, by: str, suite: Suite | None) 
     log.add("first_phase_done", by=by)
     try:
         with locked(run.out):
-            judged = _followed(run) if suite is None else _tested(options, run, suite, by)
-            best = by if by in [each.client for each in judged] else _best_of(judged)
+            figures = _followed(run) if suite is None else _tested(options, run, suite, by)
+            best = by if by in figures else _best_of(figures)
             kept = {"list_sha256": suite.sha256} if suite else {}
-            clients = {each.client: dict(each.figures) for each in judged}
             # Written last: a run without it compares again, one with it goes on with the second phase.
             (run.out / SELECTION).mkdir(exist_ok=True)
-            write_json(run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": clients, "best": best})
+            write_json(run.out / SELECTION / CHOICE, {"by": by, **kept, "clients": figures, "best": best})
     except KeyboardInterrupt:
         log.add("comparison_stopped")
         raise InterruptedRunError(
             f"stopped while clients were compared; {run.out} holds the episodes so far; continue it: "
             f"{how_to_resume(run.out)}"
         ) from None
-    for each in judged:
-        log.add("compared", who=each.client, **each.figures)
+    for name, own in figures.items():
+        log.add("compared", who=name, **own)
     log.add("chosen", who=best)
-    _show(judged, best)
+    _show(figures, best)
     return best
 
 
-def _followed(run: GroupRun) -> list[Judged]:
+def _followed(run: GroupRun) -> Figures:
     """KPI 1 of each client's own choice at the end of its first phase, a mean of at most 2,000 steps."""
-    steps = {client.name: kpi1_of(run.out / client.name) for client in run.clients}
-    return [Judged(client=name, figures={KPI1: round(kpi1, 4)}, rank=(kpi1,)) for name, kpi1 in steps.items()]
+    return {client.name: {KPI1: round(kpi1_of(run.out / client.name), 4)} for client in run.clients}
 
 
-def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> list[Judged]:
+def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> Figures:
     from wcsim.agents.evaluation.suite.named_policy import told_of_rules
     from wcsim.agents.evaluation.suite.run import SuiteOrder, run_suite
     from wcsim.agents.policy_api import UNAIDED
@@ -168,7 +159,7 @@ def _tested(options: GroupOptions, run: GroupRun, suite: Suite, name: str) -> li
         policies = [policy for policy, its in networks.items() if its == network]
         found |= run_suite(replace(order, network=network), policies, _say_blocks)
     records = {policy: found[policy] for policy in networks}
-    return _judged_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
+    return _figures_of(keep_result(order, name, records), run.out, [client.name for client in run.clients])
 
 
 def _say_blocks(policy: str, done: int, of: int) -> None:
@@ -180,31 +171,31 @@ def _policy_of(run: Path, client: str) -> str:
     return f"{run / client}:phase1"
 
 
-def _judged_of(result: TestResult, run: Path, clients: Sequence[str]) -> list[Judged]:
+def _figures_of(result: TestResult, run: Path, clients: Sequence[str]) -> Figures:
     """What a result says of the clients, in their order."""
     rows = {row.policy: row for row in result.pooled}
-    found = []
-    for client in clients:
-        row = rows[_policy_of(run, client)]
-        figures = {"score": row.score or 0.0, "crashes_own": row.crashes_own}
-        found.append(Judged(client=client, figures=figures, rank=(-figures["score"], figures["crashes_own"])))
-    return found
+    found = {name: rows[_policy_of(run, name)] for name in clients}
+    return {name: {"score": row.score or 0.0, "crashes_own": row.crashes_own} for name, row in found.items()}
 
 
-def _best_of(judged: Sequence[Judged]) -> str:
-    """Who has the lowest rank: the lowest KPI 1, or the highest score and then the fewest own crashes; else the first.
+def _best_of(figures: Figures) -> str:
+    """Who has the lowest KPI 1, or the highest score and then the fewest own crashes; else the first.
 
-    >>> tie = [Judged(client=name, figures={}, rank=(-0.5, own)) for name, own in (("a", 2), ("b", 1), ("c", 1))]
-    >>> _best_of(tie)
+    >>> _best_of({name: {"score": 0.5, "crashes_own": own} for name, own in (("a", 2), ("b", 1), ("c", 1))})
     'b'
     """
-    return min(judged, key=lambda each: each.rank).client
+
+    def rank(name: str) -> tuple[float, ...]:
+        own = figures[name]
+        return own.get(KPI1, 0.0), -own.get("score", 0.0), own.get("crashes_own", 0.0)
+
+    return min(figures, key=rank)
 
 
-def _show(judged: Sequence[Judged], best: str) -> None:
-    names = [_HEADS[key] for key in judged[0].figures]
+def _show(figures: Figures, best: str) -> None:
+    names = [_HEADS[key] for key in figures[best]]
     table = Table("client", *names, "", box=box.SIMPLE_HEAD, pad_edge=False)
-    for each in judged:
-        goes_on = "learns the second phase" if each.client == best else "stops after the first phase"
-        table.add_row(each.client, *(f"{figure:.4g}" for figure in each.figures.values()), goes_on)
+    for name, own in figures.items():
+        goes_on = "learns the second phase" if name == best else "stops after the first phase"
+        table.add_row(name, *(f"{figure:.4g}" for figure in own.values()), goes_on)
     stdout_console().print(table)

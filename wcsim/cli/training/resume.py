@@ -52,11 +52,11 @@ def run(words: list[str]) -> int:
         return _resume_group(options)
     was = open_run(options.run)
     _require_used(options, was.config)
-    machines_of(options.cluster, options.worlds, "--worlds")
+    machines = machines_of(options.cluster, options.worlds, "--worlds")
     again, town = resumed(options)
     if was.manifest.status == "done" and again.config.learn.total_steps == was.config.learn.total_steps:
         print(f"note: {_finished(options.run, was.config)}", file=sys.stderr)
-    train_in(again, town, verbose=options.verbose, worlds=options.worlds, cluster=options.cluster)
+    train_in(again, town, verbose=options.verbose, machines=machines)
     return told(options, again)
 
 
@@ -102,7 +102,7 @@ def _resume_group(options: Options) -> int:
     from wcsim.cli.training.clients import LEASE_S, GroupOptions
     from wcsim.cli.training.phases_apart import train_group
 
-    run, town = resumed_group(options)
+    run, town = _resumed_group(options)
     command = run.info.command
     try:
         lease_s = float(_value_of(command, "lease") or LEASE_S)
@@ -118,7 +118,7 @@ def _resume_group(options: Options) -> int:
     return train_group(again, run, town)
 
 
-def resumed_group(options: Options) -> tuple[GroupRun, Town]:
+def _resumed_group(options: Options) -> tuple[GroupRun, Town]:
     """What a run of several clients goes on with. Raises as `resumed` does."""
     path = options.run
     folder = open_clients_folder(path)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from wcsim.agents.rounds.train_rounds import RoundProgress, train_danger
 from wcsim.agents.runs.run_folder import ResolvedRun
-from wcsim.cli.shared.common import machines_of
 from wcsim.cli.shared.exit_codes import NothingKept
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.cli.training.bar import gone_if_nothing_came_of_it
@@ -18,11 +16,10 @@ from wcsim.errors import InterruptedRunError
 from wcsim.server.workers.machines import Machines
 from wcsim.towns.scenario.town import Town
 
-Show = Callable[[RoundProgress], object]
 _DOES = {False: "driving", True: "learning"}
 
 
-def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: str = "", note: str = "") -> Path:
+def train_rounds_in(run: ResolvedRun, town: Town, machines: Machines, note: str = "") -> Path:
     """Train with a progress bar, and a note above it; returns the run folder.
 
     Raises:
@@ -31,7 +28,6 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
         WcsimError: Something that was asked for cannot be used.
     """
     with StageBar("driving") as bar:
-        machines = replace(machines_of(cluster, worlds, "--worlds"), say=lambda told: bar.say(told, left=False))
 
         def show(now: RoundProgress) -> None:
             bar.rows({row.name: f"segment {row.key}, {row.for_s:.0f} s" if row.key else "free" for row in now.workers})
@@ -43,17 +39,17 @@ def train_rounds_in(run: ResolvedRun, town: Town, worlds: int | None, cluster: s
 
         if note:
             bar.say(f"note: {note}")
-        return _trained(run, town, machines, show, lambda told: bar.say(told, left=False))
 
+        def say(told: str) -> None:
+            bar.say(told, left=False)
 
-def _trained(run: ResolvedRun, town: Town, machines: Machines, show: Show, say: Callable[[str], object]) -> Path:
-    try:
-        with gone_if_nothing_came_of_it(run.out):
-            return train_danger(run, town, machines, show, say)
-    except InterruptedRunError:
-        if run.out.exists():
-            raise
-        raise NothingKept("stopped before the first segment was driven; nothing is saved") from None
+        try:
+            with gone_if_nothing_came_of_it(run.out):
+                return train_danger(run, town, replace(machines, say=say), show, say)
+        except InterruptedRunError:
+            if run.out.exists():
+                raise
+            raise NothingKept("stopped before the first segment was driven; nothing is saved") from None
 
 
 def _share_done(now: RoundProgress, config: RunConfig) -> float:

@@ -36,6 +36,7 @@ from wcsim.cli.training.bar import gone_if_nothing_came_of_it, steps_shown
 from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, TownError
 from wcsim.server.specs import RunInfo
+from wcsim.server.workers.machines import Machines
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.making.asked_town import asked_town
 from wcsim.towns.scenario.town import Town, by_name, streets_hash
@@ -86,7 +87,7 @@ class Options(TrainingOptions):
 def run(words: list[str]) -> int:
     """Train and leave a run folder."""
     options = parse(Options, words, "train")
-    machines_of(options.cluster, options.worlds, "--worlds")
+    machines = machines_of(options.cluster, options.worlds, "--worlds")
     data = {"collect": {"data": list(options.data)}} if options.data else None
     config = resolve(options.preset, options.config, options.set, data)
     config = resolve(config, learning(config))
@@ -94,7 +95,7 @@ def run(words: list[str]) -> int:
     require_users(config, (options.set, options.config))
     town, info = placed(options, RunInfo(seed=options.seed, command=("wcsim", "train", *words)), config)
     made = resolve_run(config, info, town, out_of(options, options.preset, town))
-    train_in(made, town, note=how_it_learns(config), worlds=options.worlds, cluster=options.cluster)
+    train_in(made, town, note=how_it_learns(config), machines=machines)
     return told(options, made)
 
 
@@ -147,13 +148,13 @@ def checked_town(name: str, allow_test_town: bool) -> Town:
 
 
 def train_in(
-    run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, worlds: int | None = None, cluster: str = ""
+    run: ResolvedRun, town: Town, *, note: str = "", verbose: bool = False, machines: Machines | None = None
 ) -> Path:
     """Train one network with a progress bar; returns the run folder."""
     if learns_in_rounds(run.config):
         from wcsim.cli.training.rounds import train_rounds_in
 
-        return train_rounds_in(run, town, worlds, cluster, note)
+        return train_rounds_in(run, town, machines or machines_of("", None, "--worlds"), note)
     from wcsim.agents.envs.wheelchair_env import WheelchairEnv
     from wcsim.agents.learning.callbacks import TrainProgress
     from wcsim.agents.learning.train import train

@@ -86,7 +86,7 @@ def q_layers(
         tables = [reading.read_toml(path, CONFIG_FILE).get("learn", {}) for path in (asked.config, file) if path]
         typed = [key for key in _PARTS if any(sets_key(text, f"learn.{key}") for text in asked.set)]
         own = [key for key in _PARTS if key in typed or any(key in table for table in tables)]
-        parts = shrunk_parts(config.learn, asked.steps, own)
+        parts = _shrunk_parts(config.learn, asked.steps, own)
         layers = (*layers, {"learn": {"total_steps": asked.steps, **parts}})
         config = resolve(asked.preset, *layers)
     require_head(config, in_rounds=False)
@@ -94,13 +94,13 @@ def q_layers(
     return (*layers, learning(config))
 
 
-def shrunk_parts(learn: LearnConfig, steps: int, own: list[str]) -> dict[str, int]:
+def _shrunk_parts(learn: LearnConfig, steps: int, own: list[str]) -> dict[str, int]:
     """First phase and wait for the first update in a training of so many steps in all.
 
     A preset's first phase of more than half of them shrinks in proportion, and so does its wait for the first update.
     The keys in `own` are the user's, and stay.
 
-    >>> shrunk_parts(LearnConfig(), 60, [])
+    >>> _shrunk_parts(LearnConfig(), 60, [])
     {'phase1_steps': 15, 'learning_starts': 2}
     """
     parts = {key: getattr(learn, key) for key in _PARTS if key not in own}

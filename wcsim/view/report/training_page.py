@@ -15,7 +15,7 @@ from typing import Final
 from wcsim.agents.clients.group_run import CHOICE, KPI1, SELECTION, read_choice
 from wcsim.agents.clients.paid_times import PaidTimes, read_paid_times
 from wcsim.agents.evaluation.suite.result_files import RESULT, read_result
-from wcsim.agents.learning.metrics import KPI1_STEPS
+from wcsim.agents.runs.metrics import KPI1_STEPS
 from wcsim.agents.runs.run_folder import read_json
 from wcsim.config.run_file import TrainedRound
 from wcsim.core.reading import counted, is_file

@@ -1,6 +1,6 @@
-"""The logs of Q-learning: metrics.csv with a row for each episode, steps.csv with a row for each 100 steps.
+"""The logs of trainings: metrics.csv with a row for each episode or round, steps.csv with a row for each 100 steps.
 
-The rows of metrics.csv go to TensorBoard too, where it is installed and requested (`learn.tensorboard`).
+The rows of episodes go to TensorBoard too, where it is installed and requested (`learn.tensorboard`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class MetricsFile:
         """Begin a new file, or go on with one: rows after `keep_to_step` belong to work that was lost."""
         self.path, self.columns = path, columns
         rows = read_metrics(path, columns) if keep_to_step is not None and path.is_file() else []
-        kept = [row for row in rows if int(row["step"]) <= (keep_to_step or 0)]
+        kept = [row for row in rows if int(row[columns[0]]) <= (keep_to_step or 0)]
         files.write_bytes(path, (_line(columns) + "".join(_line(row.values()) for row in kept)).encode())
 
     def add(self, row: Mapping[str, Value]) -> None:
@@ -69,7 +69,9 @@ def read_metrics(path: Path, wanted: tuple[str, ...] = COLUMNS) -> list[dict[str
     for number, row in enumerate(rows[1:], start=2):
         step = int(row[0]) if len(row) == len(wanted) and _STEP.fullmatch(row[0]) else -1
         if step < last:
-            raise PolicyError(f"{path}:{number}: is damaged; expected {len(wanted)} values, the first a growing step")
+            raise PolicyError(
+                f"{path}:{number}: is damaged; expected {len(wanted)} values, the first a growing {wanted[0]}"
+            )
         last = step
     return [dict(zip(wanted, row, strict=True)) for row in rows[1:]]
 
