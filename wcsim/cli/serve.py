@@ -19,7 +19,6 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.log.reader import part_files
-from wcsim.log.records import MOST_SEATS
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
@@ -30,6 +29,7 @@ from wcsim.server.transport.keys import is_loopback, known_names, make_keys
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
+from wcsim.types.bounds import MOST_SEATS
 from wcsim.users.profiles import recordings
 from wcsim.view.live_table import LiveTable
 

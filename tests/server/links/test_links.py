@@ -219,7 +219,7 @@ def test_who_does_not_fit_hears_why(hall):
 
 def test_another_version_is_named(hall, monkeypatch):
     monkeypatch.setattr(m, "PROTOCOL", 99)
-    with open_seat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 6"):
+    with open_seat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 7"):
         a.join()
 
 

@@ -47,7 +47,6 @@ from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Clock, EpochOver, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
-from wcsim.server.protocol.members import Member, Pending
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldSpec, read_order
 from wcsim.server.transport.shared_images import RingSink, pictures_of
@@ -210,7 +209,7 @@ class _ServerLoop:
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
-            here = {p.session for p in self._present()}
+            here = {p.session for p in self._core.cycle.roll.everyone()}
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
@@ -263,12 +262,8 @@ class _ServerLoop:
         if known and not self._lifelines.watch(join.pid, join.session):
             self._feed(Lost(join.session))
 
-    def _present(self) -> list[Member | Pending]:
-        roll = self._core.cycle.roll
-        return [*roll.members, *roll.pending]
-
     def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._present()}
+        return {p.peer for p in self._core.cycle.roll.everyone()}
 
     # --- what is said ---
 
@@ -299,7 +294,7 @@ class _ServerLoop:
         self._out.clear()
 
     def _tell_all(self, error: WcsimError) -> None:
-        for p in self._present():
+        for p in self._core.cycle.roll.everyone():
             if p.peer:
                 self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
 

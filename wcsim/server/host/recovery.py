@@ -17,8 +17,8 @@ from wcsim.log.records import Ended, EpochBegun, Header, Input
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
@@ -145,7 +145,7 @@ def _gone_on(
 
 def rebuild_world(
     journal: Path, make: MakesEpoch[W], alive: Callable[[], object] = lambda: None
-) -> tuple[W, tuple[Kept, ...]]:
+) -> tuple[W, tuple[Member, ...]]:
     """The world exactly as it was after the last record, and who sits in it.
 
     Args:
@@ -179,10 +179,10 @@ def rebuild_world(
         raise
 
 
-def kept_of(seats: Seats) -> tuple[Kept, ...]:
+def kept_of(seats: Seats) -> tuple[Member, ...]:
     """Who is in, in seat order."""
     return tuple(
-        Kept(seat=seat, name=it.name, spec=it.spec, life=seats.lives[seat], claim=bytes.fromhex(it.claim))
+        Member(seat=seat, name=it.name, spec=it.spec, life=seats.lives[seat], claim=bytes.fromhex(it.claim))
         for seat, it in sorted(seats.taken.items())
     )
 
