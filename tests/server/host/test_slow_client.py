@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from benchmarks.soak.stub_client import read_sights
-from tests.server.servers import STAND_IN, OtherWorlds
+from tests.server.servers import STAND_IN
 from tests.support.worlds import quick_config
 from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
@@ -43,7 +43,6 @@ def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
 
 def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
     states: list[LaunchState] = []
-    worlds = OtherWorlds(sys.executable, "-m", STAND_IN)
     with workplace() as place:
         order = WorldSpec(
             town="",
@@ -55,7 +54,8 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
             run=str(tmp_path),
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
-        outcome = Launcher(order, plans, tmp_path, place, show=states.append, spawner=worlds).run()
+        argv = (sys.executable, "-m", STAND_IN)
+        outcome = Launcher(order, plans, tmp_path, place, show=states.append, world_argv=argv).run()
     assert outcome.code == 0, outcome.message
     ledgers = [(seat, tuple(iter_ledger(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
     for _, entries in ledgers:
