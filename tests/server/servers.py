@@ -34,7 +34,7 @@ def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
     rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
     order = WorldSpec(
         town=NOWHERE,
-        config_json=quick_config().model_dump_json(),
+        config=quick_config(),
         seed=3,
         rules=rules,
         endpoint=f"ipc://{folder}/s/world",

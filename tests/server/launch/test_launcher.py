@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.events import read_events
+from wcsim.config import RunConfig
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
 from wcsim.server.launch.supervised import MOST_LEFT_ALONE
@@ -51,7 +52,7 @@ def launcher(
     place.mkdir(parents=True, mode=0o700)
     order = WorldSpec(
         town="",
-        config_json="{}",
+        config=RunConfig(),
         seed=0,
         rules=Rules(capacity=4),
         endpoint=endpoint_in(place),

@@ -42,7 +42,7 @@ from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.ledger import Audit, audits, iter_ledger, ledger_facts
+from wcsim.server.ledger import Audit, audits, iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import Recovery
 from wcsim.server.transport.world_folder import workplace
@@ -134,16 +134,15 @@ def _entries(ledger: Path) -> Iterable[SeenFrame]:
 
 
 def _client(name: str, ledger: Path, journal: Path | None, against: Audit) -> ClientReport:
-    facts = ledger_facts(_entries(ledger))
-    if journal is None and facts.first_tick >= 0:
+    if journal is None and against.first_tick >= 0:
         raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder")
     return ClientReport(
         name=name,
-        first_tick=facts.first_tick,
-        last_tick=facts.last_tick,
-        ticks=facts.ticks,
-        missing=max(facts.missing, against.lost),
-        duplicated=facts.doubled + against.phantom,
+        first_tick=against.first_tick,
+        last_tick=against.last_tick,
+        ticks=against.steps,
+        missing=max(against.missing, against.lost),
+        duplicated=against.doubled + against.phantom,
     )
 
 

@@ -133,7 +133,7 @@ def _gone_on(
     """Exactly the world that there was; its clients have to come back."""
     journal = _appended(path)  # cuts a torn record off before anybody reads on
     try:
-        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order.world, specs, seed, epoch=epoch), alive)
+        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order, specs, seed, epoch=epoch), alive)
     except BaseException:
         journal.close()
         raise
@@ -196,21 +196,20 @@ def _appended(path: Path) -> LogWriter:
 
 
 def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWorld:
-    return make(order.world, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
+    return make(order, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
 
 
 def _header(order: WorldSpec, has_town: bool) -> Header:
-    world, words = order.world, (order.town, *order.more_towns) if has_town else ()
-    towns = tuple(map(asked_town, words))
+    towns = tuple(map(asked_town, (order.town, *order.more_towns) if has_town else ()))
     return Header(
         name=order.name,
         town=order.town,
         more_towns=order.more_towns,
         town_sha256=towns_hash(towns),
-        config=world.config.model_dump_json(),
+        config=order.config.model_dump_json(),
         seed=order.seed,
         seats=order.rules.capacity,
-        tick_s=world.config.world.tick_s,
+        tick_s=order.config.world.tick_s,
         fingerprint=fingerprint(),
         hook=order.hook,
         recovery=order.recovery,

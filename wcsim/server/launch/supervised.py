@@ -153,7 +153,7 @@ class _Supervised(ABC, Generic[Status]):
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
         self.fault = ""  # why there is no use in going on with the whole run
-        self._lives = 0
+        self._lives = self._replaced = 0  # all of them, and those that ended as planned
         self._due_s: float | None = None  # when it is started again
         self._ending = False
         self._died_s: float | None = None  # since when it has not been back
@@ -175,8 +175,8 @@ class _Supervised(ABC, Generic[Status]):
 
     @property
     def restarts(self) -> int:
-        """How often it was started again."""
-        return max(0, self._lives - 1)
+        """How often it was started again after a death."""
+        return max(0, self._lives - 1 - self._replaced)
 
     def start(self, now_s: float) -> None:
         """Begin a life."""
@@ -262,6 +262,12 @@ class _Supervised(ABC, Generic[Status]):
         self._log.add("death", who=self._name, code=code, reason=reason, **told)
         return reason
 
+    def _replace(self, words: str, now_s: float, **told: int) -> None:
+        """Its life ended as planned: no death, and no reason to wait for the next one."""
+        self._log.add("replaced", who=self._name, reason=words, **told)
+        self._replaced += 1
+        self.standing, self._due_s, self._died_s = "down", now_s, now_s
+
     def _start_later(self, now_s: float, progressed: bool) -> bool:
         """Have it started again after a while; False when that is of no use any more."""
         wait_s = self._restarts.died(progressed=progressed)
@@ -289,12 +295,6 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self._seat_epoch: int | None = None  # of the world in which it had its seat last in this life
         self._gathering = False  # its world waits for all to come
         self._unseated_s: float | None = None  # since when the world has gone on without it, or has waited for all
-        self._replaced = 0  # lives that ended as planned, because their process had grown
-
-    @property
-    def restarts(self) -> int:
-        """How often it was started again after a death."""
-        return super().restarts - self._replaced
 
     @property
     def settled(self) -> bool:
@@ -357,9 +357,8 @@ class SupervisedClient(_Supervised[ClientStatus]):
                 self.unsaved = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
             self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
         elif code == ClientExit.GROWN:
-            self._replaced, self._crash = self._replaced + 1, ""
-            self._log.add("replaced", who=self.plan.name, reason=words, step=self._step)
-            self.standing, self._due_s, self._died_s = "down", now_s, now_s
+            self._crash = ""
+            self._replace(words, now_s, step=self._step)
         elif code == ClientExit.USER_ERROR:
             self.standing, self.reason = "given up", words
             self.fault = words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
@@ -430,12 +429,6 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         self._heard_s = 0.0
         self._loaded = False  # in any life
         self._death_tick = -1
-        self._replaced = 0  # lives that ended as planned, at the end of an epoch
-
-    @property
-    def restarts(self) -> int:
-        """How often it was started again after a death."""
-        return super().restarts - self._replaced
 
     @property
     def ticks(self) -> bool:
@@ -481,6 +474,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
             self._log.add("end", who=WORLD, code=code)
             return
         if code == WorldExit.EPOCH_OVER:
+            self._death_tick = -1
             self._replace(words, now_s)
             return
         tick = self._last_tick()
@@ -497,13 +491,6 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         if not self._start_later(now_s, progressed):
             deaths = self._restarts.in_vain
             self._give_up(f"the world died {deaths} times at tick {tick} ({reason}); see {self._log_file}", False)
-
-    def _replace(self, words: str, now_s: float) -> None:
-        """Its epoch is over: no death, and no reason to wait."""
-        self._log.add("replaced", who=WORLD, reason=words)
-        self._replaced += 1
-        self._death_tick, self._died_s = -1, now_s
-        self.standing, self._due_s = "down", now_s
 
     def _give_up(self, fault: str, refused: bool) -> None:
         self.standing, self.fault, self.refused = "given up", fault, refused
