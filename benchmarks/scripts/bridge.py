@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.progress import Progress
 
-from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import resolve
 from wcsim.towns.scenario.town import find_town
@@ -30,8 +30,8 @@ class BridgeOptions:
 
 def run(options: BridgeOptions) -> int:
     """Run the bench."""
-    in_bounds("--ticks", options.ticks, 10, 1_000_000)
-    in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
+    Bounds(10, 1_000_000).check("--ticks", options.ticks)
+    Bounds(0.0, 10.0).check("--demand-scale", options.demand_scale)
     config = resolve("quick", (f"world.demand_scale={options.demand_scale}",))
     town = find_town(options.town)
 

@@ -15,12 +15,12 @@ from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, VISIBLE_BOUND
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.cli.shared.common import (
     MAX_SEED,
+    Bounds,
     Keys,
     OutFile,
     OutFolder,
     Repeated,
     check_folder,
-    in_bounds,
     some_words,
     write_json,
 )
@@ -72,9 +72,9 @@ class CrashesOptions:
 
 def run(options: CrashesOptions) -> int:
     """Run the bench."""
-    in_bounds("--chairs", options.chairs, 1, MAX_CHAIRS)
-    in_bounds("--steps", options.steps, options.chairs, MAX_STEPS)
-    in_bounds("--seed", options.seed, 0, MAX_SEED)
+    Bounds(1, MAX_CHAIRS).check("--chairs", options.chairs)
+    Bounds(options.chairs, MAX_STEPS).check("--steps", options.steps)
+    Bounds(0, MAX_SEED).check("--seed", options.seed)
     Keys({"env.profile": "expected --profile NAME"}).check("--set", options.set)
     if options.out is not None:
         check_folder("--out", options.out / "x")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import resolve
 from wcsim.core.reading import counted
@@ -46,15 +46,15 @@ class MemoryOptions:
 
 def run(options: MemoryOptions) -> int:
     """Run the bench and print a row for every so many ticks."""
-    in_bounds("--chairs", options.chairs, 1, 64)
-    in_bounds("--ticks", options.ticks, 2, MANY)
+    Bounds(1, 64).check("--chairs", options.chairs)
+    Bounds(2, MANY).check("--ticks", options.ticks)
     if not 1 <= options.every <= options.ticks // 2:
         raise ConfigError(
             f"--every {options.every}: expected 1 to {options.ticks // 2}, half of --ticks {options.ticks}, as growth "
             "is that of the second half"
         )
-    in_bounds("--width", options.width, 16, 2048)
-    in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
+    Bounds(16, 2048).check("--width", options.width)
+    Bounds(0.0, 10.0).check("--demand-scale", options.demand_scale)
     words = (
         f"world.demand_scale={options.demand_scale}",
         f"cameras.0.width_px={options.width}",

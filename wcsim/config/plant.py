@@ -94,7 +94,7 @@ class AntitipPart(Model):
     friction: Friction
 
 
-class BoxPart(Model):
+class _BoxPart(Model):
     """A collision box of the frame with its user."""
 
     part: Literal["body", "footplate"]
@@ -111,7 +111,7 @@ class FramePart(Model):
 
     height_m: Annotated[float, Field(ge=0.8, le=2.0)]  # top of the user's head
     friction: Friction
-    boxes: Annotated[tuple[BoxPart, ...], Field(min_length=1, max_length=64)]
+    boxes: Annotated[tuple[_BoxPart, ...], Field(min_length=1, max_length=64)]
 
 
 class MotorPart(Model):
