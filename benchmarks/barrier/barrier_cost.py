@@ -170,7 +170,7 @@ def _world(
     """The world process; its status lines go to its stdout."""
     order = WorldSpec(
         town="",
-        config_json=config.model_dump_json(),
+        config=config,
         seed=0,
         rules=Rules(capacity=clients, expected=clients),
         endpoint=f"ipc://{folder}/s/world",

@@ -21,7 +21,7 @@ from benchmarks.barrier.fake_world import FakeWorld
 from wcsim.bridge.replay.player import Specs
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.links.base import WorldLink
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import SocketSeat
 from wcsim.server.specs import SeatRequest, WorldOrder
 from wcsim.server.transport.keys import KnownKeys, authenticator, client_keys, server_keys, server_public
 from wcsim.types import ClientSnapshot, Command, Joystick, SensorFrame, Snapshot
@@ -108,7 +108,7 @@ def main(words: Sequence[str]) -> int:
 
 
 def _client(context: zmq.Context[zmq.Socket[bytes]], order: PartOrder) -> None:
-    with open_seat(order.join) as link, context.socket(zmq.DEALER) as socket:
+    with SocketSeat(order.join) as link, context.socket(zmq.DEALER) as socket:
         _prepare(socket)
         socket.setsockopt(zmq.IDENTITY, b"%d" % (order.number + 1))
         if order.keys:

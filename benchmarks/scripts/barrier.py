@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rich.progress import Progress, TaskID
 
-from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stderr_console
 from wcsim.config import resolve
 from wcsim.core.reading import counted
@@ -32,9 +32,9 @@ class BarrierOptions:
 
 def run(options: BarrierOptions) -> int:
     """Run the bench."""
-    in_bounds("--clients", options.clients, 1, 32)
-    in_bounds("--ticks", options.ticks, 10, 1_000_000)
-    in_bounds("--width", options.width, 16, 2048)
+    Bounds(1, 32).check("--clients", options.clients)
+    Bounds(10, 1_000_000).check("--ticks", options.ticks)
+    Bounds(16, 2048).check("--width", options.width)
     sizes = (f"cameras.0.width_px={options.width}", f"cameras.0.height_px={options.width * 3 // 4}")
     config = resolve("quick", sizes)
 

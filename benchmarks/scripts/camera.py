@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Column, Table
 
-from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import CameraConfig
 from wcsim.towns.scenario.town import Town, find_town
@@ -39,7 +39,7 @@ class CameraOptions:
 def run(options: CameraOptions) -> int:
     """Measure and print."""
     for option, fewest in (("poses", 1), ("actors", 0), ("rounds", 1)):
-        in_bounds(f"--{option}", getattr(options, option), fewest, 1000)
+        Bounds(fewest, 1000).check(f"--{option}", getattr(options, option))
     camera = CameraConfig()
     names = some_words("--towns", options.towns)
     towns = {name: find_town(name) for name in names}

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from wcsim.agents.clients.paid_times import PaidShares, read_paid_times
-from wcsim.cli.shared.common import OutFile, Repeated, in_bounds, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, Repeated, some_words, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.cli.training.train_clients import client_names
 from wcsim.core.reading import counted
@@ -68,7 +68,7 @@ class Trained:
 def run(options: ParallelOptions) -> int:
     """Run all, print the tables."""
     networks = some_words("--clients", options.clients)
-    in_bounds("--steps", options.steps, 1, 10_000_000)
+    Bounds(1, 10_000_000).check("--steps", options.steps)
     names, here = client_names(networks), len(os.sched_getaffinity(0))
     sizes = _numbers("--sizes", options.sizes, len(networks)) or (len(networks),)
     cores = _numbers("--cores", options.cores, here) or (here,)

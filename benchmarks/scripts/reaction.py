@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, in_bounds, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.towns.scenario.town import find_town
 
@@ -40,10 +40,10 @@ class ReactionOptions:
 
 def run(options: ReactionOptions) -> int:
     """Run the bench."""
-    in_bounds("--minutes", options.minutes, 0.1, 120)
-    in_bounds("--trials", options.trials, 1, 1000)
-    in_bounds("--streets", options.streets, 1, 3)
-    in_bounds("--places", options.places, 1, 20)
+    Bounds(0.1, 120).check("--minutes", options.minutes)
+    Bounds(1, 1000).check("--trials", options.trials)
+    Bounds(1, 3).check("--streets", options.streets)
+    Bounds(1, 20).check("--places", options.places)
     if options.town:
         find_town(options.town)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from rich.progress import Progress
 
-from wcsim.cli.shared.common import OutFile, OutFolder, Repeated, in_bounds, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, Repeated, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
 from wcsim.config import resolve
@@ -97,12 +97,12 @@ def run(options: SoakOptions) -> int:
 
 def _check(options: SoakOptions) -> None:
     """Raises ConfigError."""
-    in_bounds("--minutes", 30.0 if options.minutes is None else options.minutes, 0.1, 6000.0)
-    in_bounds("--lease", 3.0 if options.lease is None else options.lease, 0.5, 600.0)
+    Bounds(0.1, 6000.0).check("--minutes", 30.0 if options.minutes is None else options.minutes)
+    Bounds(0.5, 600.0).check("--lease", 3.0 if options.lease is None else options.lease)
     bounds = {"clients": (2, 16), "steps": (10, 10_000_000), "kills": (0, 100_000), "stops": (0, 100_000)}
     for name, (low, high) in {**bounds, "slow": (1, 100)}.items():
         if getattr(options, name) is not None:
-            in_bounds(f"--{name}", getattr(options, name), low, high)
+            Bounds(low, high).check(f"--{name}", getattr(options, name))
     _check_heard(options)
     kept = options.out
     if kept is not None and kept.exists() and any(kept.iterdir()):

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from wcsim.cli.shared.common import OutFile, in_bounds, some_words, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted
@@ -51,12 +51,12 @@ class TickOptions:
 
 def run(options: TickOptions) -> int:
     """Run the bench."""
-    in_bounds("--ticks", options.ticks, 1, MANY)
-    in_bounds("--width", options.width, 16, 2048)
-    in_bounds("--physics-hz", options.physics_hz, 100, 1000)
+    Bounds(1, MANY).check("--ticks", options.ticks)
+    Bounds(16, 2048).check("--width", options.width)
+    Bounds(100, 1000).check("--physics-hz", options.physics_hz)
     if options.physics_hz % 10:
         raise ConfigError(f"--physics-hz {options.physics_hz}: expected a multiple of 10, as a tick has 0.1 s")
-    in_bounds("--demand-scale", options.demand_scale, 0.0, 10.0)
+    Bounds(0.0, 10.0).check("--demand-scale", options.demand_scale)
     numbers, config = _chairs(options.chairs), _config(options)
     town = find_town(options.town)
     if options.profile:
@@ -115,7 +115,7 @@ def _chairs(text: str) -> list[int]:
     except ValueError:
         raise ConfigError(f"--chairs {text!r}: expected whole numbers separated by commas, as 1,4") from None
     for number in found:
-        in_bounds("--chairs", number, 1, MAX_CHAIRS)
+        Bounds(1, MAX_CHAIRS).check("--chairs", number)
     return found
 
 

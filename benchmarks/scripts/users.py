@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Table
 
-from wcsim.cli.shared.common import Keys, OutFile, OutFolder, Repeated, check_folder, in_bounds, some_words, write_json
+from wcsim.cli.shared.common import Bounds, Keys, OutFile, OutFolder, Repeated, check_folder, some_words, write_json
 from wcsim.cli.shared.consoles import stderr_console, stdout_console
 from wcsim.config import RunConfig, resolve
 from wcsim.towns.scenario.town import Town, find_town
@@ -54,9 +54,9 @@ class UsersOptions:
 
 def run(options: UsersOptions) -> int:
     """Run the bench."""
-    in_bounds("--routes", options.routes, 1, 1000)
-    in_bounds("--crossings", options.crossings, 0, 1000)
-    in_bounds("--seconds", options.seconds, 20.0, LONGEST_S)
+    Bounds(1, 1000).check("--routes", options.routes)
+    Bounds(0, 1000).check("--crossings", options.crossings)
+    Bounds(20.0, LONGEST_S).check("--seconds", options.seconds)
     Keys({"env.profile": "expected --profiles NAME,..."}).check("--set", options.set)
     if options.pictures is not None:
         check_folder("--pictures", options.pictures)

@@ -243,7 +243,7 @@ def _server_order(order: SoakOrder, place: Path) -> WorldSpec:
     )
     return WorldSpec(
         town=order.town,
-        config_json=order.config.model_dump_json(),
+        config=order.config,
         seed=order.seed,
         rules=rules,
         endpoint=endpoint_in(place),

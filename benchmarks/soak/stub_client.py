@@ -23,7 +23,7 @@ from wcsim.errors import EvictedError, LinkError, WcsimError, WorldRestartedErro
 from wcsim.server.launch.states import WAIT_NO_MORE, ClientExit
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.links.base import WorldLink
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import SocketSeat
 from wcsim.server.specs import ClientStatus, SeatRequest, read_order, to_line
 from wcsim.types import ClientSnapshot
 
@@ -95,7 +95,7 @@ def main(words: Sequence[str]) -> int:
     try:
         order = read_order(SeatRequest, options.order)
         notes = _Notes(options.sights, order.name, options.status_fd)
-        with open_seat(order) as link:
+        with SocketSeat(order) as link:
             signal.signal(WAIT_NO_MORE, lambda number, frame: link.wait_no_more())
             _drive(link, notes, ends, options.steps, 1e-3 * options.think_ms)
     except WcsimError as error:

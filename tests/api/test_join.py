@@ -45,7 +45,7 @@ def hall(corner: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         open_now.append(LocalServer(made_world(order), seats, expected))
         return open_now[-1]
 
-    monkeypatch.setattr(socket, "open_seat", opened)
+    monkeypatch.setattr(socket, "SocketSeat", opened)
     yield make
     for server in open_now:
         server.world.close()
@@ -85,7 +85,7 @@ def test_a_seat_of_a_world_process_shows_what_a_world_of_ones_own_shows(corner, 
     own = WheelchairEnv(str(corner), overrides=(*TINY, f"env.max_steps={SPEC.max_steps}"), seed=4)
     expected = [drive(own, 30, None), drive(own, 5, 9)]
     own.close()
-    world = {"town": str(corner), "seed": 4, "config_json": CONFIG.model_dump_json()}
+    world = {"town": str(corner), "seed": 4, "config": CONFIG}
     order = stand_in_order(tmp_path, rules=Rules(capacity=1, config=CONFIG.world_digest()), **world)
     with Server(order, tmp_path) as server:
         server.status()

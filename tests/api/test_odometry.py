@@ -19,7 +19,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.errors import ConfigError, ConfigMismatchError
 from wcsim.server.links.base import WorldLink
 from wcsim.server.links.local import LocalGroup
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec
@@ -133,7 +133,7 @@ def test_a_served_world_says_the_same_to_the_bit(corner, tmp_path):
         here = ridden(link)
     world = WorldSpec(
         town=str(corner),
-        config_json=config.model_dump_json(),
+        config=config,
         seed=4,
         rules=Rules(capacity=1),
         endpoint=f"ipc://{tmp_path}/s/world",
@@ -142,7 +142,7 @@ def test_a_served_world_says_the_same_to_the_bit(corner, tmp_path):
     )
     with Server(world, tmp_path) as server:
         far = SeatRequest(endpoint=server.status().listening, name="far", claim="x", spec=SPEC)
-        with open_seat(far) as seat:
+        with SocketSeat(far) as seat:
             assert ridden(seat) == here
 
 

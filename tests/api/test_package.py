@@ -222,7 +222,7 @@ def test_branches_and_parameters_are_counted():
     assert (name, branches(found), parameters(found)) == ("A.f", 7, 2)
 
 
-SAME_CLASS_NAME = ("Options", "RunOptions", "ListOptions")  # of one command each, read by tyro
+SAME_CLASS_NAME = ("Options",)  # of one command each, read by tyro
 SAME_FILE_NAME = {
     "actors": "what an actor is, and how SUMO's are read",
     "barrier": "the protocol's state machine, and the script of its benchmark",
@@ -235,7 +235,6 @@ SAME_FILE_NAME = {
     "files": "written whole, and of a scenario",
     "messages": "between clients and a server, and between a page and its drive",
     "overrides": "of a scenario's options, and of a run's settings",
-    "parts": "of a message, and of the barrier's benchmark",
     "pictures": "for people, and of a drive's page",
     "plant": "its file, and what physics makes of it",
     "registry": "networks by name, and sensors by name",

@@ -7,7 +7,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,8 +16,6 @@ from typing import Any
 
 from tests.support.worlds import quick_config
 from wcsim.errors import ConfigError
-from wcsim.server.launch.spawner import ProcessHandle, SubprocessSpawner
-from wcsim.server.launch.supervised import WORLD_ARGV
 from wcsim.server.links.base import Seat, SeatGroup, WorldLink
 from wcsim.server.protocol.client_core import Patience
 from wcsim.server.protocol.events import Rules
@@ -36,7 +34,7 @@ def stand_in_order(folder: Path, seats: int = 2, **changes: Any) -> WorldSpec:
     rules = changes.pop("rules", Rules(capacity=seats, expected=1, gather_s=60.0, notice_s=0.2))
     order = WorldSpec(
         town=NOWHERE,
-        config_json=quick_config().model_dump_json(),
+        config=quick_config(),
         seed=3,
         rules=rules,
         endpoint=f"ipc://{folder}/s/world",
@@ -50,19 +48,6 @@ def alone(group: SeatGroup) -> Iterator[Seat]:
     """The only seat of a world, which ends with it."""
     with group:
         yield group.links[0]
-
-
-class OtherWorlds(SubprocessSpawner):
-    """Starts another program wherever a launcher wants a world."""
-
-    def __init__(self, *argv: str) -> None:
-        self._argv = argv
-
-    def start(self, argv: Sequence[str], env: Mapping[str, str] | None, log: Path, status_fd: int) -> ProcessHandle:
-        """See `Spawner`."""
-        if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
-            argv = (*self._argv, *argv[len(WORLD_ARGV) :])
-        return super().start(argv, env, log, status_fd)
 
 
 class Server:

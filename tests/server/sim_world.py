@@ -5,8 +5,8 @@ from __future__ import annotations
 import zlib
 
 from tests.server.model.shadow import Shadow, stick_of
-from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Step
+from wcsim.server.protocol.members import Member
 
 
 class Wrong(Exception):
@@ -72,7 +72,7 @@ class SimWorld:
         """A new epoch after the world's death: nobody is in."""
         self._shadow = Shadow(epoch=self.epoch + 1, made=self._shadow.made)
 
-    def kept(self) -> tuple[Kept, ...]:
+    def kept(self) -> tuple[Member, ...]:
         """The seats after an exact recovery."""
         return self._shadow.kept()
 

@@ -43,7 +43,7 @@ _OTHER = "measured with another kind of chair; a difference is not an error"
 
 
 @dataclass
-class ChairCheckOptions:
+class _CheckOptions:
     """Test each chair in the manner of ISO 7176: driving, climbing, weight, tipping; compare with expected values."""
 
     plants: str = "rwd,mwd"
@@ -66,10 +66,10 @@ class ChairCheckOptions:
 
 def run(words: list[str]) -> int:
     """Run it; 1 when a row is outside its range, or changes too much with the rate."""
-    return run_part(words, "chair", {"check": (ChairCheckOptions, _check)})
+    return run_part(words, "chair", {"check": (_CheckOptions, _check)})
 
 
-def _check(options: ChairCheckOptions) -> int:
+def _check(options: _CheckOptions) -> int:
     plants = some_words("--plants", options.plants)
     if options.pictures is not None:
         return _draw(plants, options.pictures)
@@ -78,7 +78,7 @@ def _check(options: ChairCheckOptions) -> int:
     return _compare(setups, options) if options.compare_hz else _judge(setups, options)
 
 
-def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:
+def _setup(config: RunConfig, plant: str, options: _CheckOptions) -> Setup:
     """The chair at the first rate that is asked for; what is left out of its table is said before the work."""
     from wcsim.chair_check.table import too_fast  # loads the engine, which --help must not
 
@@ -90,7 +90,7 @@ def _setup(config: RunConfig, plant: str, options: ChairCheckOptions) -> Setup:
     return setup
 
 
-def _judge(setups: Mapping[str, Setup], options: ChairCheckOptions) -> int:
+def _judge(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
     found = {plant: _table(plant, setup, options) for plant, setup in setups.items()}
     for plant, rows in found.items():
         stdout_console().print(_shown(plant, rows))
@@ -100,7 +100,7 @@ def _judge(setups: Mapping[str, Setup], options: ChairCheckOptions) -> int:
     return 1 if any(row.red for rows in found.values() for row in rows) else 0
 
 
-def _compare(setups: Mapping[str, Setup], options: ChairCheckOptions) -> int:
+def _compare(setups: Mapping[str, Setup], options: _CheckOptions) -> int:
     rates = _rates(options.compare_hz)
     found = {
         plant: changes({hz: _table(plant, replace(setup, hz=hz), options) for hz in rates})
@@ -122,7 +122,7 @@ def _draw(plants: Sequence[str], folder: Path) -> int:
     return 0
 
 
-def _table(plant: str, setup: Setup, options: ChairCheckOptions) -> list[Row]:
+def _table(plant: str, setup: Setup, options: _CheckOptions) -> list[Row]:
     from wcsim.chair_check.table import table  # loads the engine, which --help must not
 
     what = f"{plant} at {setup.hz} Hz"

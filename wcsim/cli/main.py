@@ -34,7 +34,7 @@ _LEAST_COLUMNS: Final = 40
 _PACKAGE: Final = Path(__file__).parents[1]
 
 
-def require_streams() -> None:
+def _require_streams() -> None:
     """Put the empty device in the place of a stream that is closed, else the next file that is opened would be it.
 
     A terminal of a few columns counts as one of 40: in less the help is laid out for minutes.
@@ -59,7 +59,7 @@ def require_streams() -> None:
             stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
 
 
-def require_letters(words: Iterable[str]) -> None:
+def _require_letters(words: Iterable[str]) -> None:
     """Raise ConfigError for an argument that holds bytes which are no letters: no record of ours could name it."""
     for word in words:
         if holds_half_letters(word):
@@ -99,7 +99,7 @@ def _told_path(error: OSError) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Subcommand:
+class _Subcommand:
     """One line of the help, and the module that does the work with `run(arguments)`, or with the function it names."""
 
     name: str
@@ -109,31 +109,31 @@ class Subcommand:
 
 
 SUBCOMMANDS = (
-    Subcommand("demo", "training.demo", "learn", "train in Helsinki, test in Monaco, print the table"),
-    Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
-    Subcommand("train-q", "training.train_q", "learn", "train a network by Q-learning"),
-    Subcommand("train-clients", "training.train_clients", "learn", "train several networks at once in one world"),
-    Subcommand("resume", "training.resume", "learn", "continue a training"),
-    Subcommand("collect", "training.collect", "learn", "record driving that a network can learn from"),
-    Subcommand("export", "training.export", "learn", "write a policy as an ONNX model, without wcsim"),
-    Subcommand("test", "evaluation.test", "test", "test policies and baselines in towns new to them"),
-    Subcommand("report", "evaluation.report", "test", "make a page of a test or training, with failures"),
-    Subcommand("networks", "networks", "test", "show what networks cost: parameters, memory, time"),
-    Subcommand("chair", "chair", "test", "test wheelchairs on a yard, as ISO 7176 does"),
-    Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
-    Subcommand("snapshot", "pictures:snapshot", "look", "make a picture from a camera: colours, classes, depth"),
-    Subcommand("video", "pictures:video", "look", "make a video from a chair's camera, with a map"),
-    Subcommand("watch", "recordings.watch", "look", "watch a training of several clients on a web page"),
-    Subcommand("log", "recordings.log", "look", "play, verify, compare or convert a recording"),
-    Subcommand("replay", "recordings.replay", "look", "drive an episode of a test again on a web page"),
-    Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
-    Subcommand("scene", "scene", "towns", "run short street scenes with a fixed seed"),
-    Subcommand("drive", "drive", "people", "drive a wheelchair yourself in your browser"),
-    Subcommand("users", "recordings.users", "people", "record a simulated user, fit a user to recordings"),
-    Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
-    Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
-    Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),
-    Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
+    _Subcommand("demo", "training.demo", "learn", "train in Helsinki, test in Monaco, print the table"),
+    _Subcommand("train", "training.train", "learn", "train a danger network, in rounds of driving"),
+    _Subcommand("train-q", "training.train_q", "learn", "train a network by Q-learning"),
+    _Subcommand("train-clients", "training.train_clients", "learn", "train several networks at once in one world"),
+    _Subcommand("resume", "training.resume", "learn", "continue a training"),
+    _Subcommand("collect", "training.collect", "learn", "record driving that a network can learn from"),
+    _Subcommand("export", "training.export", "learn", "write a policy as an ONNX model, without wcsim"),
+    _Subcommand("test", "evaluation.test", "test", "test policies and baselines in towns new to them"),
+    _Subcommand("report", "evaluation.report", "test", "make a page of a test or training, with failures"),
+    _Subcommand("networks", "networks", "test", "show what networks cost: parameters, memory, time"),
+    _Subcommand("chair", "chair", "test", "test wheelchairs on a yard, as ISO 7176 does"),
+    _Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
+    _Subcommand("snapshot", "pictures:snapshot", "look", "make a picture from a camera: colours, classes, depth"),
+    _Subcommand("video", "pictures:video", "look", "make a video from a chair's camera, with a map"),
+    _Subcommand("watch", "recordings.watch", "look", "watch a training of several clients on a web page"),
+    _Subcommand("log", "recordings.log", "look", "play, verify, compare or convert a recording"),
+    _Subcommand("replay", "recordings.replay", "look", "drive an episode of a test again on a web page"),
+    _Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
+    _Subcommand("scene", "scene", "towns", "run short street scenes with a fixed seed"),
+    _Subcommand("drive", "drive", "people", "drive a wheelchair yourself in your browser"),
+    _Subcommand("users", "recordings.users", "people", "record a simulated user, fit a user to recordings"),
+    _Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
+    _Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
+    _Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),
+    _Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
 
 
@@ -150,7 +150,7 @@ FORMER = {  # command and option of version 0.1, and what to type instead
 }
 
 
-class Terminated(KeyboardInterrupt):
+class _Terminated(KeyboardInterrupt):
     """Raised when somebody asks the command to end by SIGTERM."""
 
 
@@ -195,7 +195,7 @@ def _orderly_end(own_process: bool) -> Iterator[None]:
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    raise Terminated
+    raise _Terminated
 
 
 def _run_command(words: list[str]) -> int:
@@ -212,13 +212,13 @@ def _run_command(words: list[str]) -> int:
 def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) -> int:
     try:
         if own_process:
-            require_streams()
-        require_letters(words)
+            _require_streams()
+        _require_letters(words)
         return work(words)
     except WcsimError as error:
         print(f"wcsim: {printable(str(error))}", file=sys.stderr)
         return exit_of(error)
-    except Terminated:
+    except _Terminated:
         print("wcsim: terminated", file=sys.stderr)
         return Exit.TERMINATED
     except KeyboardInterrupt as stop:

@@ -14,7 +14,6 @@ from wcsim.cli.shared.common import (
     Repeated,
     SomeTown,
     Writes,
-    check_output,
     missing_folder,
     parse,
     result_file,
@@ -54,7 +53,7 @@ def look(words: list[str]) -> int:
     options = parse(_LookOptions, words, "look")
     town = find_town(options.town)
     street, picture, video = (options.out / f"{town.name}{kind}" for kind in ("-street.png", ".png", ".webm"))
-    check_output("--out", video)
+    Writes().check("--out", video)
     missing = missing_folder(video)
 
     from wcsim.drive.pictures import StillPictures  # these load the simulators, which --help must not

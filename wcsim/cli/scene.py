@@ -28,7 +28,7 @@ HOME = Path("scenarios") / "sumo" / "scenes"
 
 
 @dataclass
-class RunOptions:
+class _RunOptions:
     """Run scenes (default: all); compare them with [expect] and golden traces."""
 
     scenes: Scenes = ()
@@ -40,7 +40,7 @@ class RunOptions:
 
 
 @dataclass
-class BlessOptions:
+class _BlessOptions:
     """Run scenes and save the result as their golden traces; print the changes."""
 
     scenes: Scenes = ()
@@ -48,12 +48,12 @@ class BlessOptions:
 
 
 @dataclass
-class ListOptions:
+class _ListOptions:
     """List the scenes and what each one tests."""
 
 
 @dataclass
-class NewOptions:
+class _NewOptions:
     """Create a small scene that runs as it is, as a template for your own."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
@@ -63,7 +63,7 @@ class NewOptions:
 
 
 @dataclass
-class SceneMakeOptions:
+class _MakeOptions:
     """Generate a scene of a family from a seed: a hazard and a recorded joystick."""
 
     family: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FAMILY")]
@@ -85,8 +85,8 @@ class Outcome:
 
 def run(words: list[str]) -> int:
     """Run one of the subcommands."""
-    parts: Parts = {"run": (RunOptions, _run), "list": (ListOptions, _list), "bless": (BlessOptions, _bless)}
-    return run_part(words, "scene", {**parts, "new": (NewOptions, _new), "make": (SceneMakeOptions, _make)})
+    parts: Parts = {"run": (_RunOptions, _run), "list": (_ListOptions, _list), "bless": (_BlessOptions, _bless)}
+    return run_part(words, "scene", {**parts, "new": (_NewOptions, _new), "make": (_MakeOptions, _make)})
 
 
 def _folders(names: tuple[str, ...]) -> tuple[Path, ...]:
@@ -100,7 +100,7 @@ def _names(folders: tuple[Path, ...]) -> tuple[str, ...]:
     return tuple(name if names.count(name) == 1 else str(folder) for folder, name in pairs)
 
 
-def _list(_: ListOptions) -> int:
+def _list(_: _ListOptions) -> int:
     table = Table("scene", "seconds", "chairs", "what it tests", show_lines=True)
     broken = []
     for folder in list_scenes():
@@ -116,7 +116,7 @@ def _list(_: ListOptions) -> int:
     return 0
 
 
-def _run(options: RunOptions) -> int:
+def _run(options: _RunOptions) -> int:
     if options.film is not None and len(options.scenes) != 1:
         raise ConfigError(f"--film takes one scene, got {len(options.scenes)}; name the scene to film")
     folders = _folders(options.scenes)
@@ -156,7 +156,7 @@ def _outcome(folder: Path, name: str) -> Outcome:
     return Outcome(name, facts, found)
 
 
-def _bless(options: BlessOptions) -> int:
+def _bless(options: _BlessOptions) -> int:
     folders = _folders(options.scenes)
 
     from wcsim.scenes.run import run_in_child  # loads the simulators, which --help must not
@@ -186,7 +186,7 @@ def _news(trace: Path, golden: Path) -> str:
     return golden_difference(trace, golden) or ("the golden trace is of other versions" if other_versions else "")
 
 
-def _new(options: NewOptions) -> int:
+def _new(options: _NewOptions) -> int:
     folder = write_scene(options.out, options.name)
     called = _called(folder)
     print(f"created {folder}; it runs as it is. Edit it, and look at the result:")
@@ -195,7 +195,7 @@ def _new(options: NewOptions) -> int:
     return 0
 
 
-def _make(options: SceneMakeOptions) -> int:
+def _make(options: _MakeOptions) -> int:
     from wcsim.towns.scene_folders import families  # loads numba, which --help must not
 
     folder = families.write_scene(options.family, options.seed, options.out)

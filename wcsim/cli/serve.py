@@ -11,15 +11,14 @@ from typing import Annotated
 
 import tyro
 
-from wcsim.cli.shared.common import Bounds, OutFolder, SettingsOptions, check_folder, in_bounds, parse, some_words
+from wcsim.cli.shared.common import Bounds, Flag, OutFolder, SettingsOptions, check_folder, parse, some_words
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
+from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import overrides_of
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import require_no_links
 from wcsim.errors import ConfigError
 from wcsim.log.reader import part_files
-from wcsim.log.records import MOST_SEATS
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import LaunchState
@@ -30,6 +29,7 @@ from wcsim.server.transport.keys import is_loopback, known_names, make_keys
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.scenario.town import Town, find_town
+from wcsim.types.bounds import MOST_SEATS
 from wcsim.users.profiles import recordings
 from wcsim.view.live_table import LiveTable
 
@@ -66,14 +66,14 @@ class Options(SettingsOptions):
     """Seconds that a client may take for an action before it is dropped; unlimited by default."""
     seed: int = 0
     """Random seed of the world."""
-    verbose: Verbose = False
+    verbose: Flag = False
     """Show a table of the town's SUMO options that wcsim overrides, with the reasons."""
 
 
 def run(words: list[str]) -> int:
     """Serve until somebody asks for the end."""
     options = parse(Options, words, "serve")
-    in_bounds("--expected", options.expected, 1, options.seats)
+    Bounds(1, options.seats).check("--expected", options.expected)
     _check_doors(options)
     config = resolve(options.preset, options.config, options.set)
     if options.run is not None:
@@ -174,7 +174,7 @@ def _prepare(folder: Path) -> None:
 def _order(options: Options, town: Town, config: RunConfig, place: Path) -> WorldSpec:
     return WorldSpec(
         town=town.address,
-        config_json=config.model_dump_json(),
+        config=config,
         seed=options.seed,
         rules=Rules(
             capacity=options.seats,

@@ -140,7 +140,7 @@ class DangerFile(DangerSpec):
 ConfigName = Annotated[str, Field(pattern=r"^(configs/[A-Za-z0-9_-]{1,64}|config)\.json$")]
 
 
-class OverrideFile(Model):
+class _OverrideFile(Model):
     """One option of a town's own scenario that a run had with another value."""
 
     option: Text
@@ -166,7 +166,7 @@ class ManifestFile(Model):
     hook: Word = ""
     own_code: Sha256 | Literal[""] = ""  # see agents/runs/own_code.py
     more_towns: Annotated[dict[Text, Sha256], Field(max_length=4096)] = Field(default_factory=dict)
-    overrides: Annotated[tuple[OverrideFile, ...], Field(max_length=4096)] = ()
+    overrides: Annotated[tuple[_OverrideFile, ...], Field(max_length=4096)] = ()
     clients: Annotated[tuple[ClientName, ...], Field(max_length=64)] = ()
     files_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(default_factory=dict)
     files_to_come_sha256: Annotated[dict[ConfigName, Sha256], Field(max_length=65)] = Field(
@@ -204,7 +204,7 @@ Count = Annotated[int, Field(strict=True, ge=0, le=10**12)]  # of steps and the 
 _Bits64 = Annotated[int, Field(strict=True, ge=0, lt=1 << 64)]
 
 
-class GeneratorFile(Model):
+class _GeneratorFile(Model):
     """The state of a Philox generator."""
 
     counter: tuple[_Bits64, _Bits64, _Bits64, _Bits64]
@@ -229,8 +229,8 @@ class SeqFile(Model):
 
     n_updates: Count
     episodes: Count
-    explore_rng: GeneratorFile
-    replay_rng: GeneratorFile
+    explore_rng: _GeneratorFile
+    replay_rng: _GeneratorFile
     extra: SittingFile
 
 

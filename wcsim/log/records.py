@@ -15,10 +15,9 @@ from msgspec import Meta, Struct
 from wcsim.core.reading import MOST_JSON_BYTES
 from wcsim.errors import WcsimError
 from wcsim.types import F64, ActorKind, ClientSnapshot, Command, Joystick, SeatSpec, StartSpec
+from wcsim.types.bounds import MAX_SEED, MOST_SEATS
 
 MAGIC: Final = "wcsim-log-1"
-MOST_SEATS: Final = 64  # of a world
-MAX_SEED: Final = (1 << 63) - 1
 MOST_SAMPLES: Final = 480  # of the stick in a tick: as many as the steps that a tick's physics may have
 MOST_DETAIL: Final = 1000  # letters of a note
 NO_ACTION: Final = -1
@@ -343,10 +342,6 @@ def _require_whole(record: LogRecord) -> None:
     match record:
         case Ticked():
             _require(len(record.seats) == len(record.sticks))
-        case Admitted():
-            _require(_is_start(record.spec.start))
-        case Respawned():
-            _require(_is_start(record.start))
         case WorldState():
             count = len(record.plants)
             _require(
@@ -368,11 +363,6 @@ def _require_whole(record: LogRecord) -> None:
 def _require(*facts: bool) -> None:
     if not all(facts):
         raise ValueError("out of bounds")
-
-
-def _is_start(start: StartSpec | None) -> bool:
-    numbers = () if start is None else (*start.p_W_m, start.yaw_rad, *start.goal_W_m)
-    return all(math.isfinite(number) and abs(number) <= _LARGEST for number in numbers)
 
 
 def _array_bytes(array: Any) -> Any:

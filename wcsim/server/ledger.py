@@ -31,52 +31,18 @@ def iter_ledger(path: Path) -> Iterator[SeenFrame]:
     return (record for record in LogScan(path, "ledger").records() if isinstance(record, SeenFrame))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _LedgerFacts:
-    """What a ledger shows by itself."""
-
-    first_tick: int  # of the first frame, -1 when the client never had one
-    last_tick: int  # of the last one
-    ticks: int  # steps
-    missing: int  # ticks between two frames of one life that were not seen
-    doubled: int  # steps seen more than once
-    lives: int  # joins, respawns and new epochs
-
-
-def ledger_facts(entries: Iterable[SeenFrame]) -> _LedgerFacts:
-    """Count what a ledger shows by itself; a session that was taken over goes on with the same life."""
-    missing = doubled = ticks = lives = 0
-    first: SeenFrame | None = None
-    before: SeenFrame | None = None
-    seen: set[int] = set()  # ticks of this epoch
-    for now in entries:
-        if before is None or now.epoch != before.epoch:
-            seen.clear()
-        if before is None:
-            first = now
-        elif now.stepped:
-            missing += max(0, now.tick - before.tick - 1)
-            doubled += now.tick in seen
-            seen.add(now.tick)
-        ticks, lives, before = ticks + now.stepped, lives + (not now.stepped), now
-    return _LedgerFacts(
-        first_tick=-1 if first is None else first.tick,
-        last_tick=-1 if before is None else before.tick,
-        ticks=ticks,
-        missing=missing,
-        doubled=doubled,
-        lives=lives,
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class Audit:
-    """The ledgers of all clients against the journal of their world."""
+    """A ledger, by itself and against the journal of its world; or the ledgers of all clients together."""
 
-    ticks: int  # that the world did
-    lost: int  # steps of a client that are in the journal and that it never saw
-    doubled: int  # steps that a client saw more than once
-    phantom: int  # steps that a client saw and the journal does not have
+    ticks: int = 0  # that the world did, where it is of all clients
+    lost: int = 0  # steps of a client that are in the journal and that it never saw
+    doubled: int = 0  # steps that a client saw more than once
+    phantom: int = 0  # steps that a client saw and the journal does not have
+    first_tick: int = -1  # of the client's first frame, -1 when it never had one
+    last_tick: int = -1  # of its last one
+    steps: int = 0
+    missing: int = 0  # ticks between two frames of one life that were not seen
 
 
 def audit(records: Iterable[Input], ledgers: Sequence[tuple[int, Iterable[SeenFrame]]]) -> Audit:
@@ -112,17 +78,14 @@ def audits(
             page.compare(epoch, done[page.seat])
     for page in pages:
         page.compare(None, set())
-    return ticks, tuple(
-        Audit(ticks=ticks, lost=page.lost, doubled=page.doubled, phantom=page.phantom) for page in pages
-    )
+    return ticks, tuple(page.found for page in pages)
 
 
 class _Pages:
     """A ledger, read epoch by epoch."""
 
     def __init__(self, seat: int, entries: Iterable[SeenFrame]) -> None:
-        self.seat = seat
-        self.lost = self.doubled = self.phantom = 0
+        self.seat, self.found = seat, Audit()
         self._entries = iter(entries)
         self._next = next(self._entries, None)
         self._before: SeenFrame | None = None
@@ -133,18 +96,28 @@ class _Pages:
         ends: set[int] = set()  # what the dead may have asked for: one after the last frame of each life
         while self._next is not None and (epoch is None or self._next.epoch <= epoch):
             now = self._next
+            self._count(now)
             if not now.stepped:
                 self._end_life(epoch, ends)
             elif now.epoch != epoch:  # the journal has no tick of that one, or not any more
-                self.phantom += 1
+                self.found.phantom += 1
             else:
-                self.doubled += now.tick in seen
+                self.found.doubled += now.tick in seen
                 seen.add(now.tick)
             self._before, self._next = now, next(self._entries, None)
         if self._next is None or not self._next.stepped:
             self._end_life(epoch, ends)
-        self.lost += len(done - seen - ends)
-        self.phantom += len(seen - done)
+        self.found.lost += len(done - seen - ends)
+        self.found.phantom += len(seen - done)
+
+    def _count(self, now: SeenFrame) -> None:
+        """What the ledger shows by itself; a session that was taken over goes on with the same life."""
+        found = self.found
+        if self._before is None:
+            found.first_tick = now.tick
+        elif now.stepped:
+            found.missing += max(0, now.tick - self._before.tick - 1)
+        found.last_tick, found.steps = now.tick, found.steps + now.stepped
 
     def _end_life(self, epoch: int | None, ends: set[int]) -> None:
         if self._before is not None and self._before.epoch == epoch:

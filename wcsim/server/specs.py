@@ -58,20 +58,14 @@ class WorldOrder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WorldSpec:
-    """A world process: its world, how it is reached, and its rules."""
+class WorldSpec(WorldOrder):
+    """A world process: its world, how it is reached, and its rules, which say how many seats it has."""
 
-    town: str
-    more_towns: tuple[str, ...] = ()  # see `town_of_epoch`
-    config_json: str
-    seed: int
     rules: Rules
     endpoint: str  # ipc://..., in a folder that only its owner can enter
     ring: str  # folder for the shared memory of the seats' pictures
     name: str = ""
-    run: str = ""  # run folder, for the journal and the outputs of the town's scenario; "" keeps neither
-    journal: bool = True  # False: a run folder for the outputs alone
-    hook: str = ""
+    journal: bool = True  # in the run folder; False: that is for the outputs alone
     listen: str = ""  # tcp://..., for clients on other machines
     keys: str = ""  # folder of CURVE keys; needed beyond loopback
     recovery: Recovery = "new_epoch"
@@ -79,19 +73,6 @@ class WorldSpec:
     begins: bool = False  # no world of this launch has been there yet, and its clients take their time to load
     status_fd: int = -1  # a pipe for WorldStatus lines; the process ends when its other end is closed
     quiet: bool = False  # an error goes into that pipe alone, not to stderr too
-
-    @property
-    def world(self) -> WorldOrder:
-        """The world of it."""
-        return WorldOrder(
-            town=self.town,
-            config=RunConfig.model_validate_json(self.config_json),
-            seed=self.seed,
-            seats=self.rules.capacity,
-            run=self.run,
-            hook=self.hook,
-            more_towns=self.more_towns,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +109,7 @@ class ClientSpec:
     """A client process that learns: its seat, its own settings, its run folder, and what its manifest says."""
 
     join: SeatRequest
-    config_json: str
+    config: RunConfig
     out: str  # run folder
     info: RunInfo
 
@@ -185,13 +166,17 @@ T = TypeVar("T", WorldSpec, SeatRequest, ClientSpec, WorldStatus, ClientStatus)
 
 def to_line(value: WorldSpec | SeatRequest | ClientSpec | WorldStatus | ClientStatus) -> bytes:
     """A value as one line of JSON, with its newline."""
-    return msgspec.json.encode(value) + b"\n"
+    return msgspec.json.encode(value, enc_hook=_config_text) + b"\n"
+
+
+def _config_text(config: RunConfig) -> str:
+    return config.model_dump_json()
 
 
 def of_line(kind: type[T], line: bytes) -> T:
     """The value of a line. Raises ConfigError when it is none."""
     try:
-        return msgspec.json.decode(line, type=kind)
+        return msgspec.json.decode(line, type=kind, dec_hook=lambda _, text: RunConfig.model_validate_json(text))
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
         raise ConfigError(f"{line[:80]!r} is not a {kind.__name__}: {error}") from None
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from wcsim.types.actors import ActorKind, ActorLook, ActorState, SignalState, chair_actor_id
 from wcsim.types.arrays import F32, F64, I32, I64, U8, Bool, ComparesArrays
+from wcsim.types.bounds import CLIENT_NAME
 from wcsim.types.chair import (
     CameraFrame,
     Command,
@@ -22,7 +23,6 @@ from wcsim.types.chair import (
     SensorFrame,
 )
 from wcsim.types.episode import (
-    CLIENT_NAME,
     ClientSnapshot,
     Drawn,
     Events,

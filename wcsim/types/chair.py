@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
+from msgspec import Meta
+
+from wcsim.types import bounds as b
 from wcsim.types.arrays import F32, F64, U8, ComparesArrays
 
 
@@ -12,8 +15,8 @@ from wcsim.types.arrays import F32, F64, U8, ComparesArrays
 class Joystick:
     """A joystick position: x right, y forward, each in [-1, 1]."""
 
-    x: float
-    y: float
+    x: b.Stick
+    y: b.Stick
 
 
 AT_REST: Final = Joystick(0.0, 0.0)
@@ -37,9 +40,9 @@ class PlantState(ComparesArrays):
     v_B_mps: F64  # (3,)
     w_B_radps: F64  # (3,)
     wheel_radps: F64  # (2,) left, right drive wheel
-    roll_rad: float  # right side down positive
-    pitch_rad: float  # nose up positive
-    yaw_rad: float
+    roll_rad: b.Number  # right side down positive
+    pitch_rad: b.Number  # nose up positive
+    yaw_rad: b.Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,19 +74,19 @@ class Outline:
 class Contact:
     """A contact in one tick between a part of the wheelchair and something else; impulses are summed over the tick."""
 
-    kind: str  # an ActorKind value, or "ground", "kerb", "building", "static"
-    part: str  # "wheel", "caster", "antitip", "footplate", "body"
-    impulse_Ns: float
+    kind: b.NameOrNone  # an ActorKind value, or "ground", "kerb", "building", "static"
+    part: b.NameOrNone  # "wheel", "caster", "antitip", "footplate", "body"
+    impulse_Ns: b.Number
     cause: Literal["own", "other"]
-    actor_id: str = ""
+    actor_id: b.Line = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFrame(ComparesArrays):
     """One image. A slower camera repeats its last image with the old `taken_tick`."""
 
-    name: str
-    taken_tick: int
+    name: b.Line
+    taken_tick: b.CountOrNone
     depth_m: F32  # (H, W) along the optical axis; range where nothing is hit, 0 where nothing was measured (noise)
     class_id: U8  # (H, W) ClassId, VOID where the noise leaves no class
     rgb: U8 | None = None  # (H, W, 3), only if the camera draws colours
@@ -96,9 +99,9 @@ class ImuFrame(ComparesArrays):
     accel_mean_mps2: F64  # (3,) specific force in the sensor frame, tick mean, gravity included
     accel_peak_mps2: F64  # (3,) largest |.| per axis within the tick after the 20 Hz low-pass, gravity removed; exact
     gyro_radps: F64  # (3,) tick mean
-    roll_rad: float  # as the tilt sensor measures it; the true tilt is in PlantState
-    pitch_rad: float
-    yaw_rad: float  # exact
+    roll_rad: b.Number  # as the tilt sensor measures it; the true tilt is in PlantState
+    pitch_rad: b.Number
+    yaw_rad: b.Number  # exact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +117,7 @@ class Measure:
 class Reading(ComparesArrays):
     """Reading of one sensor of `[sensors]` in one tick; its `Measure` describes the numbers."""
 
-    name: str
+    name: b.NameOrNone
     values: F64  # (len(parts),)
 
 
@@ -122,7 +125,7 @@ class Reading(ComparesArrays):
 class SensorFrame:
     """All sensor readings of one seat after a tick."""
 
-    tick: int
-    cameras: tuple[CameraFrame, ...]
+    tick: b.Count
+    cameras: Annotated[tuple[CameraFrame, ...], Meta(max_length=b.MOST_CAMERAS)]
     imu: ImuFrame
-    readings: tuple[Reading, ...] = ()  # of the sensors in `[sensors]`, by name
+    readings: Annotated[tuple[Reading, ...], Meta(max_length=b.MOST_READINGS)] = ()  # of those in `[sensors]`, by name

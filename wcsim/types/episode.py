@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
+from wcsim.types import bounds as b
 from wcsim.types.actors import ActorState, SignalState
 from wcsim.types.arrays import F64, Bool, ComparesArrays
 from wcsim.types.chair import Contact, Joystick, PlantState, SensorFrame
-from wcsim.types.street import (
-    Route,
-)
+from wcsim.types.street import Route
 
-CLIENT_NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"
-"""Pattern of a client's name: a plain word, so that it can name a folder and be printed anywhere."""
+_A_CAMERA = Meta(max_length=b.MOST_CAMERAS)
+_Shift = tuple[b.Number, b.Number, b.Number]
+_Values = Annotated[tuple[tuple[b.Key, b.Number], ...], Meta(max_length=1024)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,8 +52,8 @@ class Truth(Verdict):
     """Ground truth of a tick: for metrics and the oracle, never part of an observation."""
 
     intent: Joystick  # the user's intent, before the hand's noise
-    clearance_m: float  # free distance around the chair now
-    progress_m: float  # along the route during this tick
+    clearance_m: b.Number  # free distance around the chair now
+    progress_m: b.Number  # along the route during this tick
     visible: Verdict | None = None  # as judged with only the actors that the cameras showed lately
 
 
@@ -59,19 +61,19 @@ class Truth(Verdict):
 class Events:
     """Events of a seat during a tick; the world decides them once."""
 
-    episode: int
-    step: int  # steps of this episode so far, this one included
+    episode: b.CountOrNone
+    step: b.Count  # steps of this episode so far, this one included
     crashed: bool
-    crash_reason: str  # "", "collision", "drop", "acceleration", "tilt"
+    crash_reason: b.NameOrNone  # "", "collision", "drop", "acceleration", "tilt"
     truncated: bool
     arrived: bool
     gave_up: bool
-    progress_m: float = 0.0  # along the route during this tick
-    jam_teleports: int = 0
+    progress_m: b.Number = 0.0  # along the route during this tick
+    jam_teleports: b.Count = 0
     on_carriageway: bool = False  # the chair's middle is on a carriageway or a crossing now
     crossed: bool = False  # it finished a crossing, from one pavement to the opposite one
     entered_red: bool = False  # it started over a crossing at red
-    crash: str = ""  # in words: the other party, who hit whom, edge and place in SUMO's net
+    crash: b.Line = ""  # in words: the other party, who hit whom, edge and place in SUMO's net
     help_asked: bool = False  # the user asked for help
 
 
@@ -79,28 +81,28 @@ class Events:
 class Drawn:
     """Values drawn for a seat's episode from the ranges of `[vary]`; None or empty where there is no range."""
 
-    light: float | None = None  # factor on the usual brightness of colours
-    friction: float | None = None  # factor on the friction of wheels and casters
-    user_mass_kg: float | None = None
-    camera_shift_m: tuple[tuple[float, float, float], ...] = ()  # along x, y, z of B, by camera
-    camera_turn_rad: tuple[tuple[float, float], ...] = ()  # to the left and up, by camera
-    action_delay_ticks: int | None = None
-    plant: tuple[tuple[str, float], ...] = ()  # by dotted name, sorted
-    attention: tuple[tuple[str, float], ...] = ()  # share of drivers that look for this chair, by class or "all"
-    reaction_s: tuple[tuple[str, float], ...] = ()  # until an attentive driver brakes for this chair, as above
-    sensors: tuple[tuple[str, float], ...] = ()  # the same of [sensors]
+    light: b.Number | None = None  # factor on the usual brightness of colours
+    friction: b.Number | None = None  # factor on the friction of wheels and casters
+    user_mass_kg: b.Number | None = None
+    camera_shift_m: Annotated[tuple[_Shift, ...], _A_CAMERA] = ()  # along x, y, z of B, by camera
+    camera_turn_rad: Annotated[tuple[tuple[b.Radians, b.Radians], ...], _A_CAMERA] = ()  # to the left and up, by camera
+    action_delay_ticks: b.Delay | None = None
+    plant: _Values = ()  # by dotted name, sorted
+    attention: _Values = ()  # share of drivers that look for this chair, by class or "all"
+    reaction_s: _Values = ()  # until an attentive driver brakes for this chair, as above
+    sensors: _Values = ()  # the same of [sensors]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientSnapshot:
     """The part of a snapshot that belongs to one seat."""
 
-    seat: int
-    tick: int
+    seat: b.Seat
+    tick: b.Count
     plant: PlantState
     sensors: SensorFrame
     user: Joystick  # the user's stick as the agent sees it (raw)
-    contacts: tuple[Contact, ...]
+    contacts: Annotated[tuple[Contact, ...], Meta(max_length=b.MOST_CONTACTS)]
     events: Events
     truth: Truth | None = None
     drawn: Drawn | None = None  # of this episode, when the configuration has ranges
@@ -141,17 +143,17 @@ class RewardTerms:
 class StartSpec:
     """A fixed start for every episode of a seat (scenes); without one, starts and destinations are drawn."""
 
-    p_W_m: tuple[float, float]
-    yaw_rad: float
-    goal_W_m: tuple[float, float]
+    p_W_m: tuple[b.Metres, b.Metres]
+    yaw_rad: b.Radians
+    goal_W_m: tuple[b.Metres, b.Metres]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeatSpec:
     """What a client requests when it takes a seat; everything else is in the world's configuration."""
 
-    profile: str = "inattentive"  # or FILE.toml, or recorded:FILE
-    max_steps: int = 10_000
+    profile: b.Document = "inattentive"  # or FILE.toml, or recorded:FILE
+    max_steps: b.Steps = 10_000
     truth: bool = False
     truth_visible: bool = False  # the truth includes `visible`
     start: StartSpec | None = None

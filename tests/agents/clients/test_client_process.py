@@ -59,7 +59,7 @@ def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="c")
     order = ClientSpec(
         join=join,
-        config_json=config(network="nonesuch").model_dump_json(),
+        config=config(network="nonesuch"),
         out=str(tmp_path / "run"),
         info=RunInfo(seed=1),
     )
@@ -73,7 +73,7 @@ def test_a_mistake_in_the_order_is_told_before_anybody_waits_for_the_client(tmp_
 def test_an_order_brings_everything_that_the_manifest_says():
     override = Override(option="--step-length", author="1", wcsim="0.1", why="ticks")
     info = RunInfo(seed=1, town="a", rewards=("a:B",), command=("x",), hook="c:D", overrides=(override,))
-    order = ClientSpec(join=SeatRequest(endpoint="ipc://a", name="a", claim="c"), config_json="{}", out="o", info=info)
+    order = ClientSpec(join=SeatRequest(endpoint="ipc://a", name="a", claim="c"), config=config(), out="o", info=info)
     assert of_line(ClientSpec, to_line(order)) == order
 
 
@@ -160,7 +160,7 @@ def test_a_client_that_has_grown_saves_its_work_and_says_that_another_process_go
     settings = config(**few, process_growth_mb=50, checkpoint_every=1000)
     join = SeatRequest(endpoint=f"ipc://{tmp_path}/nobody", name="patch", claim="c")
     info = RunInfo(seed=1, town="toy", town_sha256="0" * 64)
-    order = ClientSpec(join=join, config_json=settings.model_dump_json(), out=str(tmp_path / "run"), info=info)
+    order = ClientSpec(join=join, config=settings, out=str(tmp_path / "run"), info=info)
     with pytest.raises(_ProcessGrownError, match="grown from 100 to 160 MB") as told:
         learn(order, resume=False)
     assert exit_code(told.value) is ClientExit.GROWN

@@ -36,5 +36,5 @@ def test_each_generation_of_a_world_is_in_the_next_town(
     assert order.more_towns == (find_town(str(corner)).address, "made:7")
     monkeypatch.setattr(recovery, "asked_town", str)
     monkeypatch.setattr(recovery, "World", lambda town, *given, epoch: (town, epoch))
-    worlds = [recovery.street_world(order.world, (None,), 3, epoch=epoch) for epoch in range(4)]
+    worlds = [recovery.street_world(order, (None,), 3, epoch=epoch) for epoch in range(4)]
     assert worlds == [("helsinki", 0), (str(corner), 1), ("made:7", 2), ("helsinki", 3)]

@@ -40,7 +40,7 @@ def test_an_example_runs(name, code, corner, tmp_path):
 def test_the_example_of_a_shared_world_runs(tmp_path):
     config = resolve("quick")
     rules = Rules(capacity=1, config=config.world_digest())
-    order = stand_in_order(tmp_path, rules=rules, config_json=config.model_dump_json())
+    order = stand_in_order(tmp_path, rules=rules, config=config)
     with Server(order, tmp_path) as server:
         server.status()
         code = EXAMPLES[3][1]

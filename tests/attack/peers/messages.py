@@ -15,7 +15,8 @@ from benchmarks.barrier.fake_world import FakeWorld
 from tests.attack.outcomes import Case
 from tests.attack.peers.wire import each_field, shapes, spoilt
 from tests.support.worlds import quick_config
-from wcsim.server.host.process import PeerLimits, _Hosted, _ServerLoop
+from wcsim.server.host.process import PeerLimits, _ServerLoop
+from wcsim.server.host.recovery import Opened
 from wcsim.server.host.status import Reporter
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.protocol import messages as m
@@ -23,7 +24,6 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import REMEMBERED
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec
-from wcsim.server.transport.shared_images import RingSink, pictures_of
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard
 from wcsim.types import SeatSpec
 
@@ -67,14 +67,13 @@ class Besieged:
         work.mkdir(parents=True, exist_ok=True)
         config = quick_config()
         rules = Rules(capacity=capacity, lease_s=1e9, tick_lease_s=1e9, notice_s=1e9)
-        order = WorldSpec(town="x", config_json=config.model_dump_json(), seed=1, rules=rules, endpoint="", ring="")
+        order = WorldSpec(town="x", config=config, seed=1, rules=rules, endpoint="", ring=str(work))
         world = FakeWorld(WorldOrder(town="x", config=config, seed=1), (None,) * capacity, 1)
-        ring = RingSink(work / "ring", capacity, pictures_of(config.cameras))
         self.core = ServerCore(rules)
         self.doors = _Doors()
         self._lifelines = Lifelines()
-        hosted = _Hosted(order=order, core=self.core, world=world, keep=lambda record: None, ring=ring)
-        self.loop = _ServerLoop(hosted, self.doors, self._lifelines, Reporter(-1))  # type: ignore[arg-type]
+        opened = Opened(world=world, core=self.core, journal=None)
+        self.loop = _ServerLoop(order, opened, self.doors, self._lifelines, Reporter(-1))  # type: ignore[arg-type]
         self.world = world
         self._said = 0
         self.say(HONEST, m.encode(_honest_join()))

@@ -13,7 +13,7 @@ from tests.attack.peers.messages import Besieged, field_cases
 from tests.attack.peers.wire import shapes, unbounded
 from wcsim.server.protocol import messages as m
 
-KINDS = m._travelling()
+KINDS = (*m.Request.__args__, *m.Reply.__args__)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

@@ -18,7 +18,7 @@ from wcsim.core.files import locked, write_json
 from wcsim.core.plugins import find_class
 from wcsim.errors import ConfigError, PolicyError, WcsimError
 from wcsim.log.records import Header, changed, header_bytes, header_of
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import ClientSpec, RunInfo, SeatRequest
@@ -122,7 +122,7 @@ def test_a_clients_folder_with_work_and_no_manifest_is_kept(tmp_path: Path) -> N
     kept.mkdir(parents=True)
     join = SeatRequest(endpoint="ipc:///nowhere/x", name="patch", claim="c")
     order = ClientSpec(
-        config_json=quick_config().model_dump_json(),
+        config=quick_config(),
         out=str(tmp_path / "patch"),
         info=RunInfo(seed=1, town="helsinki"),
         join=join,
@@ -154,7 +154,7 @@ def test_a_key_that_was_taken_back_is_not_heard_through_an_old_connection(tmp_pa
     rules = Rules(capacity=2, expected=1, notice_s=60.0)
     with Server(stand_in_order(tmp_path, rules=rules, listen="tcp://127.0.0.1:*", keys=str(keys)), tmp_path) as server:
         network = server.status().listening
-        with open_seat(server.seat("honest")) as honest, Attacker(network, keys, "ben") as ben:
+        with SocketSeat(server.seat("honest")) as honest, Attacker(network, keys, "ben") as ben:
             seen = honest.join()
             assert refusal(ben.say(m.Beat(b"x" * 16, 0))).error == "StaleSessionError"
             (keys / "clients" / "ben.public").unlink()

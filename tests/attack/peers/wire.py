@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ from msgspec import inspect
 
 from wcsim.server.protocol import messages as m
 
-Path = tuple[int, ...]  # of indices into nested arrays
+Path = tuple[int | str, ...]  # of indices into nested arrays, and of keys
 
 _INTEGERS = (-1, 0, 1, 2, 64, 1 << 31, (1 << 53) + 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1, -(1 << 63))
 _FLOATS = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1.0001, -1.0001, 5e-324, 1e13, -3.0)
@@ -30,6 +31,7 @@ _ENDLESS = (
     msgspec.Raw(b"\x91" * 3000 + b"\xc0"),
 )
 _OTHERS = (None, True, [], {}, [[]], {"a": 1}, ["Leave", b"\0" * 16], [None] * 65, [0] * 5000, _BROKEN_TEXT, *_ENDLESS)
+_SIZES = {"q_WB": 4, "wheel_radps": 2}  # of arrays, where not 3
 NASTY: tuple[Any, ...] = (*_INTEGERS, *_FLOATS, *_TEXTS, *_BYTES, *_OTHERS)
 
 
@@ -45,9 +47,9 @@ class Shape:
 
 def shapes() -> tuple[Shape, ...]:
     """All kinds of messages."""
-    requests = {kind.__name__ for kind in m.Request.__args__} | {"PackedJoin"}
+    requests = {kind.__name__ for kind in m.Request.__args__}
     found = []
-    for kind in m._travelling():
+    for kind in (*m.Request.__args__, *m.Reply.__args__):
         info = inspect.type_info(kind)
         sound = sound_value(info)
         found.append(
@@ -62,6 +64,8 @@ def sound_value(info: inspect.Type, depth: int = 0) -> Any:
         case inspect.StructType():
             tag = [] if info.tag is None else [info.tag]
             return [*tag, *(sound_value(field.type, depth + 1) for field in info.fields)]
+        case inspect.DataclassType():
+            return {field.name: _sound_field(field, depth + 1) for field in info.fields}
         case inspect.IntType() | inspect.FloatType():
             return max(0, info.ge or 0)
         case inspect.StrType():
@@ -82,10 +86,19 @@ def sound_value(info: inspect.Type, depth: int = 0) -> Any:
     raise AssertionError(f"no sound value is known for {info}; teach it here")
 
 
+def _sound_field(field: inspect.Field, depth: int) -> Any:
+    """A value for a field of a dataclass; of an array a row of zeros, or a picture without pixels."""
+    if field.name in ("depth_m", "class_id"):
+        return [[0, 0], b""]
+    if isinstance(field.type, inspect.CustomType):
+        return bytes(8 * _SIZES.get(field.name, 3))
+    return sound_value(field.type, depth)
+
+
 def unbounded(info: inspect.Type, where: str, seen: frozenset[type] = frozenset()) -> Iterator[str]:
     """The places in a type that a peer may fill without limit."""
     match info:
-        case inspect.StructType():
+        case inspect.StructType() | inspect.DataclassType():
             if info.cls in seen:
                 return
             for field in info.fields:
@@ -106,8 +119,8 @@ def unbounded(info: inspect.Type, where: str, seen: frozenset[type] = frozenset(
         case inspect.UnionType():
             for item in info.types:
                 yield from unbounded(item, where, seen)
-        case inspect.BoolType() | inspect.LiteralType() | inspect.NoneType():
-            return
+        case inspect.BoolType() | inspect.LiteralType() | inspect.NoneType() | inspect.CustomType():
+            return  # an array is as long as its bytes, which the message bounds; the codec knows its shape
         case _:
             yield f"{where} ({type(info).__name__})"
 
@@ -140,24 +153,23 @@ def each_field(shape: Shape) -> Iterator[tuple[Path, Any, bytes]]:
             yield place, value, msgspec.msgpack.encode(message)
 
 
-def _places(value: list[Any], above: Path = ()) -> Iterator[Path]:
+def _places(value: list[Any] | dict[str, Any], above: Path = ()) -> Iterator[Path]:
     """Where the fields are; the tag is one of them."""
-    for index, item in enumerate(value):
+    for index, item in value.items() if isinstance(value, dict) else enumerate(value):
         yield (*above, index)
-        if isinstance(item, list):
+        if isinstance(item, list | dict):
             yield from _places(item, (*above, index))
 
 
 def _copied(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _copied(item) for key, item in value.items()}
     return [_copied(item) for item in value] if isinstance(value, list) else value
 
 
-def _put(message: list[Any], place: Sequence[int], value: Any) -> None:
+def _put(message: Any, place: Path, value: Any) -> None:
     *above, last = place
-    for index in above:
-        inner = message[index] if index < len(message) else None
-        if not isinstance(inner, list):
-            return
-        message = inner
-    if last < len(message):
+    with contextlib.suppress(LookupError, TypeError):  # what was there is spoilt already
+        for index in above:
+            message = message[index]
         message[last] = _copied(value)

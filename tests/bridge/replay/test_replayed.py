@@ -19,7 +19,7 @@ from wcsim.log.reader import log_digest, read_header, read_states
 from wcsim.log.records import Admitted, Dismissed, Ended, EpochBegun, Header, Respawned, Ticked, changed, ticked
 from wcsim.log.writer import LogWriter
 from wcsim.server.host.recovery import kept_of, rebuild_world
-from wcsim.server.protocol.barrier import Kept
+from wcsim.server.protocol.members import Member
 from wcsim.towns.scenario.town import find_town, towns_hash
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 
@@ -38,7 +38,7 @@ def records(run):
     return read_whole(run / "journal").records
 
 
-def made_again(journal: Path) -> tuple[World, tuple[Kept, ...]]:
+def made_again(journal: Path) -> tuple[World, tuple[Member, ...]]:
     return rebuild_world(journal, worlds_of(read_header(journal)))
 
 

@@ -23,7 +23,7 @@ from wcsim.server.host.epoch_cap import EPOCH_OVER, SETTLED_TICKS, EpochCap
 from wcsim.server.host.recovery import epoch_seed, open_server
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import iter_ledger
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -32,8 +32,8 @@ CAP, TICKS = 20, 47
 
 def capped(folder, **changes):
     """A stand-in whose epochs end after CAP ticks."""
-    config = resolve(quick_config(), (f"world.epoch_ticks={CAP}",)).model_dump_json()
-    order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, config_json=config, **changes)
+    config = resolve(quick_config(), (f"world.epoch_ticks={CAP}",))
+    order = stand_in_order(folder, run=str(folder / "run"), rules=BOTH, config=config, **changes)
     return replace(order, epoch_ticks=CAP)
 
 
@@ -54,7 +54,7 @@ def driven(folder, ticks):
     folder.mkdir()
     codes, over = [], threading.Event()
     with Server(capped(folder), folder) as server, ExitStack() as held:
-        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, folder)]
+        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, folder)]
         server.status()
         keeper = threading.Thread(target=kept_up, args=(server, codes, over))
         keeper.start()
@@ -133,7 +133,7 @@ def test_a_world_that_ended_while_it_was_made_leaves_its_epoch_to_the_next_one(t
 
 def test_who_leaves_at_the_last_tick_of_an_epoch_is_not_waited_for_in_the_next_one(tmp_path):
     with Server(capped(tmp_path), tmp_path) as server, ExitStack() as held:
-        a, b = (held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path))
+        a, b = (held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path))
         driven_through([a, b], CAP)
         b.close()
         a.send(CAP, AHEAD)

@@ -23,7 +23,7 @@ from wcsim.server.host.process import main
 from wcsim.server.host.recovery import ALIVE_EVERY
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.ledger import audit, iter_ledger
-from wcsim.server.links.socket import open_seat
+from wcsim.server.links.socket import SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import to_line
@@ -56,7 +56,7 @@ def drive_through(link, ticks=30):
 def test_a_world_that_is_killed_comes_back_and_no_step_is_lost_or_doubled(tmp_path, recovery, restarts):
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery=recovery)
     with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
         server.status()
         assert [seen.tick for seen in driven(links, 20)] == [20, 20]
         server.kill()
@@ -77,7 +77,7 @@ def test_a_world_that_is_made_again_says_now_and_then_that_it_lives(tmp_path):
     """Whoever started it ends one that is silent."""
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"), recovery="replay")
     ticks, heard = 6 * ALIVE_EVERY, []
-    with Server(order, tmp_path) as server, open_seat(server.seat("a")) as a:
+    with Server(order, tmp_path) as server, SocketSeat(server.seat("a")) as a:
         driven([a], ticks)
         server.kill()
         server.start()
@@ -89,7 +89,7 @@ def test_a_world_that_is_made_again_says_now_and_then_that_it_lives(tmp_path):
 def test_a_real_world_is_made_again_to_the_bit(tmp_path, corner):
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"), rules=BOTH, recovery="replay", town=str(corner))
     with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
         server.status()
         driven(links, 15)
         server.kill()
@@ -107,7 +107,7 @@ def test_a_real_world_is_made_again_to_the_bit(tmp_path, corner):
 def test_a_world_that_was_stopped_gives_nobody_up(tmp_path):
     order = stand_in_order(tmp_path, rules=replace(BOTH, lease_s=4.0))
     with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
         driven(links, 3)
         server.process.send_signal(signal.SIGSTOP)
         time.sleep(6.0)
@@ -118,7 +118,7 @@ def test_a_world_that_was_stopped_gives_nobody_up(tmp_path):
 def test_a_client_that_hangs_is_given_up_and_the_other_goes_on(tmp_path):
     order = stand_in_order(tmp_path, rules=replace(BOTH, lease_s=4.0))
     with Server(order, tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(open_seat(seat)) for seat in two_seats(server, tmp_path)]
+        links = [held.enter_context(SocketSeat(seat)) for seat in two_seats(server, tmp_path)]
         joined(links)
         assert links[1].act(0, AHEAD).tick == 1
         with pytest.raises(LinkError, match="no sign of progress"):
@@ -142,7 +142,7 @@ def test_a_client_that_is_killed_does_not_stop_the_other(tmp_path, victim):
 
 def test_it_ends_when_it_is_asked_to_and_says_goodbye(tmp_path):
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
-    with Server(order, tmp_path) as server, open_seat(server.seat("a")) as a:
+    with Server(order, tmp_path) as server, SocketSeat(server.seat("a")) as a:
         driven([a], 5)
         assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o700
         assert stat.S_IMODE((tmp_path / "s" / "world").stat().st_mode) == 0o600
@@ -170,7 +170,7 @@ def test_a_full_disk_ends_it_with_a_word_to_everybody(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, 1 << 16))
 
     order = stand_in_order(tmp_path, run=str(tmp_path / "run"))
-    with Server(order, tmp_path, little_room) as server, open_seat(server.seat("a")) as a:
+    with Server(order, tmp_path, little_room) as server, SocketSeat(server.seat("a")) as a:
         a.join()
         with pytest.raises(DiskFullError, match="make room"):
             for tick in range(2000):
@@ -225,12 +225,12 @@ def test_clients_of_other_machines_need_a_key_that_the_server_knows(tmp_path):
     with Server(order, tmp_path) as server:
         far = server.seat("far", endpoint=server.status().listening)
         for folder, told in ((stranger, "does not know the public key"), (mistaken, "is not that of this server")):
-            with open_seat(replace(far, keys=str(folder))) as link, pytest.raises(AccessError, match=told) as refused:
+            with SocketSeat(replace(far, keys=str(folder))) as link, pytest.raises(AccessError, match=told) as refused:
                 link.join()
             assert f"{folder}" in str(refused.value) and "code" not in str(refused.value)
-        with open_seat(far) as link, pytest.raises(AccessError, match=r"needs a key; .*--keys FOLDER"):
+        with SocketSeat(far) as link, pytest.raises(AccessError, match=r"needs a key; .*--keys FOLDER"):
             link.join()  # no keys at all
-        with open_seat(replace(far, keys=str(keys))) as far_link, open_seat(server.seat("near")) as near:
+        with SocketSeat(replace(far, keys=str(keys))) as far_link, SocketSeat(server.seat("near")) as near:
             frames = driven([far_link, near], 5)
             assert [seen.tick for seen in frames] == [5, 5]
             pictures = [seen.sensors.cameras[0].depth_m for seen in frames]
@@ -255,15 +255,15 @@ def test_addresses_of_ipv6_can_be_listened_at_and_joined(tmp_path):
     with Server(stand_in_order(tmp_path, listen="tcp://[::1]:*", keys=str(keys)), tmp_path) as server:
         address = server.status().listening
         assert address.startswith("tcp://[::1]:")
-        with open_seat(server.seat("far", endpoint=address, keys=str(keys))) as link:
+        with SocketSeat(server.seat("far", endpoint=address, keys=str(keys))) as link:
             assert driven([link], 2)[0].tick == 2
 
 
 def test_the_server_tells_its_clients_what_world_it_is(tmp_path):
-    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
         told: list[m.Welcome] = []
         a._welcomed = lambda welcome, then=a._welcomed: (told.append(welcome), then(welcome))
         a.join()
-    assert (told[0].town, told[0].config_json) == ("nowhere", server.order.config_json)
+    assert (told[0].town, told[0].config_json) == ("nowhere", server.order.config.model_dump_json())
     assert Path(told[0].ring).name == "seat-0"
     assert to_line(server.order)

@@ -6,13 +6,13 @@ import sys
 from pathlib import Path
 
 from benchmarks.soak.stub_client import read_sights
-from tests.server.servers import STAND_IN, OtherWorlds
+from tests.server.servers import STAND_IN
 from tests.support.worlds import quick_config
 from wcsim.log.reader import iter_inputs
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchState
-from wcsim.server.ledger import audit, iter_ledger, ledger_facts
+from wcsim.server.ledger import audits, iter_ledger
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldSpec, to_line
 from wcsim.server.transport.world_folder import endpoint_in, workplace
@@ -43,11 +43,10 @@ def plan(place: Path, folder: Path, seat: int) -> ClientPlan:
 
 def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path):
     states: list[LaunchState] = []
-    worlds = OtherWorlds(sys.executable, "-m", STAND_IN)
     with workplace() as place:
         order = WorldSpec(
             town="",
-            config_json=quick_config().model_dump_json(),
+            config=quick_config(),
             seed=1,
             rules=Rules(capacity=6, expected=6),
             endpoint=endpoint_in(place),
@@ -55,15 +54,15 @@ def test_all_step_at_its_pace_nobody_loses_a_tick_and_it_is_named(tmp_path: Path
             run=str(tmp_path),
         )
         plans = [plan(place, tmp_path, seat) for seat in range(6)]
-        outcome = Launcher(order, plans, tmp_path, place, show=states.append, spawner=worlds).run()
+        argv = (sys.executable, "-m", STAND_IN)
+        outcome = Launcher(order, plans, tmp_path, place, show=states.append, world_argv=argv).run()
     assert outcome.code == 0, outcome.message
     ledgers = [(seat, tuple(iter_ledger(tmp_path / f"c{seat}.ledger"))) for seat in range(6)]
-    for _, entries in ledgers:
-        facts = ledger_facts(entries)
-        assert (facts.first_tick, facts.last_tick, facts.ticks) == (0, STEPS, STEPS)
-        assert (facts.missing, facts.doubled) == (0, 0)
-    told = audit(iter_inputs(tmp_path / JOURNAL), ledgers)
-    assert (told.ticks, told.lost, told.doubled, told.phantom) == (STEPS, 0, 0, 0)
+    ticks, each = audits(iter_inputs(tmp_path / JOURNAL), ledgers)
+    assert ticks == STEPS
+    for told in each:
+        assert (told.first_tick, told.last_tick, told.steps) == (0, STEPS, STEPS)
+        assert (told.missing, told.lost, told.doubled, told.phantom) == (0, 0, 0, 0)
     for seat in range(6):
         times_s = [sight.time_s for sight in read_sights(tmp_path / f"c{seat}.sights")]
         assert (times_s[-1] - times_s[0]) / STEPS >= 1e-3 * 10.0 * THINK_MS

@@ -9,11 +9,11 @@ from tests.support.worlds import quick_config
 from wcsim.log.records import Admitted
 from wcsim.server.host.world_host import WorldHost, sealed
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Received, Rules
+from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder
-from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of
+from wcsim.server.transport.shared_images import RingSink, RingView
 from wcsim.types import Command, Joystick, SeatSpec
 
 
@@ -38,8 +38,8 @@ def test_pictures_of_a_recovered_world_lie_where_its_clients_look_for_them(tmp_p
     world = stand_in(SeatSpec(), SeatSpec())
     for _ in range(3):
         world.tick([Command(seat=s, tick=world.snapshot.tick, joystick=Joystick(0.1, 0.5)) for s in (0, 1)])
-    kept = [Kept(seat=seat, name="", spec=SeatSpec(), life=0) for seat in (0, 1)]
-    ring = RingSink(tmp_path, 2, pictures_of(quick_config().cameras))
+    kept = [Member(seat=seat, name="", spec=SeatSpec(), life=0) for seat in (0, 1)]
+    ring = RingSink(tmp_path, 2, quick_config().cameras)
     core = ServerCore(Rules(capacity=2), 0, 3, kept)
     WorldHost(core, world, lambda peer, message: None, sink=ring)
     for client in world.snapshot.clients:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -14,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.server.servers import OtherWorlds
 from tests.support.events import read_events
+from wcsim.config import RunConfig
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientPlan, LaunchRules, RestartRules
-from wcsim.server.launch.supervised import MOST_LEFT_ALONE, WORLD_ARGV
+from wcsim.server.launch.supervised import MOST_LEFT_ALONE
 from wcsim.server.protocol.events import Rules
-from wcsim.server.specs import ClientStatus, WorldSpec, WorldStatus, to_line
+from wcsim.server.specs import WorldSpec
 from wcsim.server.transport.world_folder import endpoint_in, workplace
 
 STUB = (sys.executable, "-I", "-S", str(Path(__file__).parent / "launch_stubs.py"))
@@ -37,13 +36,23 @@ QUICK = LaunchRules(
 )
 
 
-def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, orders=False, spawner=None, listen=""):
+def launcher(
+    folder,
+    clients,
+    world="",
+    members=None,
+    show=None,
+    rules=QUICK,
+    orders=False,
+    world_argv=(*STUB, "world"),
+    listen="",
+):
     """A launcher of stubs; `clients` maps names to their words."""
     place = folder / "place"
     place.mkdir(parents=True, mode=0o700)
     order = WorldSpec(
         town="",
-        config_json="{}",
+        config=RunConfig(),
         seed=0,
         rules=Rules(capacity=4),
         endpoint=endpoint_in(place),
@@ -65,7 +74,7 @@ def launcher(folder, clients, world="", members=None, show=None, rules=QUICK, or
         )
         for seat, (name, words) in enumerate(clients.items())
     ]
-    return Launcher(order, plans, folder, place, rules, show, spawner or OtherWorlds(*STUB, "world"))
+    return Launcher(order, plans, folder, place, rules, show, world_argv=world_argv)
 
 
 def counted(folder, event):
@@ -238,83 +247,6 @@ def test_orders_are_there_again_when_somebody_removed_them(tmp_path):
     assert outcome.code == 0, outcome.message
     assert counted(tmp_path, "place lost") == ["world"]
     assert counted(tmp_path, "restart").count("world") == 1
-
-
-# --- another spawner ---
-
-
-class Elsewhere:
-    """A process that is none of this machine: its handle plays it, and can only be polled."""
-
-    end_fd = None
-
-    def __init__(self, pid, looks, code):
-        self.pid, self._looks, self._code = pid, looks, code
-        self.asked = []
-
-    def poll(self):
-        """It ends by itself after so many looks."""
-        self._looks -= 1
-        return None if self._looks > 0 else self._code
-
-    def terminate(self):
-        """It does what it is asked."""
-        self.asked.append("terminate")
-        self._looks = 0
-
-    def wait_no_more(self):
-        """It waits for nobody."""
-        self.asked.append("wait no more")
-
-    def kill(self):
-        """It ends at once."""
-        self.asked.append("kill")
-        self._looks, self._code = 0, -9
-
-    def wait(self):
-        """It is gone."""
-        return self._code
-
-
-class SpawnsElsewhere:
-    """Says at the start all that its processes have to say; the first client of all dies."""
-
-    def __init__(self, deaf=False):
-        self.started, self._deaf = [], deaf
-
-    def start(self, argv, env, log, status_fd):
-        """See `Spawner`."""
-        client = "--status-fd" in argv
-        assert not client or argv[argv.index("--status-fd") + 1] == str(status_fd)
-        said = ClientStatus(name="a", step=5) if client else WorldStatus(stage="ticking", ticks=20, members=("a",))
-        os.write(status_fd, to_line(said))
-        again = any("--resume" in words for words, _ in self.started) or "--resume" in argv
-        looks, code = (3, 0 if again else -9) if client and not self._deaf else (10**9, 0)
-        self.started.append((tuple(argv), Elsewhere(100 + len(self.started), looks, code)))
-        return self.started[-1][1]
-
-
-def test_another_spawner_can_take_the_place_of_subprocess(tmp_path):
-    spawner = SpawnsElsewhere()
-    outcome = launcher(tmp_path, {"a": ""}, spawner=spawner).run()
-    assert (outcome.code, outcome.message, standings(outcome)) == (0, "", {"a": "done"})
-    (world_argv, world), (first, _), (second, last) = spawner.started
-    assert world_argv[: len(WORLD_ARGV)] == WORLD_ARGV
-    assert "--resume" not in first and "--resume" in second
-    assert (world.asked, last.asked) == (["terminate"], [])
-    happened = [(line["event"], line["who"]) for line in read_events(tmp_path)]
-    lives = [("start", "a"), ("death", "a"), ("restart", "a"), ("recovery", "a"), ("done", "a")]
-    assert happened == [("start", "world"), *lives, ("end", "world")]
-    assert [line["pid"] for line in read_events(tmp_path) if "start" in line["event"]] == [100, 101, 102]
-
-
-def test_a_process_elsewhere_that_falls_silent_is_killed_through_its_handle(tmp_path):
-    spawner = SpawnsElsewhere(deaf=True)
-    rules = replace(QUICK, world_lease_s=0.3, world=RestartRules(first_s=0.01, longest_s=0.01, deaths=2))
-    outcome = launcher(tmp_path, {"a": ""}, spawner=spawner, rules=rules).run()
-    assert outcome.code == 1 and "died 2 times" in outcome.message
-    worlds = [process for argv, process in spawner.started if argv[: len(WORLD_ARGV)] == WORLD_ARGV]
-    assert [process.asked for process in worlds] == [["kill"], ["kill"]]
 
 
 # --- signals, in a process of its own ---

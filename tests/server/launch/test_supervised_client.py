@@ -6,12 +6,13 @@ import selectors
 
 import pytest
 
-from tests.server.launch.test_launcher import SpawnsElsewhere
+from tests.support.events import read_events
 from wcsim.server.launch.event_log import RunLog
 from wcsim.server.launch.states import ClientPlan, LaunchRules
 from wcsim.server.launch.supervised import SupervisedClient
 from wcsim.server.specs import WorldStatus
 
+SILENT = ("sh", "-c", "sleep 1000")
 LEASE_S, JOINING_S = 30.0, 600.0
 RULES = LaunchRules(client_lease_s=LEASE_S, joining_s=JOINING_S)
 
@@ -21,9 +22,9 @@ def ended(tmp_path):
     """Tells whether a client is ended that sees these worlds, each for so many seconds."""
 
     def is_ended(*worlds):
-        spawner, selector = SpawnsElsewhere(deaf=True), selectors.DefaultSelector()
-        plan = ClientPlan(name="a", seat=0, argv=("client",), log=tmp_path / "log", folder=tmp_path)
-        client = SupervisedClient(plan, RULES, selector, spawner, RunLog(tmp_path))
+        selector = selectors.DefaultSelector()
+        plan = ClientPlan(name="a", seat=0, argv=SILENT, log=tmp_path / "log", folder=tmp_path)
+        client = SupervisedClient(plan, RULES, selector, RunLog(tmp_path))
         client.start(0.0)
         now_s = 0.0
         for world, lasts_s in worlds:
@@ -31,10 +32,9 @@ def ended(tmp_path):
                 client.see(world)
                 client.look(now_s)
                 now_s += 1.0
-        asked = spawner.started[0][1].asked.copy()  # before it is closed, which ends it, too
         client.close()
         selector.close()
-        return "kill" in asked
+        return any(line["event"] == "hang" for line in read_events(tmp_path))
 
     return is_ended
 

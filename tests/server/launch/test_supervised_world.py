@@ -3,43 +3,33 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 
 from tests.server.launch.test_launcher import STUB, launcher
-from tests.server.servers import OtherWorlds
 from wcsim.log.records import EpochBegun, Header, ticked
 from wcsim.log.writer import JOURNAL, LogWriter
-from wcsim.server.launch.supervised import WORLD_ARGV
 
 
-class OrdersSeen(OtherWorlds):
-    """Keeps what each world is told of who comes to it."""
-
-    def __init__(self):
-        super().__init__(*STUB, "world")
-        self.begins, self.listens = [], []
-
-    def start(self, argv, env, log, status_fd):
-        if tuple(argv[: len(WORLD_ARGV)]) == WORLD_ARGV:
-            order = json.loads(Path(argv[-1]).read_text())
-            self.begins.append(order["begins"])
-            self.listens.append(order["listen"])
-        return super().start(argv, env, log, status_fd)
+def orders_of(folder: Path, words: str, key: str, listen: str = "") -> list[object]:
+    """What a launch with these worlds told each of them under a key; all goes well."""
+    seen = folder / "orders"
+    argv = ("sh", "-c", f'cat "$0" >> "{seen}"; exec {shlex.join((*STUB, "world"))} "$0"')
+    outcome = launcher(folder, {"a": "steps=300"}, world=words, world_argv=argv, listen=listen).run()
+    assert outcome.code == 0, outcome.message
+    return [json.loads(line)[key] for line in seen.read_text().splitlines()]
 
 
 def test_worlds_know_that_clients_have_yet_to_load_until_one_of_them_was_there(tmp_path):
-    seen = OrdersSeen()
     words = "die=0x2 die=30x3"  # two lives end before they say that they are loaded, and one later
-    outcome = launcher(tmp_path, {"a": "steps=300"}, world=words, spawner=seen).run()
-    assert (outcome.code, seen.begins) == (0, [True, True, True, False])
+    assert orders_of(tmp_path, words, "begins") == [True, True, True, False]
 
 
 def test_a_world_that_comes_back_listens_where_the_one_before_did(tmp_path):
     """Its clients on other machines know no other port than the one that was found for the first."""
-    seen = OrdersSeen()
     words = "die=20x1 exit5=40x2"  # one life dies, one ends with its epoch
-    outcome = launcher(tmp_path, {"a": "steps=300"}, world=words, spawner=seen, listen="tcp://127.0.0.1:*").run()
-    assert (outcome.code, seen.listens) == (0, ["tcp://127.0.0.1:*", "tcp://127.0.0.1:5001", "tcp://127.0.0.1:5001"])
+    found = "tcp://127.0.0.1:5001"
+    assert orders_of(tmp_path, words, "listen", "tcp://127.0.0.1:*") == ["tcp://127.0.0.1:*", found, found]
 
 
 def test_where_a_world_died_that_never_came_up_is_read_from_its_journal(tmp_path):

@@ -34,7 +34,7 @@ from wcsim.errors import (
 from wcsim.server.links import base
 from wcsim.server.links.base import Seat, WorldLink
 from wcsim.server.links.local import LocalGroup
-from wcsim.server.links.socket import ProcessGroup, open_seat
+from wcsim.server.links.socket import ProcessGroup, SocketSeat
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.client_core import Ask, ClientCore, Patience
 from wcsim.server.protocol.events import Rules
@@ -79,7 +79,7 @@ def over_tcp(corner, folder, keys: str) -> Iterator[WorldLink]:
     """A seat for a client on another machine."""
     world = WorldSpec(
         town=str(corner),
-        config_json=CONFIG.model_dump_json(),
+        config=CONFIG,
         seed=SEED,
         rules=Rules(capacity=1),
         endpoint=f"ipc://{folder}/s/world",
@@ -89,7 +89,7 @@ def over_tcp(corner, folder, keys: str) -> Iterator[WorldLink]:
     )
     with Server(world, folder) as server:
         address = server.status().listening
-        with open_seat(SeatRequest(endpoint=address, name="far", claim="x", spec=SPEC, keys=keys)) as link:
+        with SocketSeat(SeatRequest(endpoint=address, name="far", claim="x", spec=SPEC, keys=keys)) as link:
             yield link
 
 
@@ -190,8 +190,8 @@ def arrived(link):
 
 
 def test_two_clients_step_together_and_one_that_leaves_does_not_stop_the_other(hall):
-    with open_seat(hall.seat("a")) as a:
-        with open_seat(hall.seat("b")) as b:
+    with SocketSeat(hall.seat("a")) as a:
+        with SocketSeat(hall.seat("b")) as b:
             here = b.join().tick
             arrived(a)  # who comes later gets in after the next tick
             assert b.act(here, AHEAD).tick == a.receive().tick == here + 1
@@ -202,24 +202,24 @@ def test_two_clients_step_together_and_one_that_leaves_does_not_stop_the_other(h
 
 
 def test_who_does_not_fit_hears_why(hall):
-    with open_seat(hall.seat("a", seat=1)) as a:
+    with SocketSeat(hall.seat("a", seat=1)) as a:
         a.join()
-        with open_seat(hall.seat("b", seat=1)) as b, pytest.raises(SeatTakenError, match="seat 1 belongs to a"):
+        with SocketSeat(hall.seat("b", seat=1)) as b, pytest.raises(SeatTakenError, match="seat 1 belongs to a"):
             b.join()
-        with open_seat(hall.seat("c", seat=7)) as c, pytest.raises(SeatTakenError, match="0 to 2"):
+        with SocketSeat(hall.seat("c", seat=7)) as c, pytest.raises(SeatTakenError, match="0 to 2"):
             c.join()
-        with open_seat(hall.seat("d", config="xyz")) as d, pytest.raises(ConfigMismatchError, match=r"xyz.*abc"):
+        with SocketSeat(hall.seat("d", config="xyz")) as d, pytest.raises(ConfigMismatchError, match=r"xyz.*abc"):
             d.join()
-        with open_seat(hall.seat("e", config="abc")) as e, open_seat(hall.seat("f")) as f:
+        with SocketSeat(hall.seat("e", config="abc")) as e, SocketSeat(hall.seat("f")) as f:
             arrived(e)
             arrived(f)
-            with open_seat(hall.seat("g")) as g, pytest.raises(WorldFullError, match="all 3 seats"):
+            with SocketSeat(hall.seat("g")) as g, pytest.raises(WorldFullError, match="all 3 seats"):
                 g.join()
 
 
 def test_another_version_is_named(hall, monkeypatch):
     monkeypatch.setattr(m, "PROTOCOL", 99)
-    with open_seat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 6"):
+    with SocketSeat(hall.seat("a")) as a, pytest.raises(VersionMismatchError, match=r"protocol 99.*server has 7"):
         a.join()
 
 
@@ -227,14 +227,14 @@ def test_nobody_there_is_said_in_time(tmp_path):
     order = SeatRequest(
         endpoint=f"ipc://{tmp_path}/nobody", name="a", claim="a", patience=replace(QUICK, reconnect_s=0.5)
     )
-    with open_seat(order) as a, pytest.raises(ServerGoneError, match="is it running"):
+    with SocketSeat(order) as a, pytest.raises(ServerGoneError, match="is it running"):
         a.join()
 
 
 @pytest.mark.parametrize("works", [False, True])
 def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(tmp_path, works):
     """Also one that learns while it waits, in whose stead another thread listens."""
-    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
         a.join()
         server.kill()
         a.send(0, AHEAD)
@@ -248,7 +248,7 @@ def test_a_client_that_is_to_end_does_not_wait_for_a_world_that_does_not_answer(
 
 def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, monkeypatch):
     monkeypatch.setattr("wcsim.server.links.base.LEAVING_S", 0.5)
-    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
         a.join()
         a.wait_less()
         assert a.act(0, AHEAD).tick == 1, "one that answers is waited for"
@@ -259,7 +259,7 @@ def test_a_client_that_is_asked_to_end_gives_up_a_silent_world_sooner(tmp_path, 
 
 
 def test_a_client_that_is_to_end_takes_an_answer_that_is_there(tmp_path):
-    with Server(stand_in_order(tmp_path), tmp_path) as server, open_seat(server.seat("a")) as a:
+    with Server(stand_in_order(tmp_path), tmp_path) as server, SocketSeat(server.seat("a")) as a:
         a.join()
         a.wait_no_more()
         assert a.core.master and not a.core.waiting
@@ -287,7 +287,7 @@ def test_a_world_of_this_machine_that_dies_in_the_handshake_has_refused_nobody(t
         request = SeatRequest(
             endpoint=f"ipc://{tmp_path}/world", name="a", claim="a", patience=Patience(resend_s=0.2, reconnect_s=1.5)
         )
-        with open_seat(request) as link, pytest.raises(ServerGoneError):
+        with SocketSeat(request) as link, pytest.raises(ServerGoneError):
             link.join()
         door.shutdown(socket.SHUT_RDWR)
         greeter.join()
@@ -298,7 +298,7 @@ def test_work_between_send_and_receive_is_done_while_the_master_ticks(tmp_path):
     """The master works longer than the others wait for word of it, and its world has gone on all the same."""
     rules = Rules(capacity=2, expected=2, gather_s=60.0, notice_s=0.2)
     with Server(stand_in_order(tmp_path, rules=rules), tmp_path) as server, ExitStack() as held:
-        links = [held.enter_context(open_seat(server.seat(name, seat=k))) for k, name in enumerate("ab")]
+        links = [held.enter_context(SocketSeat(server.seat(name, seat=k))) for k, name in enumerate("ab")]
         driven(links, 3)
         master, other = links if links[0].master else links[::-1]
         ticked = threading.Event()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Barrier, Kept
+from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.client_core import ClientCore, ClientPhase, Outcome
 from wcsim.server.protocol.events import Rules
 from wcsim.server.protocol.members import Member
@@ -22,7 +22,7 @@ class UncheckedTick(ServerCore):
 class NoLease(ServerCore):
     """Waits for ever."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Kept] = ()) -> None:
+    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
         super().__init__(rules, epoch, tick, kept)
         self.cycle.__class__ = _Patient
 
@@ -36,7 +36,7 @@ class _Patient(Barrier):
 class NoPromotion(ServerCore):
     """A world whose master is gone has none."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Kept] = ()) -> None:
+    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
         super().__init__(rules, epoch, tick, kept)
         self.cycle.__class__ = _Headless
 
@@ -49,7 +49,7 @@ class _Headless(Barrier):
 class NotLookedAtAgain(ServerCore):
     """A barrier that became full because somebody went is not noticed."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Kept] = ()) -> None:
+    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
         super().__init__(rules, epoch, tick, kept)
         self.cycle.__class__ = _Absent
 

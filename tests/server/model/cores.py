@@ -9,9 +9,9 @@ from collections.abc import Callable, Hashable
 
 from tests.server.model.scope import Scope, Violation
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.client_core import Ask, ClientCore, Failed, Outcome, Patience
 from wcsim.server.protocol.events import BarrierState, Clock, Effect, Event, Rules
+from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -47,7 +47,7 @@ class Servers:
         self._ids: dict[Hashable, int] = {}
         self._done: dict[Hashable, tuple[int, tuple[Effect, ...]]] = {}
 
-    def new(self, epoch: int = 0, tick: int = 0, kept: tuple[Kept, ...] = ()) -> int:
+    def new(self, epoch: int = 0, tick: int = 0, kept: tuple[Member, ...] = ()) -> int:
         """A server that has just begun."""
         return self._number(self._make(self.rules, epoch, tick, kept))
 

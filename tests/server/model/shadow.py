@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from tests.server.model.scope import Violation
-from wcsim.server.protocol.barrier import Kept
+from wcsim.server.protocol.members import Member
 from wcsim.types import Command, SeatSpec
 
 
@@ -72,9 +72,11 @@ class Shadow:
         """One tick on."""
         return self._at(self.epoch, self.tick + 1)
 
-    def kept(self) -> tuple[Kept, ...]:
+    def kept(self) -> tuple[Member, ...]:
         """The seats as they are after an exact recovery."""
-        return tuple(Kept(seat=c.seat, name=c.owner, spec=SeatSpec(), life=c.life, claim=c.claim) for c in self.chairs)
+        return tuple(
+            Member(seat=c.seat, name=c.owner, spec=SeatSpec(), life=c.life, claim=c.claim) for c in self.chairs
+        )
 
     def _at(self, epoch: int, tick: int) -> Shadow:
         return replace(self, epoch=epoch, tick=tick, chairs=tuple(replace(c, life=0) for c in self.chairs))

@@ -4,14 +4,13 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
 from wcsim.errors import LinkClosedError, OverloadedError, ProtocolError, TownError, WcsimError
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.frame_codec import packed, unpacked
-from wcsim.types import Contact, Drawn, Reading, SeatSpec, StartSpec
+from wcsim.server.protocol.frame_codec import unpacked
+from wcsim.types import F32, F64, U8, Contact, Drawn, Reading, SeatSpec, StartSpec
 
 SESSION = bytes(range(16))
 REQUESTS = [
@@ -95,7 +94,9 @@ def ended(corner):
         for _ in range(3):
             client = follow(world).clients[0]
     drawn = Drawn(light=0.5, camera_shift_m=((0.0, 1.0, 2.0),), action_delay_ticks=2, plant=(("a.b", 1.5),))
-    drawn = replace(drawn, attention=(("all", 0.5), ("car", 0.25)), reaction_s=(("bus", 1.5),))
+    drawn = replace(
+        drawn, attention=(("all", 0.5), ("car", 0.25)), reaction_s=(("bus", 1.5),), sensors=(("wheels.noise", 0.5),)
+    )
     touch = Contact(kind="car", part="body", impulse_Ns=3.5, cause="other", actor_id="x")
     assert client.first is not None
     return replace(client, drawn=drawn, contacts=(touch,))
@@ -137,8 +138,7 @@ def test_numbers_arrive_to_the_bit(ended):
 
 def test_pictures_in_shared_memory_do_not_travel(ended):
     inside, outside = m.encode(m.Frame(0, 3, 0, ended, -1)), m.encode(m.Frame(0, 3, 0, ended, 1))
-    assert len(inside) > 24 * 32 * 8
-    assert len(outside) < 4000
+    assert len(inside) - len(outside) > 24 * 32 * 8
     reply = m.decode_reply(outside)
     assert reply.slot == 1
     assert reply.client.sensors.cameras[0].depth_m.size == 0
@@ -146,41 +146,39 @@ def test_pictures_in_shared_memory_do_not_travel(ended):
 
 
 def test_frames_whose_parts_do_not_fit_are_refused(ended):
-    whole = m.encode(m.Frame(0, 3, 0, ended))
-    numbers = ended.plant.p_WB_m.tobytes()
-    at = whole.index(numbers)
-    assert whole[at - 3 : at] == b"\xc5\x01\x00"  # 256 bytes follow
-    with pytest.raises(ProtocolError):
-        m.decode_reply(whole[: at - 3] + b"\xc5\x00\xff" + whole[at + 1 :])
-    depth = ended.sensors.cameras[0].depth_m.tobytes()
-    at = whole.index(depth)
-    with pytest.raises(ProtocolError):
-        m.decode_reply(whole[: at - 3] + b"\xc5\x0b\xff" + whole[at + 1 :])
+    plant, sensors = ended.plant, ended.sensors
+    camera = sensors.cameras[0]
+    pictures = [
+        replace(camera, depth_m=camera.depth_m[:-1]),
+        replace(camera, rgb=camera.rgb[..., 0]),
+        replace(camera, depth_m=np.zeros((1, 2049), np.float32), class_id=np.zeros((1, 2049), np.uint8)),
+    ]
+    spoilt = [replace(ended, sensors=replace(sensors, cameras=(picture,))) for picture in pictures]
+    spoilt += [replace(ended, plant=replace(plant, p_WB_m=array)) for array in (np.zeros(2), np.full(3, np.nan))]
+    spoilt.append(replace(ended, first=replace(ended.first, plant=replace(plant, q_WB=np.zeros(3)))))
+    for client in spoilt:
+        with pytest.raises(ProtocolError):
+            m.decode_reply(m.encode(m.Frame(0, 3, 0, client)))
 
 
-def test_readings_travel_behind_the_numbers_and_a_frame_without_any_is_as_long_as_ever(ended):
-    whole = replace(ended, first=None)
-    bare = m.encode(m.Frame(0, 3, 0, whole))
-    assert len(packed(whole, pictures=False).numbers) == 256
+@pytest.mark.parametrize(("kind", "told"), [(F64, b"abc"), (F64, "a"), (F32, ((2, 3), b"abcd")), (F32, 1), (U8, {})])
+def test_what_is_no_array_is_refused(kind, told):
+    with pytest.raises((TypeError, ValueError)):
+        unpacked(kind, told)
+
+
+def test_readings_travel_with_the_frame(ended):
     said = (Reading(name="beams", values=np.arange(3.0)), Reading(name="wheels", values=np.array([-0.5, 2.0])))
-    told = replace(whole, sensors=replace(whole.sensors, readings=said))
-    got = m.decode_reply(m.encode(m.Frame(0, 3, 0, told)))
-    assert got.client.sensors.readings == said
-    assert m.encode(m.Frame(0, 3, 0, m.decode_reply(bare).client)) == bare
+    told = replace(ended, sensors=replace(ended.sensors, readings=said), first=None)
+    assert m.decode_reply(m.encode(m.Frame(0, 3, 0, told))).client.sensors.readings == said
 
 
 @pytest.mark.parametrize(
-    "tail",
-    [b"?", b"\x90 ", b"\x91\x92\xa1a\xc4\x03abc", b"\x91\x92\xa1 \xc4\x00", b"\x91\x92\xa1a\xc4\x08" + b"\xff" * 8],
-    ids=["no msgpack", "more behind", "no whole number", "a name with a blank", "not finite"],
+    ("name", "values"),
+    [("a b", np.zeros(1)), ("a", np.array([np.inf])), ("a", np.zeros(8193)), ("a", np.zeros((1, 1)))],
 )
-def test_what_is_no_reading_is_refused(ended, tail):
-    sound = packed(replace(ended, first=None), pictures=True)
-    with pytest.raises(ProtocolError, match="reading"):
-        unpacked(msgspec.structs.replace(sound, numbers=sound.numbers + tail))
-
-
-def test_what_was_drawn_for_sensors_travels_apart_from_the_plant(ended):
-    drawn = Drawn(plant=(("a.b", 1.5),), sensors=(("wheels.noise", 0.5),))
-    got = m.decode_reply(m.encode(m.Frame(0, 3, 0, replace(ended, drawn=drawn, first=None))))
-    assert got.client.drawn == drawn
+def test_what_is_no_reading_is_refused(ended, name, values):
+    reading = Reading(name=name, values=values)
+    told = replace(ended, sensors=replace(ended.sensors, readings=(reading,)), first=None)
+    with pytest.raises(ProtocolError):
+        m.decode_reply(m.encode(m.Frame(0, 3, 0, told)))

@@ -12,7 +12,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from tests.server.model.shadow import Shadow
 from tests.server.protocol.desk import Desk, failure, join_of, only, session_of
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import (
     Admit,
     BarrierState,
@@ -31,7 +30,7 @@ from wcsim.server.protocol.events import (
     Stepped,
     Stop,
 )
-from wcsim.server.protocol.members import MOST_LIVES
+from wcsim.server.protocol.members import MOST_LIVES, Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.types import SeatSpec
 
@@ -238,8 +237,8 @@ def test_an_older_life_that_waits_hears_that_it_is_over() -> None:
     assert failure(desk.say(1, join_of(1)))[0] == "EvictedError"
 
 
-def kept(seat: int, claim: bytes = b"") -> Kept:
-    return Kept(seat=seat, name=f"c{seat}", spec=SeatSpec(), life=0, claim=claim)
+def kept(seat: int, claim: bytes = b"") -> Member:
+    return Member(seat=seat, name=f"c{seat}", spec=SeatSpec(), life=0, claim=claim)
 
 
 def test_a_seat_waits_for_its_client_after_a_recovery_on_any_clock() -> None:

@@ -18,14 +18,14 @@ from wcsim.errors import ConfigError, DiskFullError, PicturesError, ProtocolErro
 from wcsim.server.launch.states import ClientExit
 from wcsim.server.protocol import messages as m
 from wcsim.server.specs import WorldOrder
-from wcsim.server.transport.shared_images import RingSink, RingView, pictures_of
+from wcsim.server.transport.shared_images import RingSink, RingView
 from wcsim.server.transport.world_folder import LOCK, RingFolder, remove_stale_rings
 from wcsim.types import Command, Joystick, SeatSpec
 
 ONE = quick_config("cameras.0.rgb=true")
 BACK = CameraConfig(name="back", width_px=20, height_px=17)
 CONFIG = ONE.model_copy(update={"cameras": (*ONE.cameras, BACK)})
-PICTURES = pictures_of(CONFIG.cameras)
+PICTURES = CONFIG.cameras
 
 
 SHORT = (SeatSpec(max_steps=2),)
@@ -140,9 +140,9 @@ def test_no_room_is_said_at_once(tmp_path, monkeypatch):
 
 def test_a_ring_has_the_same_bounds_for_who_writes_and_who_reads_it(tmp_path, monkeypatch):
     camera = CONFIG.cameras[0].model_copy(update={"width_px": 16, "height_px": 12})
-    most = pictures_of((camera,) * 64)
+    most = (camera,) * 64
     assert len(RingView(RingSink(tmp_path, 1, most).path(0)).pictures(0, first=True)) == 64
-    more = pictures_of((camera,) * 65)
+    more = (camera,) * 65
     with pytest.raises(ConfigError, match="65 of them; expected 64 at most"):
         RingSink(tmp_path, 1, more)
     monkeypatch.setattr("wcsim.server.transport.shared_images._fault", lambda pictures: "")

@@ -26,7 +26,7 @@ from wcsim.agents.learning.callbacks import SeqCallback, TrainProgress
 from wcsim.agents.learning.train import train
 from wcsim.agents.networks.registry import find_network
 from wcsim.agents.runs.run_folder import MANIFEST, ResolvedRun
-from wcsim.config import LearnConfig, RunConfig, resolve
+from wcsim.config import LearnConfig, resolve
 from wcsim.errors import (
     AccessError,
     ConfigMismatchError,
@@ -186,8 +186,7 @@ def learn(
         _ProcessGrownError: Another process is to go on.
         WcsimError: See `agents.train.train` and `WheelchairEnv`.
     """
-    config = RunConfig.model_validate_json(order.config_json)
-    config = resolve(config, network_settings(config))
+    config = resolve(order.config, network_settings(order.config))
     find_network(config.learn.network)
     terms = tuple(find_reward_term(name) for name in order.info.rewards)
     out, beats = Path(order.out), count(1)

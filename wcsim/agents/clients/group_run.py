@@ -299,7 +299,7 @@ def world_order(
     return WorldSpec(
         town=town,
         more_towns=tuple(more),
-        config_json=folder.config.model_dump_json(),  # as in the journal, whatever the clients have learned since
+        config=folder.config,  # as in the journal, whatever the clients have learned since
         seed=run.info.seed,
         rules=rules,
         endpoint=endpoint_in(place),
@@ -333,7 +333,7 @@ def client_plan(run: GroupRun, folder: ClientsFolder, place: Path, client: Clien
             ledger=str(folder.ledger(client.name).absolute()),
             patience=Patience(reconnect_s=RECONNECT_S),
         ),
-        config_json=config.model_dump_json(),
+        config=config,
         out=str(out),
         info=replace(run.info, seed=seeding.derive(run.info.seed, "client", client.seat)),
     )

@@ -205,9 +205,9 @@ class WheelchairEnv(gymnasium.Env[Observation, np.int64]):
         elif isinstance(self._join, Seat):
             self._link = self._join
         else:
-            from wcsim.server.links.socket import open_seat  # ZeroMQ is loaded only for a world of another process
+            from wcsim.server.links.socket import SocketSeat  # ZeroMQ is loaded only for a world of another process
 
-            self._link = open_seat(self._join)
+            self._link = SocketSeat(self._join)
         if self._waits_no_more:  # requested before there was a link
             self._link.wait_no_more()
         try:

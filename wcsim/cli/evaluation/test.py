@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,9 +15,9 @@ from wcsim.agents.policy_api import UNAIDED
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import run_of
 from wcsim.cli.evaluation.judged_suite import JudgeOptions, drive_list, judge, make_list, order_of, run_suites
-from wcsim.cli.shared.common import Bounds, Keys, Repeated, check_folder, parse, says, some_words
+from wcsim.cli.shared.common import Bounds, Flag, Keys, Repeated, check_folder, parse, says, some_words
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.shared.overrides import Verbose, print_overrides
+from wcsim.cli.shared.overrides import print_overrides
 from wcsim.cli.shared.run_config import overrides_of, require_known, require_policy, require_user
 from wcsim.core.constants import RECORDED
 from wcsim.errors import ConfigError, TownError
@@ -60,7 +60,7 @@ class Options(JudgeOptions):
     """Your own step hook as module:Class, called around every step of SUMO with the libsumo module."""
     allow_train_town: bool = False
     """Allow a town that is for training, or the town that a run was trained in."""
-    verbose: Verbose = False
+    verbose: Flag = False
     """Show which of the town's SUMO options are overridden, with the reasons."""
 
 
@@ -116,24 +116,19 @@ def check(options: Options) -> tuple[dict[str, Town], tuple[str, ...]]:
     profiles = some_words("--profile", options.profile)
     for name in profiles:
         require_user(name)
-    towns = _towns(options)
+    towns = by_name(checked_town(name, options) for name in some_words("--town", options.town))
     for name in profiles:
-        _require_driven_there(name, towns.values())
+        if not name.startswith(RECORDED):
+            continue
+        from wcsim.users.recorded import read_recording, require_driven_here
+
+        recording = read_recording(Path(name.removeprefix(RECORDED)))
+        for town in towns.values():  # before the world of another town begins
+            try:
+                require_driven_here(recording, town.name, partial(content_hash, town))
+            except ConfigError as error:
+                raise ConfigError(f"{error}{_words_for(recording.town, recording.town_sha256)}") from None
     return towns, profiles
-
-
-def _require_driven_there(profile: str, towns: Iterable[Town]) -> None:
-    """Refuse a recorded drive of another town before its world begins. Raises ConfigError with the words that work."""
-    if not profile.startswith(RECORDED):
-        return
-    from wcsim.users.recorded import read_recording, require_driven_here
-
-    recording = read_recording(Path(profile.removeprefix(RECORDED)))
-    for town in towns:
-        try:
-            require_driven_here(recording, town.name, partial(content_hash, town))
-        except ConfigError as error:
-            raise ConfigError(f"{error}{_words_for(recording.town, recording.town_sha256)}") from None
 
 
 def _words_for(name: str, sha256: str) -> str:
@@ -144,11 +139,6 @@ def _words_for(name: str, sha256: str) -> str:
             school = " --allow-train-town" if town.declared and town.split == "train" else ""
             return f". Use --town {name}{school}"
     return ""
-
-
-def _towns(options: Options) -> dict[str, Town]:
-    """The towns to test in, by name."""
-    return by_name(checked_town(name, options) for name in some_words("--town", options.town))
 
 
 def checked_town(name: str, options: Options) -> Town:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
-from wcsim.cli.shared.common import Bounds, OutFile, Parts, check_output, in_bounds, result_file, run_part, write_json
+from wcsim.cli.shared.common import Bounds, OutFile, Parts, Writes, result_file, run_part, write_json
 from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError, check_installed
 from wcsim.log.diff import first_difference
@@ -120,8 +120,8 @@ def _play(options: _PlayOptions) -> int:
 
 def _verify(options: _VerifyOptions) -> int:
     last = math.inf if options.last is None else options.last
-    in_bounds("--to", last, 0, math.inf)
-    in_bounds("--from", options.first, 0, last)
+    Bounds(0).check("--to", last)
+    Bounds(0, last).check("--from", options.first)
     path = _log_in(options.log)
     header = read_header(path)
     from wcsim.bridge.replay.replayed import log_of, verify
@@ -155,7 +155,7 @@ def _convert(options: _ConvertOptions) -> int:
     out, kind = options.out, options.out.suffix.lower()
     if kind not in (_FCD, _MCAP):
         raise ConfigError(f"{escaped(out)}: expected a file name that ends in {_FCD} (FCD) or {_MCAP} (ROS 2)")
-    check_output("FILE", out)
+    Writes().check("FILE", out)
     path = _log_in(options.log, "trace" if kind == _FCD else "journal")
     read_header(path)
     from wcsim.bridge.replay.convert import convert_to_fcd, convert_to_mcap

@@ -45,12 +45,12 @@ _TELL_EVERY_S = 60.0
 
 def run(words: list[str]) -> int:
     """Run one of them."""
-    record, fit = (UserRecordOptions, record_drive), (UserFitOptions, fit_profile)
+    record, fit = (_RecordOptions, _record), (_FitOptions, _fit)
     return run_part(words, "users", {"record": record, "fit": fit})
 
 
 @dataclass
-class UserRecordOptions:
+class _RecordOptions:
     """Let a simulated user drive through a town and record the drive."""
 
     town: TownWord
@@ -69,7 +69,7 @@ class UserRecordOptions:
     """Write the result to this file."""
 
 
-def record_drive(options: UserRecordOptions) -> int:
+def _record(options: _RecordOptions) -> int:
     """Drive and record."""
     check_new_file(options.out, "--out")
     base = _profile(options.profile)
@@ -102,7 +102,7 @@ _ROUNDS = 3  # of making intents by the last fit, and fitting to them
 
 
 @dataclass
-class UserFitOptions:
+class _FitOptions:
     """Fit the user model to recorded drives of one person and write a profile."""
 
     drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
@@ -117,7 +117,7 @@ class UserFitOptions:
     """Write the result to this file."""
 
 
-def fit_profile(options: UserFitOptions) -> int:
+def _fit(options: _FitOptions) -> int:
     """Fit, print, write."""
     check_new_file(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)

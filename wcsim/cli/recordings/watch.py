@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 import tyro
 
+from wcsim.agents.runs.run_folder import read_json
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import parse
 from wcsim.core.reading import escaped, is_file, is_folder
@@ -34,34 +35,23 @@ class Options(PageOptions):
 def run(words: list[str]) -> int:
     """Serve the page until Ctrl-C."""
     options = parse(Options, words, "watch")
-    _check(options)
-    from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
-    from wcsim.drive.playing.sources.source_process import FilmSource
-
-    source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
-    seat = -1 if options.seat is None else options.seat
-    return serve_page(PlayStart(source=source, seat=seat), options)
-
-
-def _check(options: Options) -> None:
-    """Refuse what cannot be watched, before a page is served for it. Raises ConfigError, JournalError, TownError."""
     if not is_folder(options.run):
         raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
     from wcsim.bridge.replay.replayed import worlds_of
     from wcsim.log.reader import part_files, read_header
     from wcsim.log.writer import JOURNAL
 
-    if part_files(options.run / JOURNAL):
+    if part_files(options.run / JOURNAL):  # what cannot be watched is refused before a page is served for it
         worlds_of(read_header(options.run / JOURNAL), options.hook)
-    elif is_file(options.run / _MANIFEST) and not _has_clients(options.run):
+    # One of several clients that has only not begun yet is waited for.
+    elif is_file(options.run / _MANIFEST) and "clients" not in read_json(options.run, _MANIFEST):
         raise ConfigError(
             f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim "
             "train-clients NETWORK (one client is enough), or of wcsim serve --run"
         )
+    from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
+    from wcsim.drive.playing.sources.source_process import FilmSource
 
-
-def _has_clients(run: Path) -> bool:
-    """Whether a run shares its world, and has only not begun yet."""
-    from wcsim.agents.runs.run_folder import read_json
-
-    return "clients" in read_json(run, _MANIFEST)
+    source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
+    seat = -1 if options.seat is None else options.seat
+    return serve_page(PlayStart(source=source, seat=seat), options)

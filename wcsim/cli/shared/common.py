@@ -59,7 +59,9 @@ class Bounds(OptionNote):
 
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
-        in_bounds(option, value, self.low, self.high)
+        if not self.low <= value <= self.high:  # as NaN never is
+            expected = f"{self.low} or more" if math.isinf(self.high) else f"{self.low} to {self.high}"
+            raise ConfigError(f"{option} {value}: expected {expected}")
         if self.step > 1 and value % self.step:
             raise ConfigError(f"{option} {value}: expected a multiple of {self.step}")
 
@@ -84,13 +86,17 @@ class Keys(OptionNote):
 
 @dataclass(frozen=True, slots=True)
 class Writes(OptionNote):
-    """A file that can be written, with its ending."""
+    """A file that can be written before the work begins, with its ending; missing folders are made later."""
 
     suffix: str = ""
 
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
-        check_output(option, value, self.suffix)
+        if self.suffix and value.suffix.lower() != self.suffix:
+            raise ConfigError(f"{option} {value}: expected a file name that ends in {self.suffix}")
+        if is_folder(value):
+            raise ConfigError(f"{option} {value} is a folder; expected the name of a file")
+        check_folder(option, value.parent)
 
 
 OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes()]
@@ -245,13 +251,6 @@ def first_few(lines: Sequence[str], what: str) -> list[str]:
     return [*lines[:_TOLD], f"and {more} more {what}"] if more > 0 else list(lines)
 
 
-def in_bounds(option: str, value: float, low: float, high: float) -> None:
-    """Raise ConfigError unless low <= value <= high; NaN is never in bounds."""
-    if not low <= value <= high:
-        expected = f"{low} or more" if math.isinf(high) else f"{low} to {high}"
-        raise ConfigError(f"{option} {value}: expected {expected}")
-
-
 def worlds_of(asked: int | None) -> int:
     """How many processes `--worlds` means: one for each core, 4 at the most, where nothing is said."""
     if asked is not None:
@@ -294,18 +293,6 @@ def said_of(workers: tuple[WorkerNow, ...]) -> str:
     '10.0.0.2/1 3-000-0001 for 12 s, 10.0.0.2/2 free'
     """
     return ", ".join(f"{each.name} {f'{each.key} for {each.for_s:.0f} s' if each.key else 'free'}" for each in workers)
-
-
-def check_output(option: str, path: Path, suffix: str = "") -> None:
-    """Make sure that a result can be written there before the work begins; missing folders are made later.
-
-    Raises ConfigError that says what is in the way.
-    """
-    if suffix and path.suffix.lower() != suffix:
-        raise ConfigError(f"{option} {path}: expected a file name that ends in {suffix}")
-    if is_folder(path):
-        raise ConfigError(f"{option} {path} is a folder; expected the name of a file")
-    check_folder(option, path.parent)
 
 
 def check_folder(option: str, folder: Path) -> None:

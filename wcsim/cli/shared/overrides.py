@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
-import tyro
 from rich import box
 from rich.console import Console
 from rich.table import Column, Table
@@ -14,9 +12,6 @@ from rich.text import Text
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.reading import escaped
 from wcsim.towns.scenario.overrides import Override
-
-Verbose = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-"""Whether the table is wanted."""
 
 _MOST = 2000  # letters in a cell
 _CALIBRATED = "step-length"  # what drivers were calibrated with: to run otherwise is more than housekeeping

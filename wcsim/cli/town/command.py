@@ -14,7 +14,7 @@ from wcsim.towns.scenario.town import list_towns
 
 
 @dataclass
-class ListOptions:
+class _ListOptions:
     """List the towns that have a name."""
 
 
@@ -23,7 +23,7 @@ def run(words: list[str]) -> int:
     parts: Parts = {
         "import": (import_.AdoptOptions if says(words, "--sumocfg") else import_.ImportOptions, import_.run),
         "make": (import_.TownMakeOptions, import_.make),
-        "list": (ListOptions, _list),
+        "list": (_ListOptions, _list),
         "check": (town_check.CheckOptions, town_check.run),
         "pave": (import_.PaveOptions, import_.pave),
         "run": (traffic.RunOptions, lambda options: traffic.run(options, words)),
@@ -31,7 +31,7 @@ def run(words: list[str]) -> int:
     return run_part(words, "town", parts)
 
 
-def _list(_: ListOptions) -> int:
+def _list(_: _ListOptions) -> int:
     table = Table("town", "split", Column("folder", overflow="fold"))
     for town in list_towns():
         table.add_row(town.folder.name, town.split, str(town.folder))

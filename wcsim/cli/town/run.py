@@ -24,7 +24,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import say, stdout_console
-from wcsim.cli.shared.overrides import Verbose, print_overrides
+from wcsim.cli.shared.overrides import print_overrides
 from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
@@ -65,7 +65,7 @@ class RunOptions:
     """Settings to start with: quick, laptop, best, dqn or paper."""
     set: Repeated = ()
     """section.key=value, overrides the preset; may be repeated."""
-    verbose: Verbose = False
+    verbose: Flag = False
     """Show a table of the SUMO options that are overridden, with reasons."""
     json: OutFile = None
     """Write the result to this file."""

@@ -40,7 +40,7 @@ from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.launch.launcher import Launcher
 from wcsim.server.launch.states import ClientState, LaunchOutcome, LaunchRules, LaunchState, RestartRules
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.ledger import Audit, audits, iter_ledger, ledger_facts
+from wcsim.server.ledger import Audit, audits, iter_ledger
 from wcsim.server.protocol.limits import require_files
 from wcsim.server.specs import Recovery
 from wcsim.server.transport.world_folder import workplace
@@ -113,15 +113,14 @@ def _steps_of(ledger: Path, journal: Path | None, against: Audit) -> dict[str, i
     Missing are those that the world did with its action and that it never saw. Doubled ones it saw twice, or the world
     never did.
     """
-    facts = ledger_facts(_entries(ledger))
-    if journal is None and facts.first_tick >= 0:
+    if journal is None and against.first_tick >= 0:
         raise WcsimError(f"{ledger}: has frames of a world without a journal; restore {JOURNAL} next to its folder")
     return {
-        "first_tick": facts.first_tick,  # -1 when it never had a frame
-        "last_tick": facts.last_tick,
-        "ticks": facts.ticks,
-        "missing": max(facts.missing, against.lost),
-        "duplicated": facts.doubled + against.phantom,
+        "first_tick": against.first_tick,  # -1 when it never had a frame
+        "last_tick": against.last_tick,
+        "ticks": against.steps,
+        "missing": max(against.missing, against.lost),
+        "duplicated": against.doubled + against.phantom,
     }
 
 

@@ -91,13 +91,13 @@ def _joined(options: Options, config: RunConfig, out: Path, command: tuple[str, 
     from wcsim.agents.learning.build import network_settings
     from wcsim.agents.learning.train import train
     from wcsim.agents.networks.device import checked_device
-    from wcsim.server.links.socket import open_seat
+    from wcsim.server.links.socket import SocketSeat
     from wcsim.supervisor.rewards import find_reward_term
 
     checked_device(config.learn.device)
     config = resolve(config, network_settings(config))
     terms = tuple(find_reward_term(name) for name in options.reward)
-    with open_seat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
+    with SocketSeat(_order(options, config)) as seat, gone_if_nothing_came_of_it(out):
         world = _world(options, seat)
         offered = parse_json(RunConfig, world.config_json, f"the configuration of {options.endpoint}")
         _require_known_plant(offered, options.endpoint)

@@ -10,6 +10,7 @@ from pathlib import Path
 from wcsim.agents.runs.run_folder import ResolvedRun, open_run
 from wcsim.cli.shared.common import (
     Cluster,
+    Flag,
     OutFile,
     OutFolder,
     Repeated,
@@ -21,7 +22,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.overrides import Verbose, beside, print_overrides
+from wcsim.cli.shared.overrides import beside, print_overrides
 from wcsim.cli.shared.run_config import (
     how_it_learns,
     how_to_test,
@@ -46,7 +47,7 @@ from wcsim.towns.scenario.town import Town, by_name, streets_hash
 class ToldOptions:
     """What a training says, and where."""
 
-    verbose: Verbose = False
+    verbose: Flag = False
     """Show which SUMO options of the town are overridden, and why."""
     json: OutFile = None
     """Write the path of the run to this file."""

@@ -39,7 +39,7 @@ from wcsim.log.records import Ended, Input
 from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
 from wcsim.server.host.recovery import MakesWorld, Opened, open_server, street_world
 from wcsim.server.host.status import Reporter
-from wcsim.server.host.world_host import Keep, WorldHost
+from wcsim.server.host.world_host import WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.launch.states import WorldExit
@@ -47,10 +47,8 @@ from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Clock, EpochOver, Event, Lost, Peer, Received, Stop
 from wcsim.server.protocol.limits import NO_ROOM, last_words, told_limit
-from wcsim.server.protocol.members import Member, Pending
-from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldSpec, read_order
-from wcsim.server.transport.shared_images import RingSink, pictures_of
+from wcsim.server.transport.shared_images import RingSink
 from wcsim.server.transport.sockets import LOCAL, REMOTE, Heard, ServerSockets
 
 MAX_PEERS = 64
@@ -143,25 +141,18 @@ _WAIT_MS = 50
 _CLOCK_S = 0.1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Hosted:
-    """What a server process hosts."""
-
-    order: WorldSpec
-    core: ServerCore
-    world: SeatWorld
-    keep: Keep
-    ring: RingSink
-
-
 class _ServerLoop:
     """A hub behind its doors; see the module's text."""
 
-    def __init__(self, hosted: _Hosted, doors: ServerSockets, lifelines: Lifelines, reporter: Reporter) -> None:
-        """Nothing is said or heard before `run`."""
-        self._order, self._core, self._ring = hosted.order, hosted.core, hosted.ring
+    def __init__(
+        self, order: WorldSpec, opened: Opened, doors: ServerSockets, lifelines: Lifelines, reporter: Reporter
+    ) -> None:
+        """Nothing is said or heard before `run`. Raises what `RingSink` raises."""
+        self._order, self._core = order, opened.core
+        self._ring = RingSink(Path(order.ring), order.rules.capacity, order.config.cameras)
         self._doors, self._lifelines, self._reporter = doors, lifelines, reporter
-        self._hub = WorldHost(hosted.core, hosted.world, self._post, hosted.keep, hosted.ring, reporter.loading)
+        keep = _forget if opened.journal is None else opened.journal.append
+        self._hub = WorldHost(opened.core, opened.world, self._post, keep, self._ring, reporter.loading)
         self._clock = AwakeClock(time.monotonic())
         self._peers = PeerLimits()
         self._homes: dict[bytes, Peer] = {}  # where each session joined first: whoever repeats its words is another
@@ -169,7 +160,7 @@ class _ServerLoop:
         self._encoded: tuple[m.Reply | None, bytes] = (None, b"")  # the last one said
         self._clock_s = 0.0  # of the last Clock event
         self._alone = False
-        self._cap = EpochCap(hosted.order)
+        self._cap = EpochCap(order)
         doors.watch(lifelines.fileno())
 
     def run(self, asked_to_end: Callable[[], str]) -> str:
@@ -210,7 +201,7 @@ class _ServerLoop:
         if due:
             self._clock_s = self._clock.now_s
             self._feed(Clock())
-            here = {p.session for p in self._present()}
+            here = {p.session for p in self._core.cycle.roll.everyone()}
             self._lifelines.keep(here)
             self._homes = {session: home for session, home in self._homes.items() if session in here}
             self._reporter.report(self._core, self._hub, self._clock.now_s)
@@ -263,12 +254,8 @@ class _ServerLoop:
         if known and not self._lifelines.watch(join.pid, join.session):
             self._feed(Lost(join.session))
 
-    def _present(self) -> list[Member | Pending]:
-        roll = self._core.cycle.roll
-        return [*roll.members, *roll.pending]
-
     def _present_peers(self) -> set[Peer]:
-        return {p.peer for p in self._present()}
+        return {p.peer for p in self._core.cycle.roll.everyone()}
 
     # --- what is said ---
 
@@ -288,7 +275,7 @@ class _ServerLoop:
     def _welcome(self, peer: Peer, welcome: m.Welcome) -> m.Welcome:
         ring = str(self._ring.path(welcome.seat)) if peer.startswith(LOCAL) else ""
         order = self._order
-        return msgspec.structs.replace(welcome, ring=ring, config_json=order.config_json, town=order.town)
+        return msgspec.structs.replace(welcome, ring=ring, config_json=order.config.model_dump_json(), town=order.town)
 
     def _refuse(self, peer: Peer, error: WcsimError) -> None:
         self._doors.send(peer, [m.encode(m.failure_of(error))])
@@ -299,7 +286,7 @@ class _ServerLoop:
         self._out.clear()
 
     def _tell_all(self, error: WcsimError) -> None:
-        for p in self._present():
+        for p in self._core.cycle.roll.everyone():
             if p.peer:
                 self._doors.send(p.peer, [m.encode(m.failure_of(error, p.session))])
 
@@ -352,11 +339,8 @@ def _prepared(
     if opened.journal is not None:
         held.enter_context(opened.journal)
     held.callback(opened.world.close)
-    ring = RingSink(Path(order.ring), order.rules.capacity, pictures_of(order.world.config.cameras))
     reporter.listening = doors.listening
-    keep = _forget if opened.journal is None else opened.journal.append
-    hosted = _Hosted(order=order, core=opened.core, world=opened.world, keep=keep, ring=ring)
-    return opened, _ServerLoop(hosted, doors, lifelines, reporter)
+    return opened, _ServerLoop(order, opened, doors, lifelines, reporter)
 
 
 def _forget(record: Input) -> None:

@@ -17,8 +17,8 @@ from wcsim.log.records import Ended, EpochBegun, Header, Input
 from wcsim.log.writer import JOURNAL, LogWriter, told_torn
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.protocol.barrier import Kept
 from wcsim.server.protocol.events import Rules
+from wcsim.server.protocol.members import Member
 from wcsim.server.protocol.server_core import ServerCore
 from wcsim.server.specs import WorldOrder, WorldSpec, town_of_epoch
 from wcsim.towns.making.asked_town import asked_town
@@ -133,7 +133,7 @@ def _gone_on(
     """Exactly the world that there was; its clients have to come back."""
     journal = _appended(path)  # cuts a torn record off before anybody reads on
     try:
-        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order.world, specs, seed, epoch=epoch), alive)
+        world, kept = rebuild_world(path, lambda specs, seed, epoch: make(order, specs, seed, epoch=epoch), alive)
     except BaseException:
         journal.close()
         raise
@@ -145,7 +145,7 @@ def _gone_on(
 
 def rebuild_world(
     journal: Path, make: MakesEpoch[W], alive: Callable[[], object] = lambda: None
-) -> tuple[W, tuple[Kept, ...]]:
+) -> tuple[W, tuple[Member, ...]]:
     """The world exactly as it was after the last record, and who sits in it.
 
     Args:
@@ -179,10 +179,10 @@ def rebuild_world(
         raise
 
 
-def kept_of(seats: Seats) -> tuple[Kept, ...]:
+def kept_of(seats: Seats) -> tuple[Member, ...]:
     """Who is in, in seat order."""
     return tuple(
-        Kept(seat=seat, name=it.name, spec=it.spec, life=seats.lives[seat], claim=bytes.fromhex(it.claim))
+        Member(seat=seat, name=it.name, spec=it.spec, life=seats.lives[seat], claim=bytes.fromhex(it.claim))
         for seat, it in sorted(seats.taken.items())
     )
 
@@ -196,21 +196,20 @@ def _appended(path: Path) -> LogWriter:
 
 
 def _fresh(order: WorldSpec, make: MakesWorld[SeatWorld], epoch: int) -> SeatWorld:
-    return make(order.world, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
+    return make(order, (None,) * order.rules.capacity, epoch_seed(order.seed, epoch), epoch=epoch)
 
 
 def _header(order: WorldSpec, has_town: bool) -> Header:
-    world, words = order.world, (order.town, *order.more_towns) if has_town else ()
-    towns = tuple(map(asked_town, words))
+    towns = tuple(map(asked_town, (order.town, *order.more_towns) if has_town else ()))
     return Header(
         name=order.name,
         town=order.town,
         more_towns=order.more_towns,
         town_sha256=towns_hash(towns),
-        config=world.config.model_dump_json(),
+        config=order.config.model_dump_json(),
         seed=order.seed,
         seats=order.rules.capacity,
-        tick_s=world.config.world.tick_s,
+        tick_s=order.config.world.tick_s,
         fingerprint=fingerprint(),
         hook=order.hook,
         recovery=order.recovery,

@@ -15,10 +15,9 @@ from pathlib import Path
 
 from wcsim.server.launch.awake_clock import AwakeClock
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.launch.spawner import Spawner, SubprocessSpawner
 from wcsim.server.launch.states import ClientPlan, ClientState, LaunchOutcome, LaunchRules, LaunchState
 from wcsim.server.launch.stop_signals import StopSignals
-from wcsim.server.launch.supervised import SupervisedClient, SupervisedWorld
+from wcsim.server.launch.supervised import WORLD_ARGV, SupervisedClient, SupervisedWorld
 from wcsim.server.specs import WorldSpec
 
 LOOK_S = 0.1
@@ -49,8 +48,8 @@ class Launcher:
         workplace: Path,
         rules: LaunchRules | None = None,
         show: Show | None = None,
-        spawner: Spawner | None = None,
         signals: StopSignals | None = None,
+        world_argv: Sequence[str] = WORLD_ARGV,
     ) -> None:
         """Prepare a launch.
 
@@ -61,20 +60,19 @@ class Launcher:
             workplace: A folder that only its owner can enter, for the order to the world.
             rules: How long to wait for what.
             show: Called a few times a second.
-            spawner: Starts the processes; None for processes of this machine.
             signals: Those that ask for the end, where the caller hears them already; a second one ends all at once.
+            world_argv: The command line of the world, but for the order file.
         """
         self._rules = rules if rules is not None else LaunchRules()
         self._show = show
         self._selector = selectors.DefaultSelector()
         log = RunLog(folder)
         self._log = log
-        spawner = SubprocessSpawner() if spawner is None else spawner
-        self._clients = [SupervisedClient(plan, self._rules, self._selector, spawner, log) for plan in clients]
+        self._clients = [SupervisedClient(plan, self._rules, self._selector, log) for plan in clients]
         self._serves = not self._clients
         world_log = folder / "logs" / "world.log"
         self._world = SupervisedWorld(
-            world, workplace / "world.json", world_log, self._rules, self._selector, spawner, log
+            world, workplace / "world.json", world_log, self._rules, self._selector, log, world_argv
         )
         self._step = _LaunchStep.RUN
         self._since_s = 0.0  # of this step

@@ -9,6 +9,7 @@ import os
 import re
 import selectors
 import signal
+import subprocess
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -21,8 +22,8 @@ from wcsim.log.reader import inputs_of_part
 from wcsim.log.records import EpochBegun, Ticked
 from wcsim.log.writer import JOURNAL
 from wcsim.server.launch.event_log import RunLog
-from wcsim.server.launch.spawner import Spawner
 from wcsim.server.launch.states import (
+    WAIT_NO_MORE,
     ClientExit,
     ClientPlan,
     ClientState,
@@ -38,19 +39,18 @@ _READ_BYTES = 1 << 16
 _MOST_BYTES = 1 << 20  # of a line that does not end
 
 
-class _Child:
-    """A running process, whoever has started it."""
+class _Child(subprocess.Popen[bytes]):
+    """A running process, in a session of its own, so that Ctrl-C at the terminal reaches its launcher alone."""
 
-    def __init__(
-        self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector, spawner: Spawner
-    ) -> None:
+    def __init__(self, argv_of: Callable[[int], Sequence[str]], log: Path, selector: selectors.BaseSelector) -> None:
         """Start it.
 
         Args:
             argv_of: The command line, given the number of the pipe's end that status lines go to.
             log: Where its output is appended.
             selector: Wakes when there is something to read, or the process has ended.
-            spawner: Starts it.
+
+        Raises OSError when there is no such program.
         """
         log.parent.mkdir(parents=True, exist_ok=True)
         self.log = log
@@ -58,21 +58,26 @@ class _Child:
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
         try:
-            log.touch()
-            self.log_begin = log.stat().st_size
-            self._process = spawner.start(argv_of(theirs), None, log, theirs)
+            with log.open("ab") as out:
+                self.log_begin = out.tell()
+                super().__init__(
+                    argv_of(theirs),
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=out,
+                    pass_fds=(theirs,),
+                    start_new_session=True,
+                )
         except BaseException:
             os.close(self._pipe)
             raise
         finally:
             os.close(theirs)
-        self.pid = self._process.pid
-        self._end_fd = self._process.end_fd
+        self._end_fd = os.pidfd_open(self.pid)
         self._rest = b""
         self._reads = True
         selector.register(self._pipe, selectors.EVENT_READ)
-        if self._end_fd is not None:
-            selector.register(self._end_fd, selectors.EVENT_READ)
+        selector.register(self._end_fd, selectors.EVENT_READ)
 
     def lines(self) -> list[bytes]:
         """The whole status lines that have come since the last call; does not wait."""
@@ -87,31 +92,12 @@ class _Child:
         *whole, self._rest = self._rest.split(b"\n")
         return whole
 
-    def ended(self) -> int | None:
-        """The exit code, or the negative number of the signal that ended it; None while it runs."""
-        return self._process.poll()
-
-    def terminate(self) -> None:
-        """Ask it to end; nothing happens when it has ended."""
-        self._process.terminate()
-
-    def wait_no_more(self) -> None:
-        """Ask it not to wait for others before it ends; nothing happens when it has ended."""
-        self._process.wait_no_more()
-
-    def kill(self) -> None:
-        """End it now; nothing happens when it has ended."""
-        self._process.kill()
-
     def close(self) -> None:
         """Kill it if it still runs, and let go of its pipe."""
-        if self._process.poll() is None:
-            self._process.kill()
-        if self._end_fd is not None:
-            self._selector.unregister(self._end_fd)
-            os.close(self._end_fd)
-            self._end_fd = None
-        self._process.wait()
+        self.kill()
+        self._selector.unregister(self._end_fd)
+        os.close(self._end_fd)
+        self.wait()
         self._stop_reading()
 
     def last_words(self) -> str:
@@ -156,19 +142,18 @@ class _Supervised(ABC, Generic[Status]):
         log_file: Path,
         rules: RestartRules,
         selector: selectors.BaseSelector,
-        spawner: Spawner,
         log: RunLog,
     ) -> None:
         """Nothing runs before `start`; `name` is for the `log` of events, what it `says` are its status lines."""
         self._name, self._log_file, self._log = name, log_file, log
         self._says: type[Status] = says
-        self._selector, self._spawner = selector, spawner
+        self._selector = selector
         self._restarts = Restarts(rules)
         self._child: _Child | None = None
         self.standing: Standing = "down"
         self.status: Status | None = None  # the last one
         self.fault = ""  # why there is no use in going on with the whole run
-        self._lives = 0
+        self._lives = self._replaced = 0  # all of them, and those that ended as planned
         self._due_s: float | None = None  # when it is started again
         self._ending = False
         self._died_s: float | None = None  # since when it has not been back
@@ -181,7 +166,7 @@ class _Supervised(ABC, Generic[Status]):
     @property
     def ended(self) -> bool:
         """Whether there is no process of it any more."""
-        return self._child is None or self._child.ended() is not None
+        return self._child is None or self._child.poll() is not None
 
     @property
     def pid(self) -> int:
@@ -190,12 +175,12 @@ class _Supervised(ABC, Generic[Status]):
 
     @property
     def restarts(self) -> int:
-        """How often it was started again."""
-        return max(0, self._lives - 1)
+        """How often it was started again after a death."""
+        return max(0, self._lives - 1 - self._replaced)
 
     def start(self, now_s: float) -> None:
         """Begin a life."""
-        self._child = _Child(self._command, self._log_file, self._selector, self._spawner)
+        self._child = _Child(self._command, self._log_file, self._selector)
         self._log.add("restart" if self._lives else "start", who=self._name, pid=self._child.pid)
         self._lives += 1
         self.standing, self._due_s = "starting", None
@@ -207,7 +192,7 @@ class _Supervised(ABC, Generic[Status]):
             if self._due_s is not None and now_s >= self._due_s:
                 self.start(now_s)
             return
-        child, code = self._child, self._child.ended()
+        child, code = self._child, self._child.poll()
         for line in child.lines():
             try:
                 self.status = of_line(self._says, line)
@@ -277,6 +262,12 @@ class _Supervised(ABC, Generic[Status]):
         self._log.add("death", who=self._name, code=code, reason=reason, **told)
         return reason
 
+    def _replace(self, words: str, now_s: float, **told: int) -> None:
+        """Its life ended as planned: no death, and no reason to wait for the next one."""
+        self._log.add("replaced", who=self._name, reason=words, **told)
+        self._replaced += 1
+        self.standing, self._due_s, self._died_s = "down", now_s, now_s
+
     def _start_later(self, now_s: float, progressed: bool) -> bool:
         """Have it started again after a while; False when that is of no use any more."""
         wait_s = self._restarts.died(progressed=progressed)
@@ -293,10 +284,8 @@ MOST_LEFT_ALONE = 20  # deaths for want of a world that a client is forgiven
 class SupervisedClient(_Supervised[ClientStatus]):
     """Also ends a client that hangs, and forgives one that died for want of a world."""
 
-    def __init__(
-        self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, spawner: Spawner, log: RunLog
-    ) -> None:
-        super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, spawner, log)
+    def __init__(self, plan: ClientPlan, rules: LaunchRules, selector: selectors.BaseSelector, log: RunLog) -> None:
+        super().__init__(plan.name, ClientStatus, plan.log, rules.client, selector, log)
         self.plan, self._rules = plan, rules
         self.reason = self.unsaved = ""
         self._crash = ""  # how its last life ended, until the next one is heard
@@ -306,12 +295,6 @@ class SupervisedClient(_Supervised[ClientStatus]):
         self._seat_epoch: int | None = None  # of the world in which it had its seat last in this life
         self._gathering = False  # its world waits for all to come
         self._unseated_s: float | None = None  # since when the world has gone on without it, or has waited for all
-        self._replaced = 0  # lives that ended as planned, because their process had grown
-
-    @property
-    def restarts(self) -> int:
-        """How often it was started again after a death."""
-        return super().restarts - self._replaced
 
     @property
     def settled(self) -> bool:
@@ -345,7 +328,7 @@ class SupervisedClient(_Supervised[ClientStatus]):
     def wait_no_more(self) -> None:
         """Have one that was asked to end do so without its world, which does not go on."""
         if self._child is not None:
-            self._child.wait_no_more()
+            self._child.send_signal(WAIT_NO_MORE)
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
         if self.plan.order_file is not None:
@@ -374,9 +357,8 @@ class SupervisedClient(_Supervised[ClientStatus]):
                 self.unsaved = f"{_how_it_ended(code)}{f': {words}' if words and code > 0 else ''}"
             self._log.add("stopped", who=self.plan.name, code=code, step=self._step)
         elif code == ClientExit.GROWN:
-            self._replaced, self._crash = self._replaced + 1, ""
-            self._log.add("replaced", who=self.plan.name, reason=words, step=self._step)
-            self.standing, self._due_s, self._died_s = "down", now_s, now_s
+            self._crash = ""
+            self._replace(words, now_s, step=self._step)
         elif code == ClientExit.USER_ERROR:
             self.standing, self.reason = "given up", words
             self.fault = words or f"client {self.plan.name} {_how_it_ended(code)}; see {self.plan.log}"
@@ -437,21 +419,16 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         log_file: Path,
         rules: LaunchRules,
         selector: selectors.BaseSelector,
-        spawner: Spawner,
         log: RunLog,
+        argv: Sequence[str],
     ) -> None:
-        super().__init__(WORLD, WorldStatus, log_file, rules.world, selector, spawner, log)
-        self._order, self._order_file, self._rules = order, order_file, rules
+        """Prepare it; `argv` is its command line, but for the order file."""
+        super().__init__(WORLD, WorldStatus, log_file, rules.world, selector, log)
+        self._order, self._order_file, self._rules, self._argv = order, order_file, rules, argv
         self.refused = False  # ended by a fault for which the user has to do something
         self._heard_s = 0.0
         self._loaded = False  # in any life
         self._death_tick = -1
-        self._replaced = 0  # lives that ended as planned, at the end of an epoch
-
-    @property
-    def restarts(self) -> int:
-        """How often it was started again after a death."""
-        return super().restarts - self._replaced
 
     @property
     def ticks(self) -> bool:
@@ -465,7 +442,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
 
     def _command(self, status_fd: int) -> tuple[str, ...]:
         write_order(self._order_file, to_line(replace(self._order, begins=not self._loaded, status_fd=status_fd)))
-        return (*WORLD_ARGV, str(self._order_file))
+        return (*self._argv, str(self._order_file))
 
     def _begun(self, now_s: float) -> None:
         self.status, self._heard_s = None, now_s
@@ -497,6 +474,7 @@ class SupervisedWorld(_Supervised[WorldStatus]):
             self._log.add("end", who=WORLD, code=code)
             return
         if code == WorldExit.EPOCH_OVER:
+            self._death_tick = -1
             self._replace(words, now_s)
             return
         tick = self._last_tick()
@@ -513,13 +491,6 @@ class SupervisedWorld(_Supervised[WorldStatus]):
         if not self._start_later(now_s, progressed):
             deaths = self._restarts.in_vain
             self._give_up(f"the world died {deaths} times at tick {tick} ({reason}); see {self._log_file}", False)
-
-    def _replace(self, words: str, now_s: float) -> None:
-        """Its epoch is over: no death, and no reason to wait."""
-        self._log.add("replaced", who=WORLD, reason=words)
-        self._replaced += 1
-        self._death_tick, self._died_s = -1, now_s
-        self.standing, self._due_s = "down", now_s
 
     def _give_up(self, fault: str, refused: bool) -> None:
         self.standing, self.fault, self.refused = "given up", fault, refused

@@ -20,7 +20,7 @@ import time
 import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import msgspec
@@ -45,20 +45,11 @@ QUEUE = 64
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 
 
-def open_seat(order: SeatRequest) -> SocketSeat:
-    """A link to a seat of a world process, which need not run yet; nothing is asked before `join`.
-
-    Raises:
-        ConfigError: The endpoint, a key or the ledger cannot be used.
-    """
-    return SocketSeat(order)
-
-
 class SocketSeat(WorldLink):
-    """See the module's text."""
+    """A link to a seat of a world process, which need not run yet; nothing is asked before `join`."""
 
     def __init__(self, order: SeatRequest) -> None:
-        """Open a socket; see `open_seat`."""
+        """Open a socket. Raises ConfigError when the endpoint, a key or the ledger cannot be used."""
         local = order.endpoint.startswith("ipc://")
         ask = Ask(
             claim=order.claim.encode(),
@@ -237,16 +228,13 @@ class _WorldChild:
         self.endpoint = endpoint_in(place.path)
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
+        own = {item.name: getattr(order, item.name) for item in fields(order)}
         server = WorldSpec(
-            town=order.town,
-            config_json=order.config.model_dump_json(),
-            seed=order.seed,
+            **{**own, "run": order.run and str(Path(order.run).absolute())},
             rules=private_rules(order.seats, order.seats),
             endpoint=self.endpoint,
             ring=str(place.path / "ring"),
-            run=order.run and str(Path(order.run).absolute()),
             journal=False,
-            hook=order.hook,
             status_fd=theirs,
             quiet=True,
         )

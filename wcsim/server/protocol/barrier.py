@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 from wcsim.errors import EvictedError, ProtocolError
 from wcsim.server.protocol import messages as m
@@ -26,31 +26,20 @@ from wcsim.server.protocol.events import (
     Step,
 )
 from wcsim.server.protocol.members import Member, Roster
-from wcsim.types import Command, SeatSpec
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
-    """A seat whose chair is in the world and whose client has yet to come back: after an exact recovery."""
-
-    seat: int
-    name: str
-    spec: SeatSpec
-    life: int
-    claim: bytes = b""  # of its client; who shows another one does not get the seat
+from wcsim.types import Command
 
 
 class Barrier:
     """The state of a server and what moves it; `out` collects what is to be done."""
 
-    def __init__(self, rules: Rules, epoch: int, tick: int, kept: Sequence[Kept]) -> None:
+    def __init__(self, rules: Rules, epoch: int, tick: int, kept: Sequence[Member]) -> None:
         self.rules = rules
         self.epoch, self.tick = epoch, tick
         self.stage = BarrierState.COLLECT if kept else BarrierState.EMPTY
         self.term = 0
         self.master: bytes = b""  # session of the master
         self.gathering = not kept
-        self.roll = Roster([_kept_member(item) for item in kept])
+        self.roll = Roster(list(kept))
         self.out: list[Effect] = []
         self._gather_s: float | None = None  # since when somebody waits for the others to come
         self._since_s: float | None = None  # when the clock was seen first
@@ -88,18 +77,7 @@ class Barrier:
         self.roll.pending = []
         for p in coming:
             self.out.append(Admit(p.seat, p.spec, p.name))
-            self.roll.members.append(
-                Member(
-                    seat=p.seat,
-                    session=p.session,
-                    peer=p.peer,
-                    claim=p.claim,
-                    name=p.name,
-                    spec=p.spec,
-                    heard_s=now_s,
-                    asked_s=now_s,
-                )
-            )
+            self.roll.members.append(replace(p, heard_s=now_s, asked_s=now_s))
         if coming and not self.master:
             self.promote(self.roll.oldest(), tell=False)
         for p in coming:
@@ -221,10 +199,8 @@ class Barrier:
     def stop(self, reason: str) -> None:
         """Everybody is told that this is the end."""
         self.stage = BarrierState.STOPPED
-        for peer, session in [(w.peer, w.session) for w in self.roll.by_seat()] + [
-            (w.peer, w.session) for w in self.roll.pending
-        ]:
-            self.send(peer, m.Bye(session, reason or "the server stops"))
+        for one in self.roll.by_seat() + self.roll.pending:
+            self.send(one.peer, m.Bye(one.session, reason or "the server stops"))
 
     # --- what is sent ---
 
@@ -289,8 +265,8 @@ class Barrier:
     def _tell(self, now_s: float) -> None:
         self._told_s = now_s
         note = m.Waiting(self.epoch, self.tick, self.late())
-        for peer in [mate.peer for mate in self.roll.by_seat() if mate.ready] + [p.peer for p in self.roll.pending]:
-            self.send(peer, note)
+        for one in [mate for mate in self.roll.by_seat() if mate.ready] + self.roll.pending:
+            self.send(one.peer, note)
         if self.stage is BarrierState.READY:  # a lost message must not stop the world
             self._say_full()
 
@@ -298,9 +274,3 @@ class Barrier:
         master = self.roll.member(self.master)
         if master is not None:
             self.send(master.peer, m.BarrierFull(self.epoch, self.tick, self.term))
-
-
-def _kept_member(kept: Kept) -> Member:
-    return Member(
-        seat=kept.seat, session=b"", peer=b"", claim=kept.claim, name=kept.name, spec=kept.spec, life=kept.life
-    )

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+import msgspec
+
 from wcsim.errors import (
     BadActionError,
     BarrierNotFullError,
@@ -105,6 +107,7 @@ _WAITS = (
     ClientPhase.WAIT_SENSORS,
     ClientPhase.WAIT_RESPAWN,
 )
+_WAITS_OF = {m.Act: ClientPhase.WAIT_TICK, m.Respawn: ClientPhase.WAIT_RESPAWN, m.Rebuild: ClientPhase.WAIT_FIRST}
 _TICKS_NO_MORE = {error.__name__ for error in (StaleTermError, NotMasterError, BarrierNotFullError)}
 
 
@@ -144,19 +147,16 @@ class ClientCore:
             raise ProtocolError(f"an action for tick {tick}; the seat is at tick {self.tick}")
         if not (-1.0 <= joystick.x <= 1.0 and -1.0 <= joystick.y <= 1.0):
             raise BadActionError(f"joystick ({joystick.x}, {joystick.y}); expected both in -1 to 1")
-        self.phase, self._ahead = ClientPhase.WAIT_TICK, None
         return self._request(m.Act(self.session, self.epoch, tick, self.life, joystick.x, joystick.y), now_s)
 
     def respawn(self, now_s: float) -> list[Outcome]:
         """Begin the next episode without a tick. Raises ProtocolError while something else is waited for."""
         self._expect_thinking("respawn()")
-        self.phase = ClientPhase.WAIT_RESPAWN
         return self._request(m.Respawn(self.session, self.epoch, self.tick, self.life), now_s)
 
     def rebuild(self, seed: int, now_s: float) -> list[Outcome]:
         """Begin the world anew. Raises ProtocolError while something else is waited for."""
         self._expect_thinking("rebuild()")
-        self.phase = ClientPhase.WAIT_FIRST
         return self._request(m.Rebuild(self.session, self.epoch, seed), now_s)
 
     def beat(self, progress: int) -> list[Outcome]:
@@ -241,8 +241,12 @@ class ClientCore:
             raise ProtocolError(f"{call} in phase {self.phase.value!r}; wait for the frame first")
 
     def _request(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
-        self.pending = message
-        self._sent_s = self._asked_s = self._heard_s = now_s
+        self._asked_s = self._heard_s = now_s
+        return self._ask(message, now_s)
+
+    def _ask(self, message: m.Act | m.Respawn | m.Rebuild, now_s: float) -> list[Outcome]:
+        """Ask for something, for the first time or again in a session that goes on with an older one's episode."""
+        self.pending, self.phase, self._ahead, self._sent_s = message, _WAITS_OF[type(message)], None, now_s
         return [Say(message)]
 
     def _knock(self, now_s: float, again: bool = False) -> list[Outcome]:
@@ -274,26 +278,13 @@ class ClientCore:
         self.seat, self.term = welcome.seat, welcome.term
         out: list[Outcome] = [Welcomed(welcome)]
         if welcome.resumed and self.pending is not None:
-            self.pending = self._renewed(self.pending)
-            self.phase = _phase_of(self.pending)
-            self._ahead = None
-            self._sent_s = now_s
-            return [*out, Say(self.pending)]
+            return [*out, *self._ask(msgspec.structs.replace(self.pending, session=self.session), now_s)]
         if self.tick >= 0:
             self._restarted = self._restarted or f"the world is now in epoch {welcome.epoch}"
         self.pending = None
         self.epoch, self.tick, self.life = welcome.epoch, -1, 0
         self.phase = ClientPhase.WAIT_FIRST
         return out
-
-    def _renewed(self, request: m.Act | m.Respawn | m.Rebuild) -> m.Act | m.Respawn | m.Rebuild:
-        match request:
-            case m.Act():
-                return m.Act(self.session, request.epoch, request.tick, request.life, request.x, request.y)
-            case m.Respawn():
-                return m.Respawn(self.session, request.epoch, request.tick, request.life)
-            case m.Rebuild():
-                return m.Rebuild(self.session, request.epoch, request.seed)
 
     def _barrier_full(self, full: m.BarrierFull) -> list[Outcome]:
         """Ask for the tick: only a master hears of a full barrier."""
@@ -383,13 +374,3 @@ class ClientCore:
         told = f"{what}; the client is at epoch, tick, life {(self.epoch, self.tick, self.life)}, {self.phase.value}"
         self.phase = ClientPhase.GONE
         return [Failed(ProtocolError(f"{told}: a step was lost or doubled"))]
-
-
-def _phase_of(request: m.Act | m.Respawn | m.Rebuild) -> ClientPhase:
-    match request:
-        case m.Act():
-            return ClientPhase.WAIT_TICK
-        case m.Respawn():
-            return ClientPhase.WAIT_RESPAWN
-        case m.Rebuild():
-            return ClientPhase.WAIT_FIRST

@@ -14,14 +14,17 @@ MOST_LIVES = 1000  # respawns at one tick: each is work for the world, and a lin
 
 @dataclass(slots=True, kw_only=True)
 class Member:
-    """A client with a seat. A member without a session is one whose client has yet to come back."""
+    """A client with a seat, or one that waits for it.
+
+    A member without a session is one whose client has yet to come back: after an exact recovery.
+    """
 
     seat: int
-    session: bytes
-    peer: Peer
-    claim: bytes
     name: str
     spec: SeatSpec
+    session: bytes = b""
+    peer: Peer = b""
+    claim: bytes = b""  # who shows another one does not get the seat
     life: int = 0  # respawns at the tick of now
     action: Joystick | None = None  # for the tick of now
     respawning: bool = False
@@ -42,24 +45,12 @@ class Member:
         return not self.session
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pending:
-    """A client that waits for its seat."""
-
-    seat: int
-    session: bytes
-    peer: Peer
-    claim: bytes
-    name: str
-    spec: SeatSpec
-
-
 @dataclass(slots=True)
 class Roster:
     """The lists, in the order of joining; no two entries share a seat, but a pending one may wait for one to go."""
 
     members: list[Member] = field(default_factory=list)
-    pending: list[Pending] = field(default_factory=list)
+    pending: list[Member] = field(default_factory=list)  # replaced, never changed
     going: dict[int, str] = field(default_factory=dict)  # reason by seat
     retired: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     strangers: deque[bytes] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
@@ -76,27 +67,29 @@ class Roster:
         """The member on this seat."""
         return next((m for m in self.members if m.seat == seat), None)
 
-    def waiting(self, session: bytes) -> Pending | None:
+    def waiting(self, session: bytes) -> Member | None:
         """Who waits under this session."""
         return next((p for p in self.pending if p.session == session), None)
 
-    def waiting_at(self, seat: int) -> Pending | None:
+    def waiting_at(self, seat: int) -> Member | None:
         """Who waits for this seat."""
         return next((p for p in self.pending if p.seat == seat), None)
 
+    def everyone(self) -> list[Member]:
+        """Who is in, and who waits."""
+        return [*self.members, *self.pending]
+
     def others_of(self, peer: Peer, claim: bytes) -> bool:
         """Whether somebody of another claim speaks through the same connection."""
-        everyone: list[Member | Pending] = [*self.members, *self.pending]
-        return any(entry.peer == peer and (not claim or entry.claim != claim) for entry in everyone)
+        return any(entry.peer == peer and (not claim or entry.claim != claim) for entry in self.everyone())
 
     def claimed(self, claim: bytes) -> int | None:
         """The seat that somebody with this claim has or waits for."""
-        everyone: list[Member | Pending] = [*self.members, *self.pending]
-        return next((entry.seat for entry in everyone if claim and entry.claim == claim), None)
+        return next((entry.seat for entry in self.everyone() if claim and entry.claim == claim), None)
 
     def free_seat(self, capacity: int) -> int | None:
         """The first seat that nobody has or waits for."""
-        used = {m.seat for m in self.members} | {p.seat for p in self.pending}
+        used = {entry.seat for entry in self.everyone()}
         return next((seat for seat in range(capacity) if seat not in used), None)
 
     def by_seat(self) -> list[Member]:

@@ -1,7 +1,7 @@
 """What travels between clients and a server: typed msgpack messages, never pickle, every field bounded.
 
 Every request carries the session of its client, and what it is about: epoch, tick and life (the number of respawns at
-that tick). The bounds are those of `server/protocol/bounds.py`. Nothing is "the next", so a request that comes twice,
+that tick). The bounds are those of `types/bounds.py`. Nothing is "the next", so a request that comes twice,
 or late, does nothing twice.
 """
 
@@ -12,18 +12,22 @@ from functools import cache
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 
 from wcsim import errors
 from wcsim.core.reading import escaped
 from wcsim.errors import ProtocolError, WcsimError
-from wcsim.log.records import MOST_SEATS
-from wcsim.server.protocol import bounds as b
-from wcsim.server.protocol.frame_codec import Pictures, packed, packed_spec, unpacked, unpacked_spec
-from wcsim.server.protocol.parts import PackedClient, PackedSpec
+from wcsim.server.protocol.frame_codec import (
+    Pictures,
+    packed,
+    packed_without_pictures,
+    require_whole,
+    unpacked,
+    with_pictures,
+)
 from wcsim.types import ClientSnapshot, SeatSpec
+from wcsim.types import bounds as b
 
-PROTOCOL = 6
+PROTOCOL = 7
 MAX_REQUEST_BYTES = 1 << 13  # a server refuses more; the longest join has less
 MAX_REPLY_BYTES = 64 << 20  # a client refuses more: pictures travel inside when there is no shared memory
 SESSION_BYTES = b.SESSION_BYTES
@@ -169,7 +173,7 @@ class Waiting(_Message, frozen=True):
 
     epoch: b.Count
     tick: b.Count
-    late: Annotated[tuple[b.Name, ...], msgspec.Meta(max_length=MOST_SEATS)]
+    late: Annotated[tuple[b.Name, ...], msgspec.Meta(max_length=b.MOST_SEATS)]
 
 
 class Failure(_Message, frozen=True):
@@ -191,80 +195,31 @@ Request = Join | Act | Tick | Respawn | Rebuild | Beat | Leave
 Reply = Welcome | BarrierFull | Promote | Demoted | TickDone | Frame | Restarted | Waiting | Failure | Bye
 
 
-class _PackedFrame(_Message, frozen=True, tag="Frame"):
-    """A `Frame` as it travels."""
-
-    epoch: b.Count
-    tick: b.Count
-    life: b.Count
-    client: PackedClient | None
-    slot: b.Slot
-
-
-class PackedJoin(_Message, frozen=True, tag="Join"):
-    """A `Join` as it travels."""
-
-    protocol: b.Count
-    schema: b.Hash
-    config: b.Hash
-    session: b.Session
-    claim: b.Claim
-    seat: b.SeatOrAny
-    name: b.Name
-    spec: PackedSpec
-    pid: b.Process
-    resume: tuple[b.Count, b.Count] | None
-
-
-_OtherRequest = Act | Tick | Respawn | Rebuild | Beat | Leave
-_OtherReply = Welcome | BarrierFull | Promote | Demoted | TickDone | Restarted | Waiting | Failure | Bye
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"cannot send a {type(value).__name__}")
-
-
-_ENCODER = msgspec.msgpack.Encoder(enc_hook=_plain)
-_REQUESTS: msgspec.msgpack.Decoder[_OtherRequest | PackedJoin] = msgspec.msgpack.Decoder(_OtherRequest | PackedJoin)
-_REPLIES: msgspec.msgpack.Decoder[_OtherReply | _PackedFrame] = msgspec.msgpack.Decoder(_OtherReply | _PackedFrame)
-
-
-def _travelling() -> tuple[type[msgspec.Struct], ...]:
-    """Every kind of message as it travels."""
-    return (*_OtherRequest.__args__, PackedJoin, *_OtherReply.__args__, _PackedFrame)
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=packed)
+_WITHOUT_PICTURES = msgspec.msgpack.Encoder(enc_hook=packed_without_pictures)
+_REQUESTS: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
+_REPLIES: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply, dec_hook=unpacked)
 
 
 @cache
 def schema_hash() -> str:
     """A short hash of all fields of all messages: two programs with the same one understand each other."""
-    _, parts = msgspec.json.schema_components(_travelling())
+    kinds = (*Request.__args__, *Reply.__args__)
+    _, parts = msgspec.json.schema_components(kinds, schema_hook=lambda array: {"title": str(array)})
     text = msgspec.json.encode(parts, order="deterministic")
     return hashlib.blake2b(text, digest_size=8).hexdigest()
 
 
 def encode(message: Request | Reply) -> bytes:
     """A message as bytes; a frame has its pictures inside unless they are in a slot of shared memory."""
-    if isinstance(message, Frame):
-        client = message.client
-        inside = None if client is None else packed(client, pictures=message.slot < 0)
-        return _ENCODER.encode(_PackedFrame(message.epoch, message.tick, message.life, inside, message.slot))
-    if isinstance(message, Join):
-        return _ENCODER.encode(PackedJoin(**{**_fields(message), "spec": packed_spec(message.spec)}))
-    return _ENCODER.encode(message)
+    outside = isinstance(message, Frame) and message.slot >= 0
+    return (_WITHOUT_PICTURES if outside else _ENCODER).encode(message)
 
 
 def decode_request(data: bytes) -> Request:
     """Bytes as a request. Raises OverloadedError when there are too many, ProtocolError for anything else."""
-    request: _OtherRequest | PackedJoin = _decode(data, _REQUESTS, MAX_REQUEST_BYTES)
-    if isinstance(request, PackedJoin):
-        return Join(**{**_fields(request), "spec": unpacked_spec(request.spec)})
+    request: Request = _decode(data, _REQUESTS, MAX_REQUEST_BYTES)
     return request
-
-
-def _fields(join: Join | PackedJoin) -> dict[str, Any]:
-    return {name: getattr(join, name) for name in join.__struct_fields__}
 
 
 def decode_reply(data: bytes, shared: Pictures | None = None) -> Reply:
@@ -272,11 +227,13 @@ def decode_reply(data: bytes, shared: Pictures | None = None) -> Reply:
 
     Raises OverloadedError when there are too many bytes, ProtocolError for anything else that is no reply.
     """
-    reply: _OtherReply | _PackedFrame = _decode(data, _REPLIES, MAX_REPLY_BYTES)
-    if isinstance(reply, _PackedFrame):
-        client = None if reply.client is None else unpacked(reply.client, reply.slot, shared)
-        return Frame(reply.epoch, reply.tick, reply.life, client, reply.slot)
-    return reply
+    reply: Reply = _decode(data, _REPLIES, MAX_REPLY_BYTES)
+    if not isinstance(reply, Frame) or reply.client is None:
+        return reply
+    require_whole(reply.client)
+    if reply.slot < 0 or shared is None:
+        return reply
+    return msgspec.structs.replace(reply, client=with_pictures(reply.client, reply.slot, shared))
 
 
 def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int) -> Any:
@@ -284,7 +241,7 @@ def _decode(data: bytes, decoder: msgspec.msgpack.Decoder[Any], limit_bytes: int
         raise errors.OverloadedError(f"a message has {len(data)} bytes; expected at most {limit_bytes}")
     try:
         return decoder.decode(data)
-    except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:
+    except (msgspec.MsgspecError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise ProtocolError(f"a message does not fit protocol {PROTOCOL}: {escaped(error, 200)}") from None
 
 

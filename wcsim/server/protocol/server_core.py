@@ -10,7 +10,6 @@ twice or late does nothing twice. docs/protocol.md shows the states.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -33,8 +32,7 @@ from wcsim.errors import (
     WorldFullError,
 )
 from wcsim.server.protocol import messages as m
-from wcsim.server.protocol.barrier import Barrier, Kept
-from wcsim.server.protocol.bounds import MOST_METRES, MOST_STEPS
+from wcsim.server.protocol.barrier import Barrier
 from wcsim.server.protocol.events import (
     BarrierState,
     Clock,
@@ -48,22 +46,21 @@ from wcsim.server.protocol.events import (
     Stepped,
     Stop,
 )
-from wcsim.server.protocol.members import MOST_LIVES, Member, Pending, Roster
-from wcsim.types import CLIENT_NAME, Joystick, SeatSpec
+from wcsim.server.protocol.members import MOST_LIVES, Member, Roster
+from wcsim.types import Joystick, SeatSpec
+from wcsim.types.bounds import MOST_STEPS
 from wcsim.users.profiles import is_of_file, profile_names
-
-_NAME = re.compile(CLIENT_NAME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Admission:
+class _Admission:
     """A seat for a client; `resumes` when the episode on it goes on."""
 
     seat: int
     resumes: bool
 
 
-def admission(join: m.Join, rules: Rules, roll: Roster, now: tuple[int, int]) -> Admission | WcsimError:
+def admission(join: m.Join, rules: Rules, roll: Roster, now: tuple[int, int]) -> _Admission | WcsimError:
     """The seat that a client gets at (epoch, tick) `now`, or the error that says why it gets none."""
     fault = _unfit(join, rules)
     if fault is not None:
@@ -83,8 +80,8 @@ def admission(join: m.Join, rules: Rules, roll: Roster, now: tuple[int, int]) ->
     return _own_seat(join, join.seat, roll, now)
 
 
-def _own_seat(join: m.Join, seat: int, roll: Roster, now: tuple[int, int]) -> Admission:
-    return Admission(seat=seat, resumes=roll.at(seat) is not None and _goes_on(join, now))
+def _own_seat(join: m.Join, seat: int, roll: Roster, now: tuple[int, int]) -> _Admission:
+    return _Admission(seat=seat, resumes=roll.at(seat) is not None and _goes_on(join, now))
 
 
 def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
@@ -92,13 +89,6 @@ def _unfit(join: m.Join, rules: Rules) -> WcsimError | None:
         return VersionMismatchError(
             f"the client has protocol {join.protocol}, schema {join.schema[:40]!r}; the server has {m.PROTOCOL}, "
             f"{m.schema_hash()!r}; install the same version of wcsim on both"
-        )
-    if len(join.session) != m.SESSION_BYTES:
-        return VersionMismatchError(f"a session of {len(join.session)} bytes; expected {m.SESSION_BYTES}")
-    if not _NAME.fullmatch(join.name):
-        return ProtocolError(
-            f"name {escaped(join.name, 40)!r}: expected 1 to 64 letters, digits, '-', '_' or '.', and no '.' at the "
-            "start"
         )
     if join.config and join.config != rules.config:
         return ConfigMismatchError(
@@ -119,22 +109,16 @@ def _unfit_spec(spec: SeatSpec, rules: Rules) -> WcsimError | None:
     if not named and spec.profile not in profile_names():
         known = ", ".join(profile_names())
         return ConfigError(f"unknown user profile {escaped(spec.profile, 40)!r}; expected one of: {known}")
-    if not 1 <= spec.max_steps <= MOST_STEPS:
+    if spec.max_steps > MOST_STEPS:
         return ProtocolError(f"an episode of {spec.max_steps} steps; expected 1 to {MOST_STEPS}")
-    start = spec.start
-    numbers = () if start is None else (*start.p_W_m, start.yaw_rad, *start.goal_W_m)
-    if not all(abs(number) <= MOST_METRES for number in numbers):  # false for what is no number, too
-        return ProtocolError(
-            "the start has a number that is not finite, or lies far outside the town; expected a place in the town"
-        )
     return None
 
 
-def _free_seat(rules: Rules, roll: Roster) -> Admission | WcsimError:
+def _free_seat(rules: Rules, roll: Roster) -> _Admission | WcsimError:
     seat = roll.free_seat(rules.capacity)
     if seat is None:
         return WorldFullError(f"all {rules.capacity} seats are taken; wait until a client leaves")
-    return Admission(seat=seat, resumes=False)
+    return _Admission(seat=seat, resumes=False)
 
 
 def _goes_on(join: m.Join, now: tuple[int, int]) -> bool:
@@ -146,7 +130,7 @@ def _goes_on(join: m.Join, now: tuple[int, int]) -> bool:
 class ServerCore:
     """A server; see the module's text."""
 
-    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Kept] = ()) -> None:
+    def __init__(self, rules: Rules, epoch: int = 0, tick: int = 0, kept: Sequence[Member] = ()) -> None:
         """An empty server at `tick` of `epoch`; with `kept`, one that waits for those clients to come back."""
         self.cycle = Barrier(rules, epoch, tick, kept)
 
@@ -194,12 +178,12 @@ class ServerCore:
             self.cycle.send(peer, m.failure_of(error, join.session))
             return
         found = admission(join, self.cycle.rules, roll, (self.cycle.epoch, self.cycle.tick))
-        if isinstance(found, Admission):
+        if isinstance(found, _Admission):
             self._let_in(peer, join, found, now_s)
         else:
             self.cycle.send(peer, m.failure_of(found, join.session))
 
-    def _let_in(self, peer: Peer, join: m.Join, found: Admission, now_s: float) -> None:
+    def _let_in(self, peer: Peer, join: m.Join, found: _Admission, now_s: float) -> None:
         """Onto its old seat as if nothing had happened, or into the row of those who wait."""
         roll = self.cycle.roll
         holder = roll.at(found.seat)
@@ -207,7 +191,7 @@ class ServerCore:
             self._take_over(holder, peer, join, now_s)
             return
         self._turn_away(found.seat)
-        waiting = Pending(
+        waiting = Member(
             seat=found.seat, session=join.session, peer=peer, claim=join.claim, name=join.name, spec=join.spec
         )
         roll.pending.append(waiting)

@@ -11,8 +11,8 @@ import os
 import secrets
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ _CAMERA = struct.Struct("<III")  # width, height, 1 with colours
 _PAGE, _LINE = 4096, 64
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
+class _Picture(NamedTuple):
     """The size of a camera's pictures."""
 
     width_px: int
@@ -52,24 +51,20 @@ class Picture:
         return _whole(4 * self.pixels), _whole(self.pixels), _whole(3 * self.pixels) if self.rgb else 0
 
 
-def pictures_of(cameras: Sequence[CameraConfig]) -> tuple[Picture, ...]:
-    """What a rig of these cameras takes."""
-    return tuple(Picture(width_px=c.width_px, height_px=c.height_px, rgb=c.rgb) for c in cameras)
-
-
 class RingSink:
     """The server's side: where the pictures of all seats go; an `ImageSink` with slots.
 
     See `server/host/world_host.py`.
     """
 
-    def __init__(self, folder: Path, seats: int, pictures: tuple[Picture, ...]) -> None:
+    def __init__(self, folder: Path, seats: int, cameras: Sequence[CameraConfig]) -> None:
         """Make a new file for each seat; one of an earlier server lives on for those who still read it.
 
         Raises:
             ConfigError: There are more cameras, or larger ones, than a ring has places for.
             DiskFullError: There is no room for the pictures.
         """
+        pictures = tuple(_Picture(c.width_px, c.height_px, c.rgb) for c in cameras)
         fault = _fault(pictures)
         if fault:
             raise ConfigError(f"cameras: {fault}; use fewer or smaller ones")
@@ -125,7 +120,7 @@ def _set(slot: int, first: bool) -> int:
     return 2 * slot + first
 
 
-def _new_file(path: Path, pictures: tuple[Picture, ...]) -> mmap.mmap:
+def _new_file(path: Path, pictures: tuple[_Picture, ...]) -> mmap.mmap:
     """A file of its own under this name, as large as it will ever be: writing to it cannot fail later."""
     size = _PAGE + 2 * _SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
     part = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
@@ -144,14 +139,14 @@ def _new_file(path: Path, pictures: tuple[Picture, ...]) -> mmap.mmap:
     return memory
 
 
-def _write_head(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> None:
+def _write_head(memory: mmap.mmap, pictures: tuple[_Picture, ...]) -> None:
     _HEAD.pack_into(memory, 0, MAGIC, VERSION, len(pictures))
     for number, picture in enumerate(pictures):
         at = _HEAD.size + number * _CAMERA.size
-        _CAMERA.pack_into(memory, at, picture.width_px, picture.height_px, picture.rgb)
+        _CAMERA.pack_into(memory, at, *picture)
 
 
-def _read_head(path: Path, memory: mmap.mmap) -> tuple[Picture, ...]:
+def _read_head(path: Path, memory: mmap.mmap) -> tuple[_Picture, ...]:
     if len(memory) < _PAGE:
         raise PicturesError(f"{path}: is not a shared memory of pictures; expected at least {_PAGE} bytes")
     magic, version, count = _HEAD.unpack_from(memory)
@@ -160,7 +155,7 @@ def _read_head(path: Path, memory: mmap.mmap) -> tuple[Picture, ...]:
     if count > MAX_CAMERAS:
         raise PicturesError(f"{path}: is of {count} cameras; expected {MAX_CAMERAS} at most")
     rows = (_CAMERA.unpack_from(memory, _HEAD.size + number * _CAMERA.size) for number in range(count))
-    pictures = tuple(Picture(width_px=w, height_px=h, rgb=bool(rgb)) for w, h, rgb in rows)
+    pictures = tuple(_Picture(width_px, height_px, bool(rgb)) for width_px, height_px, rgb in rows)
     needed = _PAGE + 2 * _SLOTS * sum(sum(picture.parts_bytes) for picture in pictures)
     if len(memory) != needed:
         raise PicturesError(f"{path}: has {len(memory)} bytes; expected {needed} for its cameras")
@@ -170,7 +165,7 @@ def _read_head(path: Path, memory: mmap.mmap) -> tuple[Picture, ...]:
     return pictures
 
 
-def _fault(pictures: tuple[Picture, ...]) -> str:
+def _fault(pictures: tuple[_Picture, ...]) -> str:
     """Why no ring can hold such pictures, "" when one can; the same for who writes and who reads it."""
     if len(pictures) > MAX_CAMERAS:
         return f"{len(pictures)} of them; expected {MAX_CAMERAS} at most"
@@ -178,7 +173,7 @@ def _fault(pictures: tuple[Picture, ...]) -> str:
     return "" if wrong is None else f"{wrong.width_px} x {wrong.height_px} px; expected 1 to {MAX_SIDE_PX} each"
 
 
-def _sets(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> tuple[tuple[Images, ...], ...]:
+def _sets(memory: mmap.mmap, pictures: tuple[_Picture, ...]) -> tuple[tuple[Images, ...], ...]:
     """All sets as arrays over the memory, writable when that is."""
     whole, at = np.frombuffer(memory, np.uint8), _PAGE
     found = []
@@ -191,7 +186,7 @@ def _sets(memory: mmap.mmap, pictures: tuple[Picture, ...]) -> tuple[tuple[Image
     return tuple(found)
 
 
-def _images(part: U8, picture: Picture) -> Images:
+def _images(part: U8, picture: _Picture) -> Images:
     depth, classes, _ = picture.parts_bytes
     shape, n = (picture.height_px, picture.width_px), picture.pixels
     colours = part[depth + classes :][: 3 * n].reshape(*shape, 3) if picture.rgb else None

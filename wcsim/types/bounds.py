@@ -1,25 +1,27 @@
-"""What a field of a message may hold. Every field has one of these types, so nothing comes in without a bound."""
+"""What a field may hold that a peer or a file fills. Each has one of these types, so nothing comes in unbounded."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 
-from wcsim.log.records import MAX_SEED, MOST_SEATS
-from wcsim.types import CLIENT_NAME
-
+CLIENT_NAME = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,63}"
+"""Pattern of a client's name: a plain word, so that it can name a folder and be printed anywhere."""
+MOST_SEATS: Final = 64  # of a world
+MAX_SEED: Final = (1 << 63) - 1
 SESSION_BYTES = 16
 MOST_CAMERAS = 64
 MOST_CONTACTS = 4096  # of a chair in a tick
 MOST_TEXT = 4000  # characters of a message for people
 _MAX_COUNT = (1 << 53) - 1  # the largest number that every language counts to
 _MAX_PROCESS = 1 << 22  # of Linux
-MOST_STEPS = 1_000_000  # of an episode, as env.max_steps
+MOST_STEPS = 1_000_000  # of a client's episode, as env.max_steps
 MOST_METRES = 1e6
 MOST_READINGS = 64  # of a chair in a tick, beside cameras and IMU
 MOST_READING_BYTES = 1 << 16  # of one sensor
-MOST_PICTURE_BYTES = 2048 * 2048 * 4
+MOST_ACTIONS = 1024
+MOST_SIDE_PX = 2048  # of a picture
 
 Session = Annotated[bytes, msgspec.Meta(min_length=SESSION_BYTES, max_length=SESSION_BYTES)]
 SessionOrNone = Annotated[bytes, msgspec.Meta(max_length=SESSION_BYTES)]  # b"" where it is not known
@@ -31,8 +33,7 @@ Seat = Annotated[int, msgspec.Meta(ge=0, le=MOST_SEATS - 1)]
 SeatOrAny = Annotated[int, msgspec.Meta(ge=-1, le=MOST_SEATS - 1)]
 Slot = Annotated[int, msgspec.Meta(ge=-1, le=1)]
 Process = Annotated[int, msgspec.Meta(ge=0, le=_MAX_PROCESS)]
-Steps = Annotated[int, msgspec.Meta(ge=1, le=MOST_STEPS)]
-Pixels = Annotated[int, msgspec.Meta(ge=0, le=2048)]
+Steps = Annotated[int, msgspec.Meta(ge=1, le=1 << 31)]  # of an episode: some of this machine are endless
 Delay = Annotated[int, msgspec.Meta(ge=0, le=10)]  # as world.action_delay_ticks
 # A stick beyond its range is the core's to refuse, by name; here only what is no position at all.
 Stick = Annotated[float, msgspec.Meta(ge=-2.0, le=2.0)]
