@@ -33,10 +33,10 @@ from wcsim.towns.checks.cures import (
 )
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.importing.folder_texts import check_new
-from wcsim.towns.pave.elements import Paving, find_edits, find_links, lane_map, note_routes
+from wcsim.towns.pave.elements import Paving
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.net import LaneKind, Net, net_of, read_net
 from wcsim.towns.sumo.tools import Limits, by_file, run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip, xml_bytes
 
@@ -55,7 +55,7 @@ def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     programs = Element("additional")
     programs.extend(logic for logic in before.iterfind("tlLogic") if logic.get("id") in paving.signals)
     elements = list(programs.iter())
-    for number, changes in find_edits(programs, paving, in_net=True).items():
+    for number, changes in paving.find_edits(programs, in_net=True).items():
         elements[number].attrib.update(changes)
     theirs = {logic.get("id") for logic in programs}
     made = [logic for logic in after.iterfind("tlLogic") if logic.get("id") in theirs]
@@ -162,21 +162,20 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         before = _root(place)
         _convert(place, _unpaved(net), fastest_mps)
         after = _root(place)
-        lanes = lane_map(before, after)
-        shifts = {edge: lanes.shift(edge) for edge in lanes.before}
-        paving = Paving(lanes=lanes, signals=find_links(before, after, shifts))
+        nets = net_of(before, place.name), net_of(after, place.name)
+        paving = Paving(*nets)
         if _keep_programs(before, after, paving):
             _write(place, xml_bytes(after))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
-        crossings = _count(after, "crossing")
-        if not crossings and not any(shifts.values()):
+        crossings, streets = _count(nets[1], "crossing"), sum(map(paving.lanes.shift, paving.lanes.before))
+        if not crossings and not streets:
             raise TownError(_why_none(town, net, out, fastest_mps))
     return Paved(
         sumocfg=out / Path(os.path.normpath(config.path.absolute())).relative_to(base),
-        streets=sum(shifts.values()),
+        streets=streets,
         had=paved_streets(net),
         crossings=crossings,
-        walkingareas=_count(after, "walkingarea") - _count(before, "walkingarea"),
+        walkingareas=_count(nets[1], "walkingarea") - _count(nets[0], "walkingarea"),
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
@@ -184,8 +183,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     )
 
 
-def _count(net: Element, function: str) -> int:
-    return sum(edge.get("function") == function for edge in net.iterfind("edge"))
+def _count(net: Net, function: str) -> int:
+    return sum(edge.function == function for edge in net.edges)
 
 
 def _unpaved(net: Net) -> list[str]:
@@ -249,13 +248,13 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
     """Change what names lanes, positions or signals in the copies, and write those that differ."""
     others = [path for path in files if path != net and path.suffix != ".sumocfg" and _is_xml(path)]
     for path in others:
-        note_routes(_root(path), paving)
+        paving.note_routes(_root(path))
     for path in others:
         data, root = read_bytes(path), _root(path)
         if root.tag == "net":
             continue
         try:
-            edits = find_edits(root, paving)
+            edits = paving.find_edits(root)
         except TownError as error:
             raise TownError(f"{path.name}: {error}") from None
         if edits:

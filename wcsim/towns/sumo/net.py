@@ -83,6 +83,8 @@ class Connection:
     tls_id: str
     tls_link: int  # -1 for none
     via: str = ""  # the first lane inside the junction, "" for none
+    tls_link2: int = -1  # a second link of the same light, which shows the crossing's far half
+    straight: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +142,11 @@ class Net:
 
 def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
     """Read a .net.xml[.gz]; all points are moved by -origin_m. Raises TownError when it is not a net."""
-    root = read_root(path)
+    return net_of(read_root(path), str(path), origin_m)
+
+
+def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
+    """A net by its root element; messages call its file `path`. Raises TownError as `read_net` does."""
     if root.tag != "net":
         raise TownError(f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
     try:
@@ -272,6 +278,8 @@ def _connection(element: Element) -> Connection:
         tls_id=element.get("tl", ""),
         tls_link=int(element.get("linkIndex", "-1")),
         via=element.get("via", ""),
+        tls_link2=int(element.get("linkIndex2", "-1")),
+        straight=element.get("dir", "").lower() == "s",
     )
 
 
