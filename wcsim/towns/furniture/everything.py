@@ -284,27 +284,45 @@ def _solid_parts(area: BaseGeometry) -> list[Polygon]:
     return [solid for part in parts for solid in polygons_of(part, 0.05) if solid.is_valid]
 
 
-LOOK_OF: dict[str, str] = {
-    "advertising": "poster", "archive": "", "artwork": "statue", "bbq": "tap", "bench": "bench",
-    "bicycle_parking": "rack", "bicycle_rental": "rack", "bicycle_repair_station": "tap", "billboard": "billboard",
-    "block": "block", "board": "info", "bollard": "bollard", "border_control": "", "boulder": "block",
-    "bump_gate": "", "bust": "statue", "catenary_mast": "pole", "cattle_grid": "", "chain": "bollard",
-    "charging_station": "meter", "column": "column", "cycle_barrier": "cycle_barrier", "debris": "block",
-    "drinking_water": "tap", "entrance": "", "fire_hydrant": "hydrant", "flagpole": "flagpole", "fountain": "fountain",
-    "full-height_turnstile": "gate", "gate": "gate", "give_box": "cabinet", "grit_bin": "bin", "hampshire_gate": "gate",
-    "height_restrictor": "", "jersey_barrier": "block", "kerb": "", "kissing_gate": "gate", "letter_box": "post_box",
-    "lift_gate": "lift_gate", "log": "block", "mast": "pole", "memorial": "block", "monitoring_station": "cabinet",
-    "monument": "statue", "motorcycle_barrier": "cycle_barrier", "no": "", "parcel_locker": "machine",
-    "parking_meter": "meter", "photo_booth": "machine", "picnic_table": "table", "planter": "planter", "pole": "pole",
-    "post_box": "post_box", "poster_box": "poster", "public_bookcase": "cabinet", "recycling": "recycling",
-    "rock": "block", "sally_port": "", "screen": "poster", "shelter": "shelter", "shrub": "shrub", "sign": "sign",
-    "sliding_gate": "gate", "spikes": "", "statue": "statue", "stile": "cycle_barrier", "stone": "block",
-    "street_cabinet": "cabinet", "street_lamp": "lamp", "sump_buster": "", "swing_gate": "lift_gate",
-    "telephone": "phone", "toll_booth": "kiosk", "totem": "poster", "traffic_sign": "sign", "tree": "tree",
-    "turnstile": "gate", "utility_pole": "pole", "vending_machine": "machine", "waste_basket": "bin",
-    "waste_disposal": "recycling", "watering_place": "tap", "water_tap": "tap", "water_well": "block",
-    "wayside_cross": "block", "wayside_shrine": "block", "wedge": "",
-}  # fmt: skip
+_LOOKS = {
+    "": (
+        "archive border_control bump_gate cattle_grid entrance height_restrictor kerb no sally_port spikes "
+        "sump_buster wedge"
+    ),
+    "bench": "bench",
+    "billboard": "billboard",
+    "bin": "grit_bin waste_basket",
+    "block": "block boulder debris jersey_barrier log memorial rock stone water_well wayside_cross wayside_shrine",
+    "bollard": "bollard chain",
+    "cabinet": "give_box monitoring_station public_bookcase street_cabinet",
+    "column": "column",
+    "cycle_barrier": "cycle_barrier motorcycle_barrier stile",
+    "flagpole": "flagpole",
+    "fountain": "fountain",
+    "gate": "full-height_turnstile gate hampshire_gate kissing_gate sliding_gate turnstile",
+    "hydrant": "fire_hydrant",
+    "info": "board",
+    "kiosk": "toll_booth",
+    "lamp": "street_lamp",
+    "lift_gate": "lift_gate swing_gate",
+    "machine": "parcel_locker photo_booth vending_machine",
+    "meter": "charging_station parking_meter",
+    "phone": "telephone",
+    "planter": "planter",
+    "pole": "catenary_mast mast pole utility_pole",
+    "post_box": "letter_box post_box",
+    "poster": "advertising poster_box screen totem",
+    "rack": "bicycle_parking bicycle_rental",
+    "recycling": "recycling waste_disposal",
+    "shelter": "shelter",
+    "shrub": "shrub",
+    "sign": "sign traffic_sign",
+    "statue": "artwork bust monument statue",
+    "table": "picnic_table",
+    "tap": "bbq bicycle_repair_station drinking_water watering_place water_tap",
+    "tree": "tree",
+}
+LOOK_OF = {kind: look for look, kinds in _LOOKS.items() for kind in kinds.split()}
 """Looks of mapped points by the second word of their type; "" for what stands nowhere."""
 
 _ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}

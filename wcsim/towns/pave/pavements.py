@@ -22,15 +22,7 @@ from xml.sax.saxutils import escape
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import (
-    FASTEST_MPS,
-    netedit_cure,
-    pave_command,
-    paved_streets,
-    signals_cure,
-    slowest_street_mps,
-    speeds_mps,
-)
+from wcsim.towns.checks.cures import FASTEST_MPS, Cures, signals_cure
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.importing.folder_texts import check_new
 from wcsim.towns.pave.elements import Paving
@@ -151,7 +143,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     if net.lanes(LaneKind.CROSSING):
         raise TownError(
             f"{town.net}: has pavements and crossings already, and more would break them; connect the parts: "
-            f"{netedit_cure(town)}"
+            f"{Cures(town).netedit()}"
         )
     config = read_configuration(town.sumocfg)
     with whole_folder(out) as work:
@@ -173,7 +165,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     return Paved(
         sumocfg=out / Path(os.path.normpath(config.path.absolute())).relative_to(base),
         streets=streets,
-        had=paved_streets(net),
+        had=net.paved_streets,
         crossings=crossings,
         walkingareas=_count(nets[1], "walkingarea") - _count(nets[0], "walkingarea"),
         placed=paving.placed,
@@ -195,14 +187,14 @@ def _unpaved(net: Net) -> list[str]:
 def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
     """How many streets have no pavement for their speed, with the command that gives them one; what junctions got."""
     bare = (edge for edge in net.edges if all(lane.kind is not LaneKind.SIDEWALK for lane in edge.lanes))
-    limits = speeds_mps(net)
+    limits = net.speeds_mps
     fast = [limits[edge.id] for edge in bare if limits.get(edge.id, 0.0) > fastest_mps]
     notes = []
     if fast:
         other = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
         notes.append(
             f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; to include "
-            f"them, in another folder: {pave_command(town, other, max(fast))}"
+            f"them, in another folder: {Cures(town).pave_into(other, max(fast))}"
         )
     if not any(edge.function == "internal" for edge in net.edges):
         notes.append(
@@ -212,12 +204,14 @@ def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str
 
 
 def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
-    problem, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
+    problem, slowest_mps = f"{town.net}: none of its streets got a pavement: ", net.slowest_mps
     if slowest_mps is None:
         return f"{problem}none is open to cars; choose another scenario"
     if slowest_mps <= fastest_mps:
         return f"{problem}netconvert guessed none; draw them in netedit"
-    return f"{problem}all are faster than {fastest_mps:g} m/s; to include them: {pave_command(town, out, slowest_mps)}"
+    return (
+        f"{problem}all are faster than {fastest_mps:g} m/s; to include them: {Cures(town).pave_into(out, slowest_mps)}"
+    )
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:

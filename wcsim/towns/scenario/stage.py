@@ -90,7 +90,7 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
         notes=_notes_of(config),
         outputs=names.paths,
         author_scale=author_scale(config),
-        begin_s=parse_seconds(config.value("begin") or "0", town.sumocfg),
+        begin_s=config.seconds("begin", "0"),
         digest=_digest(text, settings, names.folder, files),
         inputs=tuple(files.read),
     )
@@ -135,21 +135,6 @@ def _refuse_mesoscopic(config: Configuration) -> None:
     """Raise TownError for a scenario whose vehicles have no positions."""
     if is_true(config.value("mesosim") or "false"):
         raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
-
-
-def parse_seconds(text: str, where: Path) -> float:
-    """A time of SUMO's, in seconds or as [[days:]hours:]minutes:seconds. Raises TownError.
-
-    >>> parse_seconds("1:00:30", Path("x"))
-    3630.0
-    """
-    try:
-        total_s = 0.0
-        for part, share in zip(reversed(text.split(":")), (1, 60, 3600, 86400), strict=False):
-            total_s += float(part) * share
-        return total_s
-    except ValueError:
-        raise TownError(f"{where}: {text!r} is not a time; expected seconds or hours:minutes:seconds") from None
 
 
 def _make(folder: Path) -> None:

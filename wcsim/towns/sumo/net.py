@@ -131,6 +131,22 @@ class Net:
         """The edges from which or to which a signal lets anybody pass."""
         return {name for link in self.connections if link.tls_id for name in (link.start, link.end)}
 
+    @property
+    def paved_streets(self) -> int:
+        """How many streets have a pavement."""
+        return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in self.streets)
+
+    @property
+    def speeds_mps(self) -> dict[str, float]:
+        """The speed limit of each street for cars, by its edge."""
+        motor = ((e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR]) for e in self.edges)
+        return {edge: max(limits) for edge, limits in motor if limits and not edge.startswith(":")}
+
+    @property
+    def slowest_mps(self) -> float | None:
+        """The lowest speed limit of the streets for cars, None where there are none."""
+        return min(filter(None, self.speeds_mps.values()), default=None)
+
     def crossing_links(self) -> Iterator[tuple[str, Connection]]:
         """Each crossing that has a signal, by its edge, with each link by which it has it."""
         crossings = {lane.edge_id for lane in self.lanes(LaneKind.CROSSING)}
