@@ -194,7 +194,9 @@ def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
 
 
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:
-    fast = open_town(made(tmp_path / "fast", ("--grid", "--grid.number", "3"), persons=False, speed_mps=25.0))
+    fast = open_town(
+        made(tmp_path / "fast", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False, speed_mps=25.0)
+    )
     (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
     command = printed(fault, "add pavements")
     assert (
@@ -205,7 +207,7 @@ def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) ->
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:
-    rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3"), persons=False))
+    rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False))
     text = rails.net.read_text(encoding="utf-8").replace(' speed="', ' allow="tram" speed="')
     rails.net.write_text(text, encoding="utf-8")
     (fault,) = (fault for fault in faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
