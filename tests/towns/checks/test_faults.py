@@ -15,7 +15,7 @@ from wcsim.errors import TownError
 from wcsim.towns.checks.check import Overlap, TownReport, _demand_classes, _find_notes, check_town, faults_of
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
-from wcsim.towns.osm.read import read_extract
+from wcsim.towns.osm.read import Box, read_extract
 from wcsim.towns.scenario.town import Town, chair_ways
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
@@ -111,7 +111,7 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     osm = REPOSITORY.parent / "shared" / "towns" / "leeds.osm.xml.gz"
     if not osm.is_file():
         pytest.skip("the extract lies in the development material beside the checkout, which is not here")
-    extract = read_extract(osm, (-1.538528, 53.795722, -1.531532, 53.799858))
+    extract = read_extract(osm, Box(-1.538528, 53.795722, -1.531532, 53.799858))
     order = ImportOrder(osm=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=True)
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())

@@ -22,11 +22,12 @@ from wcsim.towns.importing.elevation import (
     write_dem,
 )
 from wcsim.towns.importing.importer import ImportOrder, import_town
+from wcsim.towns.osm.read import Box
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 
-BOX = (7.4175, 43.7368, 7.4249, 43.7422)
+BOX = Box(7.4175, 43.7368, 7.4249, 43.7422)
 
 
 def write_tiff(path: Path, crs: str | None, *, lift_m: float = 0.0, hole: bool = False, width: int = 240) -> Path:
@@ -131,7 +132,7 @@ def test_a_file_of_our_own_is_taken_as_it_is_only_where_and_as_gentle_as_it_was_
     assert kept.smooth and steeper.smooth and not gentler.smooth
     assert gentler.height_m == pytest.approx(made.height_m, abs=0.3)
     with pytest.raises(TownError, match="use a file that covers the town"):
-        make_dem(Heights(dem=path), (24.93, 60.16, 24.94, 60.17), 0)
+        make_dem(Heights(dem=path), Box(24.93, 60.16, 24.94, 60.17), 0)
 
 
 def test_smoothing_and_lowering_make_land_gentler() -> None:
@@ -144,9 +145,9 @@ def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: P
     path = tmp_path / "x.net.xml"
     path.write_bytes(read_bytes(manhattan_town.net))
     flat = read_net(path)
-    west, south, east, north = (float(p) for p in (manhattan_town.folder / "osm" / "bbox").read_text().split(","))
+    box = Box.of((manhattan_town.folder / "osm" / "bbox").read_text())
     relief = Heights(hill_m=150.0, max_grade=0.08)
-    dem = make_dem(relief, (west, south, east, north), 5)
+    dem = make_dem(relief, box, 5)
     assert dem is not None
     used = lift_net(path, dem, relief)
     net = read_net(path)
@@ -159,7 +160,7 @@ def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: P
     assert max(np.ptp(heights_m) for heights_m in ends.values()) < 0.05, "lanes that meet, meet at one height"
     assert [edge.id for edge in net.edges] == [edge.id for edge in flat.edges]
     write_dem(used, relief, tmp_path / "x.dem.tif")
-    stored = make_dem(Heights(dem=tmp_path / "x.dem.tif"), (west, south, east, north), 0)
+    stored = make_dem(Heights(dem=tmp_path / "x.dem.tif"), box, 0)
     assert stored is not None and stored.smooth and np.array_equal(stored.height_m, used.height_m)
 
 

@@ -22,6 +22,7 @@ from wcsim.towns.importing import demand
 from wcsim.towns.importing.elevation import Heights
 from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.osm.clean import filter_osm
+from wcsim.towns.osm.read import Box
 from wcsim.towns.scenario.town import Town, own_work
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import run_tool
@@ -68,8 +69,7 @@ def test_two_builds_give_the_same_bytes_and_leave_nothing_behind(order: ImportOr
 
 def test_shipped_net_is_what_its_extract_gives(order: ImportOrder, manhattan_town: Town) -> None:
     osm = manhattan_town.folder / "osm"
-    west, south, east, north = map(float, (osm / "bbox").read_text(encoding="utf-8").split(","))
-    box = (west, south, east, north)
+    box = Box.of((osm / "bbox").read_text(encoding="utf-8"))
     town = import_town(replace(order, osm=osm / "manhattan.osm.xml.gz", bbox=box, traffic=0.0)).town
     assert read_bytes(town.net) == read_bytes(manhattan_town.net)
     assert town.poly is not None and manhattan_town.poly is not None
@@ -94,8 +94,8 @@ def test_bad_orders_are_refused(order: ImportOrder, tmp_path: Path) -> None:
         (replace(order, name="a b"), "cannot be named"),
         (replace(order, name="scenes"), "cannot be named"),
         (replace(order, split="both"), "unknown split"),
-        (replace(order, bbox=(2.0, 0.0, 1.0, 1.0)), "west,south,east,north"),
-        (replace(order, bbox=(2.0, 48.0, 2.9, 48.1)), "at most 12 km"),
+        (replace(order, bbox=Box(2.0, 0.0, 1.0, 1.0)), "west,south,east,north"),
+        (replace(order, bbox=Box(2.0, 48.0, 2.9, 48.1)), "at most 12 km"),
         (replace(order, per_hour={"car": 1.0}), "class 'car'"),
         (replace(order, per_hour={"bicycle": -1.0}), "-1.0 departures"),
         (replace(order, traffic=11.0), "traffic 11.0"),
@@ -166,11 +166,10 @@ def test_unroutable_trips_are_counted(corner_town: Town, tmp_path: Path) -> None
 @pytest.mark.parametrize("name", ["leeds", "neukolln"])
 def test_traffic_keeps_to_the_side_of_the_country(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demand, "TRIAL_S", 20)
-    west, south, east, north = (float(text) for text in (SHARED / f"{name}.bbox").read_text("utf-8").split(","))
     made = import_town(
         ImportOrder(
             osm=SHARED / f"{name}.osm.xml.gz",
-            bbox=(west, south, east, north),
+            bbox=Box.of((SHARED / f"{name}.bbox").read_text("utf-8")),
             name=name,
             split="test",
             out=tmp_path / name,
@@ -261,8 +260,7 @@ def test_stages_and_what_is_left_out_are_told(order: ImportOrder) -> None:
     assert any("has no bounds, so all of it (0.2 x 0.2 km) was imported" in note for note in made.notes)
     crossings = len(read_net(made.town.net).lanes(LaneKind.CROSSING))
     assert any(f"the map has 0 crossings, the net {crossings}" in note for note in made.notes)
-    west, south, east, north = 24.999, 59.999, 25.0046, 60.0023
-    bounded = import_town(replace(order, bbox=(west, south, east, north)))
+    bounded = import_town(replace(order, bbox=Box(24.999, 59.999, 25.0046, 60.0023)))
     assert not any("names no bounds" in note for note in bounded.notes)
 
 

@@ -15,8 +15,9 @@ from wcsim.towns.osm.clean import (
     left_out_notes,
     ways_inside,
 )
+from wcsim.towns.osm.read import Box
 
-BOX = (25.0, 60.0, 25.01, 60.01)
+BOX = Box(25.0, 60.0, 25.01, 60.01)
 TEXT = """<osm>
     <node id="1" lon="25.001" lat="60.005"/><node id="2" lon="25.005" lat="60.005"/>
     <node id="3" lon="25.005" lat="60.009"><tag k="highway" v="crossing"/></node>

@@ -202,14 +202,14 @@ def _per_hour(text: str) -> dict[str, float]:
 
 def _bbox(text: str) -> Box:
     try:
-        west, south, east, north = (float(part) for part in text.split(","))
+        box = Box.of(text)
     except ValueError:
         raise ConfigError(
             f"--bbox {text!r} is not west,south,east,north in degrees, such as 24.9,60.1,25.0,60.2"
         ) from None
-    if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
+    if not (-180 <= box.west < box.east <= 180 and -90 <= box.south < box.north <= 90):
         raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
-    return west, south, east, north
+    return box
 
 
 @dataclass

@@ -14,7 +14,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
-from wcsim.towns.osm.read import MARGIN_M, bbox_option, grown, holds_more, size_m
+from wcsim.towns.osm.read import MARGIN_M, Box, holds_more
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town, own_work
@@ -107,12 +107,11 @@ class Cures:
         osm = words.index("--osm")
         extract = (folder / words[osm + 1]).resolve()
         try:
-            west, south, east, north = (float(part) for part in words[at].removeprefix("--bbox=").split(","))
-            box = (west, south, east, north)
+            box = Box.of(words[at].removeprefix("--bbox="))
             more = extract.is_relative_to(folder.resolve()) and holds_more(extract, box)
         except (ValueError, TownError):  # a town.toml may say anything
             return by_hand
-        words[at] = bbox_option(grown(box, MARGIN_M if more else _WIDER * max(size_m(box))))
+        words[at] = box.grown(MARGIN_M if more else _WIDER * max(box.size_m)).option
         if not more:
             del words[osm : osm + 2]
         return self.again(f"take a larger area{'' if more else ' from the internet'}", shlex.join(words))

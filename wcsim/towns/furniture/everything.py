@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import yaw_from_sumo
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
-from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, put_at_first, stood, stood_at_first
+from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.plane_geometry import Patches, distinct, left_of, polygons_of, unit, valid, yaw_of
@@ -227,7 +227,7 @@ def _stood(item: Item, kind: str, middle: F64, site: _Site) -> list[StandingObje
     if facing is None:
         facing = yaw_of(-away)  # things look at those who walk by
     places_m = (middle + shift_m * away for shift_m in SHIFTS_M)
-    return stood_at_first(kind, places_m, facing, site.place)
+    return site.place.room_for(kind, places_m, facing)
 
 
 def _mapped_direction(tags: dict[str, str]) -> float | None:
@@ -371,8 +371,8 @@ def _at_stop(item: Item, place: FreeGround, lefthand: bool) -> list[StandingObje
     along = unit(end - start)
     aside = left_of(along) * (1.0 if lefthand else -1.0)
     pole_at = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
-    pole = put_at_first("stop_pole", _outward(pole_at, along, aside), yaw_of(-along), place)
-    return [*pole, *put_at_first("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside), place)]
+    pole = place.put("stop_pole", _outward(pole_at, along, aside), yaw_of(-along))
+    return [*pole, *place.put("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside))]
 
 
 def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
@@ -384,7 +384,7 @@ def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
     aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
     along = left_of(aside)
     kinds = ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",)
-    found = (put_at_first(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside), place) for kind in kinds)
+    found = (place.put(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside)) for kind in kinds)
     return next(filter(None, found), [])
 
 

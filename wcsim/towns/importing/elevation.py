@@ -27,9 +27,9 @@ import numpy as np
 
 from wcsim.core.reading import FileKind, escaped, read_bytes
 from wcsim.core.seeding import generator
-from wcsim.errors import TownError, check_installed
+from wcsim.errors import TownError
 from wcsim.towns.ground.relief import steepest_run
-from wcsim.towns.osm.read import Box, grown, is_within, size_m
+from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
@@ -77,7 +77,7 @@ def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
     """The heights of a town's area and its surroundings, None for a level town. Raises TownError."""
     if not 0.01 <= relief.max_grade <= 0.25:
         raise TownError(f"a largest grade of {relief.max_grade} is not possible; expected 0.01 to 0.25")
-    area = grown(box, MARGIN_M)
+    area = box.grown(MARGIN_M)
     if relief.dem is not None:
         return _read(relief.dem, area, relief.max_grade)
     if relief.hill_m == 0.0:
@@ -126,7 +126,7 @@ def _as_stored(dem: Dem) -> Dem:
 
 
 def _shape(area: Box) -> tuple[int, int]:
-    wide_m, high_m = size_m(area)
+    wide_m, high_m = area.size_m
     return max(8, round(high_m / CELL_M)), max(8, round(wide_m / CELL_M))
 
 
@@ -140,11 +140,6 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
         field += high * np.exp(-((row - y) ** 2 + (col - x) ** 2) / (2.0 * wide**2))
     field -= field.min()
     return np.asarray(height_m * field / field.max())
-
-
-def check_rasterio() -> None:
-    """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
-    check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
 
 
 @contextmanager
@@ -215,7 +210,7 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     try:
         with _own_projections(), _quiet(), _opened(path) as file:
             _require_usable(path, file)
-            if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
+            if _gentle_enough(file.tags(), max_grade) and _covers(Box(*file.bounds), area):
                 return _taken_as_it_is(path, file)
             place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
             reproject(
@@ -250,7 +245,7 @@ def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
     height_m = file.read(1).astype(np.float64)
     if not (np.abs(height_m) < _HIGHEST_M).all():
         raise TownError(f"--dem {path}: holds heights that are not numbers; {_WANTED}")
-    return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
+    return Dem(height_m=height_m, box=Box(*file.bounds), smooth=True)
 
 
 def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
@@ -263,8 +258,8 @@ def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
 
 def _covers(place: Box, area: Box) -> bool:
     slack = 1e-6  # degrees
-    west, south, east, north = area
-    return is_within((west + slack, south + slack), place) and is_within((east - slack, north - slack), place)
+    low, high = (area.west + slack, area.south + slack), (area.east - slack, area.north - slack)
+    return place.holds(low) and place.holds(high)
 
 
 def _told(box: Box) -> str:

@@ -17,17 +17,16 @@ from xml.etree.ElementTree import Element
 
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
-from wcsim.errors import SumoError, TownError
+from wcsim.errors import SumoError, TownError, check_installed
 from wcsim.towns.importing.demand import (
     Way,
     build_ways,
     check_rates,
-    flows_text,
     vtypes_text,
     without_ways,
-    write_tried,
+    write_demand,
 )
-from wcsim.towns.importing.elevation import Heights, check_rasterio, lift_net, make_dem, write_dem
+from wcsim.towns.importing.elevation import Heights, lift_net, make_dem, write_dem
 from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
@@ -49,7 +48,7 @@ from wcsim.towns.osm.clean import (
     ways_inside,
     wrongly_paved,
 )
-from wcsim.towns.osm.read import Box, Extract, Side, bbox_option, box_centre, check_box, read_extract, side_at, size_m
+from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
@@ -318,10 +317,8 @@ def import_town(
     _check(order)
     stage(f"reading {order.osm}")
     extract = read_extract(order.osm, order.bbox)
-    if order.lefthand is None:
-        side = side_at(*box_centre(extract.box))
-    else:
-        side = Side(lefthand=order.lefthand, why="as ordered")
+    ordered = Side(lefthand=order.lefthand, why="as ordered") if order.lefthand is not None else None
+    side = ordered or side_at(*extract.box.centre)
     order = replace(order, bbox=extract.box, lefthand=side.lefthand)
     try:
         with whole_folder(order.out) as work:
@@ -335,12 +332,12 @@ def import_town(
 def _check(order: ImportOrder) -> None:
     check_words(order.name, order.split)
     if order.bbox is not None:
-        check_box(order.bbox)
+        order.bbox.check()
     check_rates(order.per_hour)
     if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
         raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.relief.dem is not None or order.relief.hill_m:
-        check_rasterio()
+        check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
     check_place(order.out, overwrite=order.overwrite)
 
 
@@ -375,7 +372,8 @@ def _build(
     _write_manifest(order, work, built)
     stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
-        demand = pool.submit(_write_demand, order, work, built, ways, parking)
+        traffic = order.seed, order.traffic, order.per_hour, parking.vehicles
+        demand = pool.submit(write_demand, work / f"{name}.sumocfg", built.net, ways, *traffic)
         if meanwhile is not None:
             meanwhile(_unfinished(work, order))
         demand.result()
@@ -420,12 +418,12 @@ def _counts(
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
-    note = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {bbox_option(extract.box)}"
+    note = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {extract.box.option}"
     return () if extract.bounded else (note,)
 
 
 def _size(box: Box) -> str:
-    wide_m, high_m = size_m(box)
+    wide_m, high_m = box.size_m
     return f"{wide_m / 1e3:.1f} x {high_m / 1e3:.1f} km"
 
 
@@ -444,15 +442,6 @@ def _unfinished(work: Path, order: ImportOrder) -> Town:
     """The town without its demand, which is still being tried."""
     town = open_town(work / f"{order.name}.sumocfg")
     return replace(town, routes=())
-
-
-def _write_demand(order: ImportOrder, work: Path, built: _BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
-    """Write the flows, without the walking ways on which people get stuck."""
-
-    def text_of(some: tuple[Way, ...]) -> str:
-        return flows_text(built.net, some, order.seed, order.traffic, order.per_hour, parking.vehicles)
-
-    write_tried(work / f"{order.name}.sumocfg", ways, text_of)
 
 
 def _write_beside(order: ImportOrder, work: Path) -> None:
@@ -482,7 +471,7 @@ def _write_manifest(order: ImportOrder, work: Path, built: _BuiltNet) -> None:
 def _rebuild_command(order: ImportOrder) -> str:
     """The command that makes the same town again from what its folder holds, run in that folder."""
     words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
-    words += [bbox_option(order.bbox)] if order.bbox is not None else []
+    words += [order.bbox.option] if order.bbox is not None else []
     words += ["--lefthand" if order.lefthand else "--righthand"]
     words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
     if order.per_hour:

@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.frames import deg
 from wcsim.core.seeding import generator
-from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
+from wcsim.towns.furniture.road_marks import GROUP, KIND, crossing_lines
 from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import NOT_ON_GROUND, ground_of
@@ -31,6 +31,8 @@ from wcsim.types import F64
 _STOP_M = 14.0  # a bus, and a little
 _POLE_M = 12.0  # from a lane to the pole beside it
 _ON_LANE_M = 1.0  # so near to its middle a pole stands on the lane
+_REACH_M = 12.0  # from a crossing of a map to the one that it is in the net
+_PLAIN = frozenset(("unmarked", "no", "informal"))
 _SQUARES = ("place.square", "highway.pedestrian")
 _SPACE_M = (5.0, 2.5)  # across the way that leads to it: length and width
 _PARALLEL_M = (5.6, 2.2)  # along it
@@ -63,14 +65,36 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
         ground: What it made of groundtypes.xml.
     """
     root = read_root(ground)
-    marks = [CrossingMark(at_m=_place(poi), tags=_tags(poi)) for poi in _points(root, "highway.crossing")]
-    plain = unpainted(net, marks)
+    plain = _unpainted(net, _points(root, "highway.crossing"))
     squares = [each for each in root.iterfind("poly") if each.get("type") in _SQUARES and _closed(each)]
     for square in squares:
         square.set("id", f"square.{square.get('id')}")  # it may be a polygon of another type already
     stops = _stops(net, _points(read_root(poly), "highway.bus_stop"))
-    elements = (*stops, *map(_text, squares), *unmarked_points(plain))
+    elements = (*stops, *map(_text, squares), *map(_unmarked_point, plain))
     return MapMarks(elements=elements, stops=len(stops), unpainted=len(plain))
+
+
+def _unpainted(net: Net, marks: list[Element]) -> list[Lane]:
+    """The crossings of a net that are neither the nearest one to a painted crossing of the map nor at a signal."""
+    lanes, tree = crossing_lines(net)
+    painted = net.signalled()
+    for mark in marks if lanes else ():
+        if _is_painted(_tags(mark)):
+            near = tree.query_nearest(shapely.Point(_place(mark)), max_distance=_REACH_M, all_matches=False)
+            painted |= {lanes[index].edge_id for index in near.tolist()}
+    return [lane for lane in lanes if lane.edge_id not in painted]
+
+
+def _is_painted(tags: dict[str, str]) -> bool:
+    """Whether the map does not say that a crossing has no markings."""
+    return tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no"
+
+
+def _unmarked_point(lane: Lane) -> str:
+    """The point that says that a crossing has no paint, as an element of an additional file."""
+    x_m, y_m = shapely.LineString(lane.points_m).interpolate(0.5, normalized=True).coords[0]
+    head = f'<poi id={quoteattr(f"{KIND}.{lane.edge_id}")} type="{GROUP}.{KIND}"'
+    return f'{head} x="{x_m:.2f}" y="{y_m:.2f}" color="0.6,0.6,0.6" layer="1"/>'
 
 
 def _stops(net: Net, poles: list[Element]) -> list[str]:

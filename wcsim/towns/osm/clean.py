@@ -33,7 +33,7 @@ import shapely
 
 from wcsim.core.frames import rad
 from wcsim.core.reading import listed
-from wcsim.towns.osm.read import Box, is_within, size_m
+from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
@@ -394,7 +394,7 @@ def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
             name=tags.get("name", ""),
             inside_m=sum(_inside_m([places[node] for node in part], box) for part in parts),
             nodes=nodes,
-            leaves=any(not is_within(places[node], box) for node in nodes),
+            leaves=any(not box.holds(places[node]) for node in nodes),
             why=_why_by_tags(tags),
         )
         found.append(way)
@@ -426,7 +426,7 @@ def _why_by_tags(tags: dict[str, str]) -> str:
 def count_inside(root: Element, box: Box, highway: str) -> int:
     """How many nodes with this value of `highway` the map has in the box; crossings without paint count too."""
     nodes = (node for node in root.iterfind("node") if _read_tags(node).get("highway") == highway)
-    return sum(is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box) for node in nodes)
+    return sum(box.holds((float(node.get("lon", "0")), float(node.get("lat", "0")))) for node in nodes)
 
 
 def find_left_out(ways: Collection[_MapWay], made: NetWays) -> LeftOut:
@@ -491,8 +491,8 @@ def _inside_m(points: list[tuple[float, float]], box: Box) -> float:
     """Length in m of the parts between points (longitude, latitude) that have their middles in the box."""
     total_m = 0.0
     for (x1, y1), (x2, y2) in itertools.pairwise(points):
-        if is_within(((x1 + x2) / 2, (y1 + y2) / 2), box):
-            total_m += math.hypot(*size_m((x1, y1, x2, y2)))
+        if box.holds(((x1 + x2) / 2, (y1 + y2) / 2)):
+            total_m += math.hypot(*Box(x1, y1, x2, y2).size_m)
     return total_m
 
 
