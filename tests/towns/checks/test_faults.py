@@ -19,7 +19,7 @@ from wcsim.towns.osm.read import Box, read_extract
 from wcsim.towns.scenario.town import Town, chair_ways
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
-from wcsim.towns.walking.islands import islands_by_links, largest_share, walkable_parts
+from wcsim.towns.walking.islands import Islands, largest_share, walkable_parts
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FINE = TownReport(
@@ -116,11 +116,11 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())
     whole = _convert_net(order, "all.osm.xml", tmp_path)
-    found = islands_by_links(read_net(whole), whole)
+    found = Islands.by_links(read_net(whole), whole)
     assert len(found.footways) >= 5 and found.share < 0.98
     built = _build_net(order, extract.root, tmp_path)
     assert built.share == largest_share(walkable_parts(built.net, chair_ways(cycle_paths=False))) > 0.95
-    assert islands_by_links(built.net, tmp_path / "x.net.xml").share > found.share
+    assert Islands.by_links(built.net, tmp_path / "x.net.xml").share > found.share
 
 
 def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from wcsim.towns.importing.elevation import (
     _smoothed,
     lift_net,
     make_dem,
-    write_dem,
 )
 from wcsim.towns.importing.importer import ImportOrder, import_town
 from wcsim.towns.osm.read import Box
@@ -126,7 +125,7 @@ def test_a_file_of_our_own_is_taken_as_it_is_only_where_and_as_gentle_as_it_was_
     made = make_dem(gentle, BOX, 1)
     assert made is not None
     path = tmp_path / "own.dem.tif"
-    write_dem(made, gentle, path)
+    made.write(gentle.max_grade, path)
     kept, steeper, gentler = (make_dem(Heights(dem=path, max_grade=g), BOX, 0) for g in (0.06, 0.1, 0.03))
     assert kept is not None and steeper is not None and gentler is not None
     assert kept.smooth and steeper.smooth and not gentler.smooth
@@ -159,7 +158,7 @@ def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: P
                 ends.setdefault(tuple(np.round(lane.points_m[k], 1)), []).append(lane.z_m[k])
     assert max(np.ptp(heights_m) for heights_m in ends.values()) < 0.05, "lanes that meet, meet at one height"
     assert [edge.id for edge in net.edges] == [edge.id for edge in flat.edges]
-    write_dem(used, relief, tmp_path / "x.dem.tif")
+    used.write(relief.max_grade, tmp_path / "x.dem.tif")
     stored = make_dem(Heights(dem=tmp_path / "x.dem.tif"), box, 0)
     assert stored is not None and stored.smooth and np.array_equal(stored.height_m, used.height_m)
 

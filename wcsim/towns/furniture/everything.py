@@ -268,12 +268,7 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
     lines, low, solid = (patches.near(near) for patches in site.near)
     blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solid])
     return [
-        StandingObject(
-            piece=solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id),
-            footprint=part,
-            base_m=shapely.get_coordinates(part.representative_point())[0],
-            follows=True,
-        )
+        _thing(part, [solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id)])
         for part in _solid_parts(band.difference(blocked))
     ]
 

@@ -72,6 +72,33 @@ class Dem:
     box: Box  # outer edges
     smooth: bool = False  # nothing is to be done to it
 
+    @classmethod
+    def hill(cls, height_m: float, box_m: Box, seed: int) -> Dem:
+        """A made-up hill over a net's own metres, for a net that lies nowhere on the globe."""
+        west, south, east, north = box_m
+        shape = max(8, round((north - south) / CELL_M)), max(8, round((east - west) / CELL_M))
+        return cls(height_m=_hill(height_m, shape, seed), box=box_m)
+
+    def write(self, max_grade: float, path: Path) -> None:
+        """Write the heights, which are gentle enough for a grade, as a GeoTIFF in longitude and latitude."""
+        import rasterio
+        from rasterio.transform import from_bounds
+
+        rows, cols = self.height_m.shape
+        profile = {
+            "driver": "GTiff",
+            "width": cols,
+            "height": rows,
+            "count": 1,
+            "dtype": "float32",
+            "crs": "EPSG:4326",
+            "transform": from_bounds(*self.box, cols, rows),
+            "compress": "deflate",
+        }
+        with _own_projections(), rasterio.open(path, "w", **profile) as file:
+            file.write(self.height_m.astype(np.float32), 1)
+            file.update_tags(**{_DONE: f"{max_grade:g}"})
+
 
 def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
     """The heights of a town's area and its surroundings, None for a level town. Raises TownError."""
@@ -85,13 +112,6 @@ def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
     if not 0.0 < relief.hill_m <= 200.0:
         raise TownError(f"a hill of {relief.hill_m} m is not possible; expected more than 0 and at most 200 m")
     return Dem(height_m=_hill(relief.hill_m, _shape(area), seed), box=area)
-
-
-def hill_over(hill_m: float, box_m: Box, seed: int) -> Dem:
-    """A made-up hill over a net's own metres, for a net that lies nowhere on the globe."""
-    west, south, east, north = box_m
-    shape = max(8, round((north - south) / CELL_M)), max(8, round((east - west) / CELL_M))
-    return Dem(height_m=_hill(hill_m, shape, seed), box=box_m)
 
 
 def _heights_at(dem: Dem, places: F64) -> F64:
@@ -278,27 +298,6 @@ def _filled(height_m: F64) -> F64:
         filled[fresh] = mean_m[fresh]
         known |= fresh
     return filled
-
-
-def write_dem(dem: Dem, relief: Heights, path: Path) -> None:
-    """Write heights as a GeoTIFF in longitude and latitude."""
-    import rasterio
-    from rasterio.transform import from_bounds
-
-    rows, cols = dem.height_m.shape
-    profile = {
-        "driver": "GTiff",
-        "width": cols,
-        "height": rows,
-        "count": 1,
-        "dtype": "float32",
-        "crs": "EPSG:4326",
-        "transform": from_bounds(*dem.box, cols, rows),
-        "compress": "deflate",
-    }
-    with _own_projections(), rasterio.open(path, "w", **profile) as file:
-        file.write(dem.height_m.astype(np.float32), 1)
-        file.update_tags(**{_DONE: f"{relief.max_grade:g}"})
 
 
 def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) -> Dem:

@@ -26,7 +26,7 @@ from wcsim.towns.importing.demand import (
     without_ways,
     write_demand,
 )
-from wcsim.towns.importing.elevation import Heights, lift_net, make_dem, write_dem
+from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
@@ -41,10 +41,7 @@ from wcsim.towns.osm.clean import (
     count_inside,
     cut_bridges,
     filter_osm,
-    find_left_out,
-    left_out_notes,
     strip_orphans,
-    unpaved_ways,
     ways_inside,
     wrongly_paved,
 )
@@ -55,8 +52,6 @@ from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
 from wcsim.towns.walking.islands import (
     Islands,
-    islands_by_ground,
-    islands_by_links,
     largest_share,
     osm_ways_by_edge,
     walkable_parts,
@@ -230,12 +225,12 @@ def _ids(root: Element) -> frozenset[str]:
 
 def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
     net = _converted(order, root, folder)
-    found = islands_by_links(net, folder / f"{order.name}.net.xml")
+    found = Islands.by_links(net, folder / f"{order.name}.net.xml")
     if found.footways:
         net = _converted(order, root, folder, found.footways)
     parts = walkable_parts(net, chair_ways(order.cycle_paths))
     if largest_share(parts) < _GOOD_SHARE:
-        ground = islands_by_ground(net, folder / f"{order.name}.net.xml", parts)
+        ground = Islands.by_ground(net, folder / f"{order.name}.net.xml", parts)
         if ground.footways | ground.roads:
             smaller = _smaller(order, root, folder, ground)
             if smaller is not None:
@@ -265,7 +260,7 @@ def _converted(order: ImportOrder, root: Element, folder: Path, dropped: frozens
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(xml_bytes(root))
     net = _read(_convert_net(order, EXTRACT, folder))
-    if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
+    if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", root):
         config = folder / "unpaved.netccfg"
         net = _read(_convert_net(order, EXTRACT, folder, by_file("sidewalks.guess.exclude", paved, config)))
         config.unlink()
@@ -359,11 +354,11 @@ def _build(
     dem = make_dem(order.relief, extract.box, order.seed)
     built = _build_net(order, extract.root, work)
     net_path = work / f"{name}.net.xml"
-    left_out = find_left_out(mapped, built.ways)
+    left_out = LeftOut.of(mapped, built.ways)
     stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:
-        write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
+        lift_net(net_path, dem, order.relief).write(order.relief.max_grade, work / f"{name}.dem.tif")
         built = replace(built, net=read_net(net_path))
     parking = find_parking(built.net, work / f"{name}.poly.xml", order.parked, order.seed)
     ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
@@ -378,7 +373,7 @@ def _build(
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, work, built)
-    notes = (*left_out_notes(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
+    notes = (*left_out.notes, *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
     return Imported(
         town=_unfinished(work, order),
         side=side,

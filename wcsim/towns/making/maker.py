@@ -23,7 +23,7 @@ from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.ground.plane_geometry import length_of, yaw_of
 from wcsim.towns.importing.demand import build_ways, vtypes_text, write_demand
-from wcsim.towns.importing.elevation import Heights, hill_over, lift_net
+from wcsim.towns.importing.elevation import Dem, Heights, lift_net
 from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import find_parking, map_marks
 from wcsim.towns.making.asked_town import KINDS, Wishes, check_wishes
@@ -399,7 +399,7 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
     if hill_m > 0.0:
         (west, south), (east, north) = (corner_m.tolist() for corner_m in read_net(path).corners_m())
         box_m = Box(west - _LAND_M, south - _LAND_M, east + _LAND_M, north + _LAND_M)
-        land = hill_over(hill_m, box_m, seed)
+        land = Dem.hill(hill_m, box_m, seed)
         lift_net(path, land, Heights(hill_m=hill_m, max_grade=grade), on_globe=False)
     return read_net(path)
 
