@@ -74,7 +74,7 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported, bu
     net = read_net(town.net, town.file.origin_m)
     lanes = net.lanes(LaneKind.CROSSING)
     plain = unmarked_crossings(read_items(town.additional, town.file.origin_m, net), net)
-    assert made.crossings_mapped == 2 and len(plain) == made.crossings_unpainted == len(lanes) - 1
+    assert made.counts["crossings_mapped"] == 2 and len(plain) == made.counts["crossings_unpainted"] == len(lanes) - 1
     for lane in lanes:
         middle = lane_area(lane).centroid
         found = ClassId(built.grid.class_here(middle.x, middle.y))
@@ -86,7 +86,7 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported, bu
 def test_bus_stops_of_the_map_are_sumos(made: Imported, tmp_path: Path) -> None:
     text = made.town.additional[0].read_text(encoding="utf-8")
     (lane,) = re.findall(r'<busStop id="stop.731" name="A &amp; B" lane="([^"]+)"', text)
-    assert made.stops == made.stops_mapped == 2
+    assert made.counts["stops"] == made.counts["stops_mapped"] == 2
     net = read_net(made.town.net)
     assert next(each for edge in net.edges for each in edge.lanes if each.id == lane).permits("bus")
     run = run_tool("sumo", ["-c", str(made.town.sumocfg), "--end", "5", "--no-step-log"], tmp_path)

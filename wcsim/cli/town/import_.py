@@ -152,8 +152,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic drives on the {made.side}")
     report = checked(made.town, made.walkable_share, stage)
-    counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
-    more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
+    more = {"left_out": asdict(made.left_out), **made.counts}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
 

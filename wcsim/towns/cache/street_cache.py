@@ -71,14 +71,11 @@ def unpack_street(packed: Packed) -> Street:
         tiles=store,
         grid=store,
         walk=WalkGraph(nodes_W_m=packed["nodes_W_m"], edges=edges),
-        signal_heads=tuple(_head(name, place) for name, place in heads),
+        signal_heads=tuple(
+            SignalHead(tls_id=name, link=int(link), p_W_m=np.array([x, y, z]), yaw_rad=yaw, pedestrian=bool(walks))
+            for name, (x, y, z, yaw, link, walks) in heads
+        ),
         net_origin_m=(east_m, north_m, up_m),
-    )
-
-
-def _head(tls_id: str, place: list[float]) -> SignalHead:
-    return SignalHead(
-        tls_id=tls_id, link=int(place[4]), p_W_m=np.array(place[:3]), yaw_rad=place[3], pedestrian=bool(place[5])
     )
 
 

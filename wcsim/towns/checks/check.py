@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.config import RunConfig
 from wcsim.core.seeding import generator
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FOR_ROUTES, Cures, own_time
+from wcsim.towns.checks.cures import FOR_ROUTES, Cures
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
@@ -68,7 +68,7 @@ def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
 
 def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
-    changed, net_file = find_changes(town), town.net.resolve()
+    changed, net_file = find_changes(town.folder, town.file), town.net.resolve()
     notes = [f"changed since the import: {path.name}" for path in changed if path.resolve() != net_file]
     for path in (path for path in changed if path.resolve() == net_file):  # the demand was routed through it
         again = f"; to route the traffic over the new net, {Cures(town).routes()}" if town.routes else ""
@@ -279,7 +279,7 @@ def _unroutable_trips(town: Town) -> int:
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
-        begin_s = own_time(town)[0]  # SUMO drops who departs before
+        begin_s = Cures(town).own_time()[0]  # SUMO drops who departs before
         options += ["-a", "needed.add.xml", "-b", f"{begin_s:.12g}", "-e", f"{begin_s + _CHECKED_S:.12g}"]
         options += ["-o", "out.rou.xml", "--ignore-errors", "--no-step-log", "--xml-validation", "never"]
         run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))

@@ -76,7 +76,7 @@ class Cures:
         """
         town = self._town
         sumocfg, net = town.sumocfg, town.net
-        begin_s, end_s = own_time(town)
+        begin_s, end_s = self.own_time()
         if paved:
             own, *files = (Path(os.path.normpath(p.absolute())) for p in (town.folder, sumocfg, net))
             if town.border is None or not all(path.is_relative_to(own) for path in files):
@@ -89,6 +89,17 @@ class Cures:
             f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
             f"-r {_path(sumocfg.with_name('walkers.rou.xml'))} -o {_path(sumocfg.with_name('walkers.trips.xml'))}"
         )
+
+    def own_time(self) -> tuple[float, float]:
+        """When the scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
+        config = read_configuration(self._town.sumocfg)
+        begin_s, end_s = config.seconds("begin", "0"), config.seconds("end", "-1")
+        return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
+
+    @staticmethod
+    def signals(net: Path) -> str:
+        """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
+        return f"rebuild all programs in the net: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
 
     def again(self, task: str, rebuild: str) -> str:
         """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
@@ -143,18 +154,6 @@ class Cures:
 
     def _beside(self, name: str) -> str:
         return _path(self._town.sumocfg.with_name(name))
-
-
-def signals_cure(net: Path) -> str:
-    """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
-    return f"rebuild all programs in the net: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
-
-
-def own_time(town: Town) -> tuple[float, float]:
-    """When a scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
-    config = read_configuration(town.sumocfg)
-    begin_s, end_s = config.seconds("begin", "0"), config.seconds("end", "-1")
-    return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
 
 def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:

@@ -16,6 +16,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -40,8 +41,7 @@ ROUNDS = 2
 _JAMMED = re.compile(r"Person 'walkers\.\d+\.(\d+)\.\d+' is jammed")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Traffic:
+class _Traffic(NamedTuple):
     """How much of one class a town gets."""
 
     types: str  # id of the vType or vTypeDistribution
@@ -59,27 +59,20 @@ class _Traffic:
 
 
 # Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
-MIX = (
-    _Traffic(types="cars", vclass="passenger", per_h_km=97, flows_per_km=6, shortest_m=150, fringe=8),
-    _Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, fringe=15),
-    _Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, fringe=50),
-    _Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, fringe=200),
-    _Traffic(types="motorcycles", vclass="motorcycle", per_h_km=7, flows_per_km=1.5, shortest_m=150, fringe=8),
-    _Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, fringe=5),
-    _Traffic(
-        types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2
-    ),
-    *(
-        _Traffic(types=types, vclass=vclass, per_h_km=per_h_km, flows_per_km=0.3, shortest_m=200, fringe=8)
-        for types, vclass, per_h_km in (
-            ("taxis", "taxi", 3.0),
-            ("deliveries", "delivery", 3.0),
-            ("mopeds", "moped", 2.0),
-            ("coaches", "coach", 0.6),
-            ("emergencies", "emergency", 0.3),
-            ("scooters", "scooter", 8.0),
-        )
-    ),
+MIX = (  # types, class, departures per hour and km, flows per km, shortest, how much likelier at the rim, longest
+    _Traffic("cars", "passenger", 97, 6, 150, 8),
+    _Traffic("trucks", "truck", 7, 1, 200, 15),
+    _Traffic("buses", "bus", 4.5, 1, 250, 50),
+    _Traffic("trams", "tram", 5, 2, 200, 200),
+    _Traffic("motorcycles", "motorcycle", 7, 1.5, 150, 8),
+    _Traffic("bicycles", "bicycle", 26, 4, 120, 5),
+    _Traffic("walkers", "pedestrian", 100, 9, 60, 2, 400),
+    _Traffic("taxis", "taxi", 3.0, 0.3, 200, 8),
+    _Traffic("deliveries", "delivery", 3.0, 0.3, 200, 8),
+    _Traffic("mopeds", "moped", 2.0, 0.3, 200, 8),
+    _Traffic("coaches", "coach", 0.6, 0.3, 200, 8),
+    _Traffic("emergencies", "emergency", 0.3, 0.3, 200, 8),
+    _Traffic("scooters", "scooter", 8.0, 0.3, 200, 8),
 )
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
@@ -225,7 +218,8 @@ def _flows_text(
     order = sorted(MIX, key=lambda traffic: traffic.walks)
     for traffic in order:
         mine = [way for way in ways if way.traffic is traffic]
-        per_s = scale * _per_hour(net, traffic, per_hour) / 3600.0
+        usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
+        per_s = scale * per_hour.get(traffic.vclass, usual) / 3600.0
         if not mine or per_s <= 0.0:
             continue
         if traffic.walks:
@@ -237,11 +231,6 @@ def _flows_text(
             rate = f'period="exp({per_s / len(mine):.6f})" departLane="best" departSpeed="max"'
             lines.append(f"    <flow {head} {rate}>{route}</flow>")
     return "\n".join([*lines, "</routes>", ""])
-
-
-def _per_hour(net: Net, traffic: _Traffic, per_hour: Mapping[str, float]) -> float:
-    usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
-    return per_hour.get(traffic.vclass, usual)
 
 
 def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Generator) -> list[str]:

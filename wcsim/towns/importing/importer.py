@@ -30,11 +30,10 @@ from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
-    license_text,
     town_toml_text,
     write_scenario,
 )
-from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
+from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
 from wcsim.towns.osm.clean import (
     LeftOut,
     NetWays,
@@ -108,6 +107,22 @@ _LADDER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("--osm.crossings", "--junctions.join", "--roundabouts.guess", "--osm.bike-access"), ("--ignore-errors",)),
 )
 
+_LICENSE = """\
+The data in this folder (the extract in osm/, and the net, polygons and routes of "{name}" derived from it) are
+
+    (c) OpenStreetMap contributors
+
+and available under the Open Database License 1.0 (ODbL): https://opendatacommons.org/licenses/odbl/1-0/ See
+https://www.openstreetmap.org/copyright. Derived data that you publish must stay under the ODbL and name its source;
+pictures and results made with it need only the attribution. The way it was derived is wcsim's own importer
+(wcsim/towns/importing/importer.py), run on osm/{name}.osm.xml.gz with the bounding box of osm/bbox. The code of wcsim
+is under a licence of its own and not affected.
+"""
+
+_HEIGHTS = """
+The heights in the net and in {name}.dem.tif were made of a terrain model that is not part of OpenStreetMap. Its own
+licence holds for them: name its source and follow its terms when you pass them on.
+"""
 
 Stage = Callable[[str], None]  # what begins now, in words
 
@@ -287,11 +302,7 @@ class Imported:
     walkable_share: float  # of the walkable ground, in its largest part
     notes: tuple[str, ...] = ()  # what the town does not have that the map or the order has
     left_out: LeftOut = field(default_factory=LeftOut)
-    parked: int = 0  # cars in the car parks, which never drive
-    crossings_mapped: int = 0  # that the map has; the others of the net are guessed
-    crossings_unpainted: int = 0  # of the net: guessed, or unmarked on the map
-    stops_mapped: int = 0  # of buses, that the map has
-    stops: int = 0  # of SUMO's, that were made of them
+    counts: Mapping[str, int] = field(default_factory=dict)  # of parked cars, crossings and stops, see `_told_counts`
 
 
 def import_town(
@@ -360,31 +371,34 @@ def _build(
     if dem is not None:
         lift_net(net_path, dem, order.relief).write(order.relief.max_grade, work / f"{name}.dem.tif")
         built = replace(built, net=read_net(net_path))
-    parking = find_parking(built.net, work / f"{name}.poly.xml", order.parked, order.seed)
+    lots, cars = find_parking(built.net, work / f"{name}.poly.xml", order.parked, order.seed)
     ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
-    write_scenario(work, name, order.seed, vtypes_text((*parking.areas, *marks.elements)))
+    write_scenario(work, name, order.seed, vtypes_text((*lots, *marks.elements)))
     _write_beside(order, work)
     _write_manifest(order, work, built)
     stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
-        traffic = order.seed, order.traffic, order.per_hour, parking.vehicles
+        traffic = order.seed, order.traffic, order.per_hour, cars
         demand = pool.submit(write_demand, work / f"{name}.sumocfg", built.net, ways, *traffic)
         if meanwhile is not None:
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, work, built)
-    notes = (*left_out.notes, *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
+    counts = {
+        "parked": len(cars),
+        "crossings_mapped": crossings_mapped,
+        "crossings_unpainted": marks.unpainted,
+        "stops_mapped": stops_mapped,
+        "stops": marks.stops,
+    }
+    notes = (*left_out.notes, *_told_counts(built.net, **counts))
     return Imported(
         town=_unfinished(work, order),
         side=side,
         walkable_share=built.share,
         notes=(*_notes(order, built, ways), *filter(None, notes), *_unbounded_note(extract)),
         left_out=left_out,
-        parked=len(parking.vehicles),
-        crossings_mapped=crossings_mapped,
-        crossings_unpainted=marks.unpainted,
-        stops_mapped=stops_mapped,
-        stops=marks.stops,
+        counts=counts,
     )
 
 
@@ -397,19 +411,19 @@ def _marks(name: str, built: _BuiltNet, work: Path) -> MapMarks:
     return marks
 
 
-def _counts(
-    net: Net, crossings_mapped: int, stops_mapped: int, marks: MapMarks, parking: Parking
+def _told_counts(
+    net: Net, *, parked: int, crossings_mapped: int, crossings_unpainted: int, stops_mapped: int, stops: int
 ) -> tuple[str, str, str]:
+    """What became of the map's crossings and stops, and how many parked cars there are."""
     crossings = (
         f"the map has {crossings_mapped} crossings, the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
-        f"guessed; {marks.unpainted} are unpainted (guessed or unmarked, and without a signal)"
+        f"guessed; {crossings_unpainted} are unpainted (guessed or unmarked, and without a signal)"
     )
-    stops = (
-        f"the map has {stops_mapped} bus stops, the town {marks.stops}: only those beside a lane open to buses "
+    told = (
+        f"the map has {stops_mapped} bus stops, the town {stops}: only those beside a lane open to buses "
         "(bus stations need --keep-service)"
     )
-    parked = f"{len(parking.vehicles)} parked cars never drive"
-    return crossings, stops if stops_mapped or marks.stops else "", parked if parking.vehicles else ""
+    return crossings, told if stops_mapped or stops else "", f"{parked} parked cars never drive" if parked else ""
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
@@ -439,10 +453,18 @@ def _unfinished(work: Path, order: ImportOrder) -> Town:
     return replace(town, routes=())
 
 
+def _license_text(name: str, source: str = "", heights: bool = False) -> str:
+    """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
+    text = _LICENSE.format(name=name)
+    if heights:
+        text += _HEIGHTS.format(name=name)
+    return text + (f"\nSource, as told at the import: {source}\n" if source else "")
+
+
 def _write_beside(order: ImportOrder, work: Path) -> None:
     """What a town's folder has besides its scenario, and routes until the demand is there."""
     write_gzip(work / f"{order.name}.rou.xml.gz", b"<routes/>")
-    notice = license_text(order.name, order.source, order.relief.dem is not None)
+    notice = _license_text(order.name, order.source, order.relief.dem is not None)
     (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
     (work / "osm" / "bbox").write_text(",".join(map(str, order.bbox or ())) + "\n", encoding="utf-8")
 

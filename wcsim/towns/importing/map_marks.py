@@ -162,14 +162,6 @@ def _text(element: Element) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parking:
-    """What car parks add to a town's files."""
-
-    areas: tuple[str, ...] = ()  # XML elements for the additional file
-    vehicles: tuple[str, ...] = ()  # and for the route file, which come before everything else
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Space:
     middle_m: F64  # (2,)
     yaw_rad: float  # of a car in it
@@ -180,18 +172,22 @@ class _Space:
         return rectangle(self.middle_m, self.length_m, self.width_m, self.yaw_rad)
 
 
-def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
-    """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
-    lots = sorted(_lots(poly))
-    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
-    if not lots or taken <= 0.0 or not lanes:
-        return Parking()
-    lines = [shapely.LineString(lane.points_m) for lane in lanes]
-    town, used = _town_and_used(net, poly)
-    tree, left = shapely.STRtree(lines), _MOST_SPACES
-    rng = generator(seed, "parking")
+def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[str], list[str]]:
+    """Parking areas for the car parks among a town's polygons, and cars in a share `taken` of their spaces.
+
+    Both are XML elements, of an additional file and of a route file, in which the cars come before everything else.
+    """
     areas: list[str] = []
     vehicles: list[str] = []
+    root = read_root(poly)
+    lots = sorted(_lots(root))
+    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
+    if not lots or taken <= 0.0 or not lanes:
+        return areas, vehicles
+    lines = [shapely.LineString(lane.points_m) for lane in lanes]
+    town, used = _town_and_used(net, root)
+    tree, left = shapely.STRtree(lines), _MOST_SPACES
+    rng = generator(seed, "parking")
     for lot_id, lot in lots:
         marks = ((space, space.footprint()) for space in _spaces(lot))
         spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
@@ -203,13 +199,13 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
         areas += _area(f"lot.{lot_id}", lanes[nearest], lines[nearest], lot, spaces)
         cars = round(taken * len(spaces))
         vehicles += [_vehicle(f"lot.{lot_id}", number, lanes[nearest]) for number in range(cars)]
-    return Parking(areas=tuple(areas), vehicles=tuple(vehicles))
+    return areas, vehicles
 
 
-def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
+def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]:
     """Where there is ground, which ends not far outside of the streets, and where something is on it."""
     lanes = ground_of(net.every_lane).buffer(FREE_M)
-    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
+    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(root)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
 
@@ -218,9 +214,9 @@ def _leads_there(lane: Lane) -> bool:
     return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
 
 
-def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
+def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:
     """Ids and outlines of the car parks at ground level."""
-    for element in read_root(poly).iterfind("poly"):
+    for element in root.iterfind("poly"):
         tags = _tags(element)
         if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
@@ -229,10 +225,10 @@ def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
                 yield element.get("id", ""), lot
 
 
-def _buildings(poly: Path) -> BaseGeometry:
+def _buildings(root: Element) -> BaseGeometry:
     outlines = [
         shapely.make_valid(Polygon(points_m))
-        for element in read_root(poly).iterfind("poly")
+        for element in root.iterfind("poly")
         if element.get("type", "").startswith("building")
         and len(points_m := points(element.get("shape", ""), (0, 0))) > 3
     ]

@@ -407,12 +407,12 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
 def _fill(name: str, seed: int, wishes: Wishes, net: Net, work: Path, stage: Stage) -> None:
     """Write all files of the town's folder."""
     poly, ground, left = draw_map(net, name, work, generator(seed, "making", "map"))
-    marks, parking = map_marks(net, poly, ground), find_parking(net, poly, wishes.parked, seed)
+    marks, (lots, cars) = map_marks(net, poly, ground), find_parking(net, poly, wishes.parked, seed)
     ground.unlink()
     ways = build_ways(net, work / f"{name}.net.xml", work, seed) if wishes.traffic > 0.0 else ()
-    write_scenario(work, name, seed, vtypes_text((*parking.areas, *marks.elements, *left)))
+    write_scenario(work, name, seed, vtypes_text((*lots, *marks.elements, *left)))
     stage("testing the traffic")
-    write_demand(work / f"{name}.sumocfg", net, ways, seed, wishes.traffic, first=parking.vehicles)
+    write_demand(work / f"{name}.sumocfg", net, ways, seed, wishes.traffic, first=cars)
     text = town_toml_text(
         name=name,
         split=wishes.split,

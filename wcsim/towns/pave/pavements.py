@@ -22,7 +22,7 @@ from xml.sax.saxutils import escape
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FASTEST_MPS, Cures, signals_cure
+from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.importing.folder_texts import check_new
 from wcsim.towns.pave.elements import Paving
@@ -262,7 +262,7 @@ def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
         notes.append(
             f"parking areas on the new pavement of their lane: {names}; if wheelchairs must pass, move them in netedit"
         )
-    notes += _never_green(paving, f"add a phase in netedit, or {signals_cure(net)}", in_net=True)
+    notes += _never_green(paving, f"add a phase in netedit, or {Cures.signals(net)}", in_net=True)
     notes += _never_green(paving, "add a phase there", in_net=False)
     if paving.lost:
         names = listed(paving.lost, TOLD)

@@ -110,6 +110,18 @@ class Configuration:
         """The value that the author gave an option, None when it is not mentioned."""
         return next((item.value for item in self.given if item.option.name == name), None)
 
+    def number(self, name: str, otherwise: float) -> float:
+        """The number that the author gave an option; `otherwise` where that is none: SUMO refuses it in its words."""
+        try:
+            return float(self.value(name) or otherwise)
+        except ValueError:
+            return otherwise
+
+    @property
+    def scale(self) -> float:
+        """The author's own factor of the demand."""
+        return self.number("scale", 1.0)
+
     def seconds(self, name: str, otherwise: str) -> float:
         """A time of SUMO's, in seconds or as [[days:]hours:]minutes:seconds. Raises TownError.
 
