@@ -14,10 +14,11 @@ import pytest
 import shapely
 from shapely.errors import GEOSException
 
+from tests.towns.checks.test_faults import FINE
 from wcsim.bridge.town_run import RecordOrder, record_town
 from wcsim.config import resolve
 from wcsim.errors import TownError
-from wcsim.towns.checks.check import check_town
+from wcsim.towns.checks.check import check_town, faults_of
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.importing import demand
 from wcsim.towns.importing.demand import CLASSES
@@ -28,7 +29,7 @@ from wcsim.towns.scenario.town import Town, open_town, own_work, streets_hash
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.xml_io import read_root
 
-SMALL = Wishes(size_m=400.0, kind="grid", hill_m=40.0)
+SMALL = Wishes(size_m=320.0, kind="grid", hill_m=40.0)
 LEVEL = replace(SMALL, hill_m=0.0, traffic=0.0)
 ELSEWHERE = """
 import sys
@@ -37,7 +38,7 @@ from wcsim.towns.importing import demand
 from wcsim.towns.making.maker import make_town
 from wcsim.towns.making.asked_town import Wishes
 demand.TRIAL_S = 20
-make_town(Path(sys.argv[1]), 3, Wishes(size_m=400.0, kind="grid", hill_m=40.0), name="small")
+make_town(Path(sys.argv[1]), 3, Wishes(size_m=320.0, kind="grid", hill_m=40.0), name="small")
 """
 SMALL_CAMERAS = ("world.warmup_s=60", "cameras.0.width_px=32", "cameras.0.height_px=24")
 
@@ -87,13 +88,18 @@ def test_a_made_town_passes_the_check_of_an_import(town: Town) -> None:
     assert set(CLASSES) - {"tram"} <= set(report.classes)
 
 
-@pytest.mark.parametrize("kind", [KINDS[0], *(pytest.param(kind, marks=pytest.mark.proof) for kind in KINDS[1:])])
+def test_a_made_town_without_people_is_told_how_to_get_them(level: Town) -> None:
+    (fault,) = faults_of(level, read_net(level.net), replace(FINE, classes=()))
+    assert fault.startswith("the demand has no pedestrians")
+    assert "wcsim town make small" in fault and "--traffic 1" in fault
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("kind", KINDS)
 def test_small_towns_of_every_kind_can_be_made(kind: str, tmp_path: Path) -> None:
     """Seed 4 makes a grid in which no corner of a junction is left to the pavement."""
     town = make_town(tmp_path / "tiny", 4, Wishes(size_m=300.0, kind=kind, traffic=0.0))
-    faults = check_town(town).faults
-    assert len(faults) == 1 and faults[0].startswith("the demand has no pedestrians")
-    assert "wcsim town make tiny" in faults[0] and "--traffic 1" in faults[0]
+    assert len(check_town(town).faults) == 1
 
 
 def test_streets_whose_ground_cannot_be_built_are_drawn_anew(
