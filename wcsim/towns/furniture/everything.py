@@ -56,7 +56,9 @@ def _things(item: Item) -> list[StandingObject]:
     points_m = distinct(item.points_W_m)
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
-        return [stood(item.kind, points_m[0], yaw_from_sumo(_angle_deg(item)), size if size != usual else None)]
+        return [
+            stood(item.kind, points_m[0], yaw_from_sumo(_number(item, "angle") or 0.0), size if size != usual else None)
+        ]
     outline = _outline(item, points_m, width_m or usual[1])
     make = _fenced if item.kind == "roadworks" else _filled
     return [make(item.kind, area, height_m or usual[2]) for area in polygons_of(outline, 1e-4)]
@@ -112,33 +114,27 @@ def _corners(area: BaseGeometry) -> list[F64]:
 
 def _size(item: Item, key: str) -> float | None:
     """A length that the author gave, or None."""
-    text = item.tags.get(key, "").strip()
-    if not text:
-        return None
-    value = _number(item, key, text)
-    if not 0.01 <= value <= LARGEST_M:
-        raise _error(item, key, text, f"a number of metres from 0.01 to {LARGEST_M:g}")
+    value = _number(item, key)
+    if value is not None and not 0.01 <= value <= LARGEST_M:
+        raise _error(item, key, f"a number of metres from 0.01 to {LARGEST_M:g}")
     return value
 
 
-def _angle_deg(item: Item) -> float:
-    text = item.tags.get("angle", "").strip()
-    return _number(item, "angle", text) if text else 0.0
-
-
-def _number(item: Item, key: str, text: str) -> float:
+def _number(item: Item, key: str) -> float | None:
+    """A number that the author gave, or None."""
+    text = item.tags.get(key, "").strip()
     try:
-        value = float(text)
+        value = float(text) if text else None
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise _error(item, key, text, "a number")
+    if value is not None and not np.isfinite(value):
+        raise _error(item, key, "a number")
     return value
 
 
-def _error(item: Item, key: str, text: str, expected: str) -> TownError:
+def _error(item: Item, key: str, expected: str) -> TownError:
     what = f"{item.source}: {key} of {item.id!r} ({AUTHOR_PREFIX}{item.kind})"
-    return TownError(f"{what} is {text!r}; expected {expected}: correct the <param>")
+    return TownError(f"{what} is {item.tags[key].strip()!r}; expected {expected}: correct the <param>")
 
 
 SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
