@@ -30,7 +30,7 @@ from wcsim.towns.scenario.files import with_included
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.walking.graph import build_walk_graph, free_space
-from wcsim.types import F64, ClassId, Relief, WalkGraph
+from wcsim.types import F64, ClassId, Relief
 
 if TYPE_CHECKING:
     from wcsim.towns.scenario.town import Town
@@ -71,9 +71,9 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
     solids = shapely.union_all([blocks, *(thing.footprint for thing in placed)])
     space, phases = free_space(walkable, _kerb_lines(walls[0]), solids), all_phases(net, additional)
     walk = build_walk_graph(net, space, town.file.chair_ways, phases)
-    place = FreeGround(
-        low=buffered(surfaces.low, 0.1), solids=blocks.buffer(0.05), lines=_lines(walk), hull=surfaces.hull
-    )
+    lines = shapely.MultiLineString([edge.points_W_m for edge in walk.edges])
+    low = buffered(surfaces.low, 0.1)
+    place = FreeGround(low=low, solids=blocks.buffer(0.05), lines=lines, hull=surfaces.hull)
     things = place_furniture(items, net, additional, place, placed)
     pieces, heads = set_on_ground(things, _height_at(surfaces, kerbing, relief))
     large = [_block(building, town.file.kerb_height_m, relief) for building in (*buildings, *overhead)]
@@ -106,10 +106,6 @@ def _kerb_lines(walls: F64) -> BaseGeometry:
     high = walls[walls[:, :, 2].max(axis=1) > KERB_STEP_M]
     foot = high[:, :2, :2]  # a wall triangle's first two corners span its edge, seen from above
     return shapely.union_all(shapely.linestrings(foot)) if len(foot) else shapely.MultiLineString()
-
-
-def _lines(walk: WalkGraph) -> BaseGeometry:
-    return shapely.MultiLineString([edge.points_W_m for edge in walk.edges])
 
 
 def _height_at(surfaces: Surfaces, kerbing: Kerbing, relief: Relief) -> HeightAt:

@@ -28,14 +28,14 @@ from tests.towns.fuzz.flipped_bytes import DISK, RAW, pick
 from wcsim.core.seeding import generator
 from wcsim.errors import WcsimError
 from wcsim.towns.checks.validate import _scan_net
-from wcsim.towns.importing.elevation import Heights, _own_projections, make_dem, write_dem
-from wcsim.towns.osm.read import read_extract
+from wcsim.towns.importing.elevation import Heights, _own_projections, make_dem
+from wcsim.towns.osm.read import Box, read_extract
 from wcsim.towns.scenario.town import open_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene, scene_of
 from wcsim.towns.sumo.net import Net, read_net
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, read_bytes, read_root
 
-BOX = (24.999, 59.9995, 25.0046, 60.0023)
+BOX = Box(24.999, 59.9995, 25.0046, 60.0023)
 LIMIT_S = 10.0  # of a machine that does other things as well; the rule of five holds for one alone
 SOUND_EVERY = 100  # one of so many is as it was, and must be taken
 _KINDS = ("osm", "osm.gz", "osm.bz2", "net", "net.gz", "tif", "toml", "scene")
@@ -282,7 +282,7 @@ def _take_heights(path: Path) -> None:
     first = make_dem(relief, BOX, 0)
     assert first is not None
     _require(bool(np.isfinite(first.height_m).all()) and float(np.abs(first.height_m).max()) < 9000.0, "no heights")
-    write_dem(first, relief, _again(path, "b.tif"))
+    first.write(relief.max_grade, _again(path, "b.tif"))
     second = make_dem(Heights(dem=path.parent / "again" / "b.tif"), BOX, 0)
     assert second is not None
     _require(bool(np.allclose(second.height_m, first.height_m, atol=1e-2)), "other heights")

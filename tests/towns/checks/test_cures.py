@@ -18,7 +18,7 @@ from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import ImportOptions
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import STEEPEST, _unroutable_trips, faults_of
-from wcsim.towns.checks.cures import FASTEST_MPS, larger_cure, pave_cure, routes_cure, walkers_cure
+from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.ground.relief import steepest_grade
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
@@ -105,7 +105,7 @@ def test_trips_between_districts_find_them(theirs: Town, tmp_path: Path) -> None
     _with_an_island(theirs.net)
     assert _unroutable_trips(theirs) == 1
     _apart(more, "calibrator")
-    code, said = typed(routes_cure(theirs).partition(": ")[2], tmp_path)
+    code, said = typed(Cures(theirs).routes().partition(": ")[2], tmp_path)
     assert code == 0, said
     text = (theirs.folder / "better.rou.xml").read_text(encoding="utf-8")
     assert 'id="there"' in text and 'id="nowhere"' not in text
@@ -166,15 +166,15 @@ def test_a_larger_area_is_taken_of_the_towns_own_extract_while_that_has_more(tmp
 def test_a_town_whose_command_says_anything_is_checked_all_the_same(theirs: Town, odd: str) -> None:
     (theirs.folder / "o").write_text("no map")
     town = replace(theirs, file=theirs.file.model_copy(update={"rebuild": f"wcsim town import {odd}"}))
-    told = larger_cure(town)
+    told = Cures(town).larger()
     assert told.startswith("join the parts: ") or ("from the internet" in told and "../o" not in told)
 
 
 def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:
-    assert f"-b {BEGIN_S:g} -e {BEGIN_S + 600.0:g} " in walkers_cure(theirs)
-    assert "-b 50300 -e 53900 " in walkers_cure(named(theirs, '"50900"', '"900000"'))
+    assert f"-b {BEGIN_S:g} -e {BEGIN_S + 600.0:g} " in Cures(theirs).walkers()
+    assert "-b 50300 -e 53900 " in Cures(named(theirs, '"50900"', '"900000"')).walkers()
     with pytest.raises(TownError, match="is not a time"):
-        walkers_cure(named(theirs, '"900000"', '"${HOME}"'))
+        Cures(named(theirs, '"900000"', '"${HOME}"')).walkers()
 
 
 def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
@@ -183,27 +183,31 @@ def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     beside = open_town(Path("..") / theirs.folder.name / "u.sumocfg")
-    assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in walkers_cure(beside, paved=True).replace("'", "")
+    assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in Cures(beside).walkers(paved=True).replace("'", "")
     absolute = named(theirs, "u.net.xml", str(theirs.net))
     (tmp_path / "link").symlink_to(theirs.folder)
     for folder in (Path("..") / theirs.folder.name, absolute.folder):
-        told = walkers_cure(open_town(folder / "u.sumocfg"), paved=True).replace("'", "")
+        told = Cures(open_town(folder / "u.sumocfg")).walkers(paved=True).replace("'", "")
         assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in told
-    told = walkers_cure(open_town(tmp_path / "link" / "u.sumocfg"), paved=True)
+    told = Cures(open_town(tmp_path / "link" / "u.sumocfg")).walkers(paved=True)
     assert told == "add pedestrians as the copy's check says"
 
 
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:
-    fast = open_town(made(tmp_path / "fast", ("--grid", "--grid.number", "3"), persons=False, speed_mps=25.0))
+    fast = open_town(
+        made(tmp_path / "fast", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False, speed_mps=25.0)
+    )
     (fault,) = faults_of(fast, read_net(fast.net), replace(FINE, walkingareas=0))
     command = printed(fault, "add pavements")
-    assert command == pave_cure(fast).partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
+    assert (
+        command == Cures(fast).pave().partition(": ")[2] and command.endswith(" --max-speed 25") and FASTEST_MPS < 25.0
+    )
     code, said = typed(command, tmp_path)
     assert code == 1 and "24 streets got a pavement" in said and "fault: the demand has no pedestrians" in said, said
 
 
 def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> None:
-    rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3"), persons=False))
+    rails = open_town(made(tmp_path / "rails", ("--grid", "--grid.number", "3", "--grid.length", "60"), persons=False))
     text = rails.net.read_text(encoding="utf-8").replace(' speed="', ' allow="tram" speed="')
     rails.net.write_text(text, encoding="utf-8")
     (fault,) = (fault for fault in faults_of(rails, read_net(rails.net), replace(FINE, walkingareas=0)))
@@ -213,9 +217,8 @@ def test_a_scenario_of_rails_is_told_that_there_is_no_street(tmp_path: Path) -> 
 
 
 def test_types_of_two_files_are_not_told_twice(theirs: Town) -> None:
-    assert "remove the vehicle types" not in routes_cure(theirs)
+    assert "remove the vehicle types" not in Cures(theirs).routes()
     path = theirs.routes[0]
     path.write_text(path.read_text(encoding="utf-8").replace("<routes>", '<routes><vType id="x"/>'), encoding="utf-8")
-    assert "remove the vehicle types from u.add.xml, because better.rou.xml will contain them, create" in routes_cure(
-        theirs
-    )
+    wanted = "remove the vehicle types from u.add.xml, because better.rou.xml will contain them, create"
+    assert wanted in Cures(theirs).routes()

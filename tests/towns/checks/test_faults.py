@@ -11,16 +11,15 @@ import pytest
 from tests.cli.towns import tiny_osm
 from tests.support.typed import printed
 from tests.towns.made.nets import edge, lane, write_net
-from tests.towns.made.strangers import PAVED, made
 from wcsim.errors import TownError
 from wcsim.towns.checks.check import Overlap, TownReport, _demand_classes, _find_notes, check_town, faults_of
 from wcsim.towns.importing.importer import ImportOrder, _build_net, _convert_net
 from wcsim.towns.osm.clean import filter_osm
-from wcsim.towns.osm.read import read_extract
-from wcsim.towns.scenario.town import Town, chair_ways, open_town
+from wcsim.towns.osm.read import Box, read_extract
+from wcsim.towns.scenario.town import Town, chair_ways
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
-from wcsim.towns.walking.islands import islands_by_links, largest_share, walkable_parts
+from wcsim.towns.walking.islands import Islands, largest_share, walkable_parts
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 FINE = TownReport(
@@ -71,30 +70,27 @@ def test_streets_over_the_pavements_of_others_are_a_note_however_many(corner_tow
         assert shlex.split(printed(told, "move or delete"))[1:] == ["-s", str(corner_town.net)]
 
 
-def test_the_side_of_the_traffic_is_told_behind_a_long_comment(tmp_path: Path) -> None:
-    town = open_town(made(tmp_path / "left", ("--grid", "--grid.number", "2", "--lefthand", *PAVED), persons=False))
-    text = town.net.read_text(encoding="utf-8").replace("<net ", f"<!-- {'x' * 5000} -->\n<net ", 1)
-    town.net.write_text(text, encoding="utf-8")
-    assert check_town(town).lefthand
+def test_the_side_of_the_traffic_is_told_behind_a_long_comment(corner_town: Town, tmp_path: Path) -> None:
+    text = read_bytes(corner_town.net).decode().replace("<net ", f'<!-- {"x" * 5000} -->\n<net lefthand="1" ', 1)
+    (tmp_path / "left.net.xml").write_text(text, encoding="utf-8")
+    assert check_town(replace(corner_town, net=tmp_path / "left.net.xml", border=None)).lefthand
 
 
-def test_types_that_a_distribution_names_count(tmp_path: Path) -> None:
-    town = open_town(made(tmp_path / "own", ("--grid", "--grid.number", "2"), persons=False))
+def test_types_that_a_distribution_names_count(corner_town: Town, tmp_path: Path) -> None:
     types = '<vType id="slow" vClass="pedestrian"/>\n<vTypeDistribution id="all"><vType refId="slow" probability="1"/>'
     person = '<person id="p" type="all" depart="0"><walk edges="A0A1"/></person>'
-    text = f"<routes>{types}</vTypeDistribution>{person}</routes>"
-    town.routes[0].write_text(text, encoding="utf-8")
-    assert _demand_classes(town) == ("pedestrian",)
+    routes = tmp_path / "own.rou.xml"
+    routes.write_text(f"<routes>{types}</vTypeDistribution>{person}</routes>", encoding="utf-8")
+    assert _demand_classes(replace(corner_town, routes=(routes,), border=None)) == ("pedestrian",)
 
 
-def test_buildings_of_a_file_of_any_name_are_seen(tmp_path: Path) -> None:
-    town = open_town(made(tmp_path / "own", ("--grid", "--grid.number", "2"), persons=False))
-    net = read_net(town.net, town.file.origin_m)
-    assert [note for note in _find_notes(town, net) if "no buildings or trees" in note]
-    shapes = '<poly id="house" type="building" fill="1" shape="10,10 20,10 20,20 10,20 10,10"/></additional>'
-    more = town.additional[0]
-    more.write_text(more.read_text(encoding="utf-8").replace("</additional>", shapes), encoding="utf-8")
-    assert _find_notes(town, net) == ()
+def test_buildings_of_a_file_of_any_name_are_seen(corner_town: Town, tmp_path: Path) -> None:
+    net, more = read_net(corner_town.net), tmp_path / "own.add.xml"
+    house = '<poly id="house" type="building" fill="1" shape="10,10 20,10 20,20 10,20 10,10"/>'
+    for shapes, missed in (("", 1), (house, 0)):
+        more.write_text(f"<additional>{shapes}</additional>", encoding="utf-8")
+        notes = _find_notes(replace(corner_town, poly=None, additional=(more,), border=None), net)
+        assert len([note for note in notes if "no buildings or trees" in note]) == len(notes) == missed
 
 
 def test_a_net_in_degrees_is_refused_with_the_cure(corner_town: Town, tmp_path: Path) -> None:
@@ -115,16 +111,16 @@ def test_footways_that_nobody_can_walk_to_are_left_out(tmp_path: Path) -> None:
     osm = REPOSITORY.parent / "shared" / "towns" / "leeds.osm.xml.gz"
     if not osm.is_file():
         pytest.skip("the extract lies in the development material beside the checkout, which is not here")
-    extract = read_extract(osm, (-1.538528, 53.795722, -1.531532, 53.799858))
+    extract = read_extract(osm, Box(-1.538528, 53.795722, -1.531532, 53.799858))
     order = ImportOrder(osm=tmp_path, name="x", split="train", out=tmp_path, bbox=extract.box, lefthand=True)
     filter_osm(extract.root)
     (tmp_path / "all.osm.xml").write_bytes(extract.xml())
     whole = _convert_net(order, "all.osm.xml", tmp_path)
-    found = islands_by_links(read_net(whole), whole)
+    found = Islands.by_links(read_net(whole), whole)
     assert len(found.footways) >= 5 and found.share < 0.98
     built = _build_net(order, extract.root, tmp_path)
     assert built.share == largest_share(walkable_parts(built.net, chair_ways(cycle_paths=False))) > 0.95
-    assert islands_by_links(built.net, tmp_path / "x.net.xml").share > found.share
+    assert Islands.by_links(built.net, tmp_path / "x.net.xml").share > found.share
 
 
 def test_fast_streets_have_pavements_and_crossings_too(tmp_path: Path) -> None:

@@ -60,12 +60,12 @@ def test_settings_of_a_window_never_refuse_a_copy_and_are_no_way_for_private_fil
     (tmp_path / "theirs" / "look.xml").write_text(theirs)
     town = adopt_scenario(sumocfg, "mine", tmp_path / "mine")
     assert (town.folder / "look.xml").read_text() == copied
-    assert find_changes(town) == ()
+    assert find_changes(town.folder, town.file) == ()
 
 
 def test_an_edit_of_an_adopted_scenario_is_noted_and_no_fault(corner_town: Town, tmp_path: Path) -> None:
     town = adopt_scenario(hostile.scenario(corner_town, tmp_path / "theirs"), "mine", tmp_path / "mine")
-    assert own_work(town.folder) and find_changes(town) == ()
+    assert own_work(town.folder) and find_changes(town.folder, town.file) == ()
     for name in ("a.net.xml", "a.rou.xml"):
         path = town.folder / name
         text = path.read_text(encoding="utf-8").replace(' speed="', ' speed="1').replace("one", "two")
@@ -109,7 +109,7 @@ def test_names_in_any_letters_are_noted(corner_town: Town, tmp_path: Path) -> No
     sumocfg.write_text(sumocfg.read_text(encoding="utf-8").replace("a.rou.xml", name), encoding="utf-8")
     town = adopt_scenario(sumocfg, "mine", tmp_path / "mine", source="\U0001f600 \x7f")
     assert name in town.file.hashes and town.file.source == "\U0001f600 \x7f"
-    assert find_changes(town) == ()
+    assert find_changes(town.folder, town.file) == ()
 
 
 @pytest.mark.parametrize("fault", ["absolute", "missing", "in the way", "name", "no such file"])

@@ -19,14 +19,14 @@ from wcsim.towns.importing.elevation import (
     _smoothed,
     lift_net,
     make_dem,
-    write_dem,
 )
 from wcsim.towns.importing.importer import ImportOrder, import_town
+from wcsim.towns.osm.read import Box
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.xml_io import read_bytes
 
-BOX = (7.4175, 43.7368, 7.4249, 43.7422)
+BOX = Box(7.4175, 43.7368, 7.4249, 43.7422)
 
 
 def write_tiff(path: Path, crs: str | None, *, lift_m: float = 0.0, hole: bool = False, width: int = 240) -> Path:
@@ -125,13 +125,13 @@ def test_a_file_of_our_own_is_taken_as_it_is_only_where_and_as_gentle_as_it_was_
     made = make_dem(gentle, BOX, 1)
     assert made is not None
     path = tmp_path / "own.dem.tif"
-    write_dem(made, gentle, path)
+    made.write(gentle.max_grade, path)
     kept, steeper, gentler = (make_dem(Heights(dem=path, max_grade=g), BOX, 0) for g in (0.06, 0.1, 0.03))
     assert kept is not None and steeper is not None and gentler is not None
     assert kept.smooth and steeper.smooth and not gentler.smooth
     assert gentler.height_m == pytest.approx(made.height_m, abs=0.3)
     with pytest.raises(TownError, match="use a file that covers the town"):
-        make_dem(Heights(dem=path), (24.93, 60.16, 24.94, 60.17), 0)
+        make_dem(Heights(dem=path), Box(24.93, 60.16, 24.94, 60.17), 0)
 
 
 def test_smoothing_and_lowering_make_land_gentler() -> None:
@@ -144,9 +144,9 @@ def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: P
     path = tmp_path / "x.net.xml"
     path.write_bytes(read_bytes(manhattan_town.net))
     flat = read_net(path)
-    west, south, east, north = (float(p) for p in (manhattan_town.folder / "osm" / "bbox").read_text().split(","))
+    box = Box.of((manhattan_town.folder / "osm" / "bbox").read_text())
     relief = Heights(hill_m=150.0, max_grade=0.08)
-    dem = make_dem(relief, (west, south, east, north), 5)
+    dem = make_dem(relief, box, 5)
     assert dem is not None
     used = lift_net(path, dem, relief)
     net = read_net(path)
@@ -158,8 +158,8 @@ def test_every_point_of_a_net_lies_on_the_land(manhattan_town: Town, tmp_path: P
                 ends.setdefault(tuple(np.round(lane.points_m[k], 1)), []).append(lane.z_m[k])
     assert max(np.ptp(heights_m) for heights_m in ends.values()) < 0.05, "lanes that meet, meet at one height"
     assert [edge.id for edge in net.edges] == [edge.id for edge in flat.edges]
-    write_dem(used, relief, tmp_path / "x.dem.tif")
-    stored = make_dem(Heights(dem=tmp_path / "x.dem.tif"), (west, south, east, north), 0)
+    used.write(relief.max_grade, tmp_path / "x.dem.tif")
+    stored = make_dem(Heights(dem=tmp_path / "x.dem.tif"), box, 0)
     assert stored is not None and stored.smooth and np.array_equal(stored.height_m, used.height_m)
 
 

@@ -3,7 +3,6 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 import shapely
 
@@ -12,14 +11,16 @@ from tests.towns.furniture.standing_samples import item
 from tests.towns.made.nets import street, write_net
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
-from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_crossings, unpainted
+from wcsim.towns.furniture.road_marks import unmarked_crossings
 from wcsim.towns.ground.surfaces import covered, lane_area, make_surfaces
 from wcsim.towns.importing import demand
 from wcsim.towns.importing.importer import Imported, ImportOrder, import_town
+from wcsim.towns.importing.map_marks import _unpainted
 from wcsim.towns.sumo.additional import read_items
 from wcsim.towns.sumo.net import LaneKind, read_net
 from wcsim.towns.sumo.tools import run_tool
-from wcsim.types import ClassId
+from wcsim.towns.sumo.xml_io import parse_root
+from wcsim.types import ClassId, Street
 
 _NODE = '<node id="{}" lat="{}" lon="{}" version="1">{}</node>'
 _TAG = '<tag k="{}" v="{}"/>'
@@ -63,13 +64,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Imported:
         return import_town(ImportOrder(osm=folder / "marked.osm", name="marked", split="test", out=folder / "town"))
 
 
-def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported) -> None:
+@pytest.fixture(scope="module")
+def built(made: Imported) -> Street:
+    return unpack_street(build_street(made.town))
+
+
+def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported, built: Street) -> None:
     town = made.town
     net = read_net(town.net, town.file.origin_m)
     lanes = net.lanes(LaneKind.CROSSING)
     plain = unmarked_crossings(read_items(town.additional, town.file.origin_m, net), net)
-    assert made.crossings_mapped == 2 and len(plain) == made.crossings_unpainted == len(lanes) - 1
-    built = unpack_street(build_street(town))
+    assert made.counts["crossings_mapped"] == 2 and len(plain) == made.counts["crossings_unpainted"] == len(lanes) - 1
     for lane in lanes:
         middle = lane_area(lane).centroid
         found = ClassId(built.grid.class_here(middle.x, middle.y))
@@ -81,20 +86,19 @@ def test_crossings_that_are_guessed_or_unmarked_have_no_paint(made: Imported) ->
 def test_bus_stops_of_the_map_are_sumos(made: Imported, tmp_path: Path) -> None:
     text = made.town.additional[0].read_text(encoding="utf-8")
     (lane,) = re.findall(r'<busStop id="stop.731" name="A &amp; B" lane="([^"]+)"', text)
-    assert made.stops == made.stops_mapped == 2
+    assert made.counts["stops"] == made.counts["stops_mapped"] == 2
     net = read_net(made.town.net)
     assert next(each for edge in net.edges for each in edge.lanes if each.id == lane).permits("bus")
     run = run_tool("sumo", ["-c", str(made.town.sumocfg), "--end", "5", "--no-step-log"], tmp_path)
     assert run.returncode == 0 and "Error" not in run.output, run.output
 
 
-def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: Imported) -> None:
+def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: Imported, built: Street) -> None:
     town = made.town
     net = read_net(town.net, town.file.origin_m)
     items = read_items(town.additional, town.file.origin_m, net)
     surfaces = covered(make_surfaces(net, town.file.chair_ways), items)
     house = next(item for item in items if item.group == "building")
-    built = unpack_street(build_street(town))
     square = next(item for item in items if item.kind == "square")
     places = {ClassId.GROUND: [square.points_W_m.mean(axis=0), house.points_W_m[0] + 2.0], ClassId.PARKING: []}
     places[ClassId.PARKING] = [next(item for item in items if item.kind == "parking").points_W_m.mean(axis=0)]
@@ -109,6 +113,6 @@ def test_car_parks_squares_and_the_ground_of_houses_are_paved(made: Imported) ->
 
 def test_a_net_without_crossings_takes_marks_too(tmp_path: Path) -> None:
     bare = write_net(tmp_path, street())
-    mark = CrossingMark(at_m=np.zeros(2), tags={"crossing": "zebra"})
+    mark = parse_root(b'<poi x="0" y="0"><param key="crossing" value="zebra"/></poi>', "a mark")
     point = item("crossing.unmarked", (0.0, 0.0))
-    assert unpainted(bare, [mark]) == [] and unmarked_crossings([point], bare) == frozenset()
+    assert _unpainted(bare, [mark]) == [] and unmarked_crossings([point], bare) == frozenset()

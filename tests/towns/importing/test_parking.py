@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import shapely
 from tests.cli.towns import tiny_osm
 from wcsim.towns.ground.surfaces import lane_area
 from wcsim.towns.importing.importer import ImportOrder, import_town
-from wcsim.towns.importing.map_marks import INSIDE_M
+from wcsim.towns.importing.map_marks import INSIDE_M, find_parking
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import run_tool
@@ -84,6 +83,5 @@ def test_parked_cars_stand_in_their_spaces_for_good(town: Town, tmp_path: Path) 
         assert not used.intersects(shapely.LineString([nose, tail]).buffer(0.9, cap_style="flat"))
 
 
-def test_no_parked_cars_when_none_are_wanted(order: ImportOrder, tmp_path: Path) -> None:
-    empty = import_town(replace(order, out=tmp_path / "empty", parked=0.0)).town
-    assert len(read_root(empty.routes[0])) == 0
+def test_no_parked_cars_when_none_are_wanted(town: Town) -> None:
+    assert town.poly is not None and find_parking(read_net(town.net), town.poly, 0.0, 1) == ([], [])

@@ -42,18 +42,18 @@ def test_houses_stand_beside_the_streets_and_beside_each_other(net: Net) -> None
 
 
 def test_posts_stand_at_the_kerb_and_nothing_on_road_or_crossing(net: Net) -> None:
-    found = _dress(net, generator(2, "dress"))
+    mapped, placed = _dress(net, generator(2, "dress"))
     road = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.MOTOR, LaneKind.CROSSING)])
-    places = [xy_m for _, xy_m in found.mapped] + [xy_m for _, xy_m, _ in found.placed]
+    places = [xy_m for _, xy_m in mapped] + [xy_m for _, xy_m, _ in placed]
     assert len(places) > 200
     assert not shapely.intersects_xy(road, np.array(places)).any()
     driven = shapely.union_all([lane_area(lane) for lane in net.lanes(LaneKind.MOTOR, LaneKind.BIKE, LaneKind.SHARED)])
-    lamps = np.array([xy_m for kind, xy_m in found.mapped if kind == "highway.street_lamp"])
+    lamps = np.array([xy_m for kind, xy_m in mapped if kind == "highway.street_lamp"])
     assert np.mean(shapely.distance(driven, shapely.points(lamps)) < 0.5) > 0.95
 
 
 def test_what_is_left_in_the_way_lies_on_pavements_that_are_wide_enough(net: Net) -> None:
-    placed = [thing for seed in range(8) for thing in _dress(net, generator(seed, "left")).placed]
+    placed = [thing for seed in range(8) for thing in _dress(net, generator(seed, "left"))[1]]
     assert placed
     wide = [lane for lane in net.lanes(LaneKind.SIDEWALK, LaneKind.SHARED) if lane.width_m >= 2.4]
     ground = shapely.union_all([lane_area(lane) for lane in wide]).buffer(0.1)

@@ -11,9 +11,9 @@ import pytest
 
 from tests.cli.towns import tiny_osm
 from wcsim.errors import TownError
-from wcsim.towns.osm.read import download, read_extract
+from wcsim.towns.osm.read import Box, download, read_extract
 
-BOX = (24.999, 59.9995, 25.0046, 60.0023)
+BOX = Box(24.999, 59.9995, 25.0046, 60.0023)
 Answer = Callable[[BaseHTTPRequestHandler], None]
 
 
@@ -77,4 +77,4 @@ def test_nobody_there_and_no_address(tmp_path: Path) -> None:
         with pytest.raises(TownError, match="is not a server address"):
             download(BOX, tmp_path, url)
     with pytest.raises(TownError, match="at most 12 km"):
-        download((24.0, 60.0, 25.0, 60.1), tmp_path)
+        download(Box(24.0, 60.0, 25.0, 60.1), tmp_path)

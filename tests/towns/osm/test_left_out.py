@@ -11,12 +11,11 @@ from wcsim.towns.osm.clean import (
     NetWays,
     _MapWay,
     count_inside,
-    find_left_out,
-    left_out_notes,
     ways_inside,
 )
+from wcsim.towns.osm.read import Box
 
-BOX = (25.0, 60.0, 25.01, 60.01)
+BOX = Box(25.0, 60.0, 25.01, 60.01)
 TEXT = """<osm>
     <node id="1" lon="25.001" lat="60.005"/><node id="2" lon="25.005" lat="60.005"/>
     <node id="3" lon="25.005" lat="60.009"><tag k="highway" v="crossing"/></node>
@@ -55,14 +54,14 @@ def test_what_the_net_does_not_have_is_told_by_length_and_name() -> None:
     lengths_m = {way.id: way.inside_m for way in ways}
     assert lengths_m["10"] == pytest.approx(222.6, rel=0.01) and lengths_m["11"] == pytest.approx(445.3, rel=0.01)
     both = frozenset(("10", "11"))
-    found = find_left_out(ways, NetWays(given=both, drawn=both, walked=frozenset(("10",))))
+    found = LeftOut.of(ways, NetWays(given=both, drawn=both, walked=frozenset(("10",))))
     assert found.names == () and found.streets_left_out_m == 0.0
     assert found.footways_left_out_m == found.footways_m == lengths_m["11"]
-    (told,) = left_out_notes(found)
+    (told,) = found.notes
     assert "445 of 445 m of footways" in told and ": 11 Path (445 m, closed to pedestrians in the net)" in told
-    (street, _) = left_out_notes(find_left_out(ways, NetWays()))
+    (street, _) = LeftOut.of(ways, NetWays()).notes
     assert "0.22 km of 0.22 km of streets" in street and "(Long Street);" in street
-    assert left_out_notes(find_left_out(ways, NetWays(drawn=both, walked=both))) == left_out_notes(LeftOut()) == ()
+    assert LeftOut.of(ways, NetWays(drawn=both, walked=both)).notes == LeftOut().notes == ()
 
 
 def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
@@ -76,7 +75,7 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
     ways = inside(text)
     ids = frozenset(str(100 + number) for number in range(len(_ON_FOOT)))
     made = NetWays(given=ids - {"108"}, bridges=frozenset(("108",)), drawn=frozenset(("10", "106")))
-    found = find_left_out(ways, made)
+    found = LeftOut.of(ways, made)
     whys = [*_ON_FOOT.values()]
     assert {way.id: way.why for way in found.footways} == {
         "11": "cut by the edge of the box",
@@ -84,9 +83,9 @@ def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
         **{str(100 + number): why for number, why in enumerate(whys) if why},
     }
     assert sum(way.inside_m for way in found.footways) == pytest.approx(found.footways_m)
-    (told,) = left_out_notes(found)
+    (told,) = found.notes
     assert told.count("(") == TOLD_LOST + 1 and ", and 1 more (" in told
-    some = find_left_out(ways, replace(made, drawn=frozenset(("10", "11")), walked=frozenset(("11",))))
+    some = LeftOut.of(ways, replace(made, drawn=frozenset(("10", "11")), walked=frozenset(("11",))))
     kept_m = next(way.inside_m for way in ways if way.id == "11")
     assert kept_m + some.footways_left_out_m == pytest.approx(some.footways_m)
 

@@ -10,9 +10,9 @@ import pytest
 from tests.cli.towns import tiny_osm
 from wcsim.errors import TownError
 from wcsim.towns.osm import read
-from wcsim.towns.osm.read import read_extract, size_m
+from wcsim.towns.osm.read import Box, read_extract
 
-BOX = (24.999, 59.9995, 25.0046, 60.0023)
+BOX = Box(24.999, 59.9995, 25.0046, 60.0023)
 
 
 def as_pbf(path: Path) -> Path:
@@ -31,7 +31,7 @@ def tiny(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("box", [BOX, None])
-def test_every_format_gives_the_same_extract(tiny: Path, box: tuple[float, float, float, float] | None) -> None:
+def test_every_format_gives_the_same_extract(tiny: Path, box: Box | None) -> None:
     data = tiny.read_bytes()
     tiny.with_name("a.osm.xml.gz").write_bytes(gzip.compress(data))
     tiny.with_name("b.osm.bz2").write_bytes(bz2.compress(data))
@@ -55,7 +55,7 @@ def test_a_pbf_keeps_the_box_of_its_header(tiny: Path) -> None:
 def test_a_large_extract_is_cut_by_libosmium_to_the_same(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     packed = tiny.with_name("a.osm.gz")
     packed.write_bytes(gzip.compress(tiny.read_bytes()))
-    small = (25.0, 60.0, 25.0015, 60.0008)
+    small = Box(25.0, 60.0, 25.0015, 60.0008)
     wanted = read_extract(tiny, small).xml()
     monkeypatch.setattr(read, "SMALL_BYTES", 100)
     assert read_extract(tiny, small).xml() == read_extract(packed, small).xml() == wanted
@@ -70,7 +70,7 @@ def test_without_a_box_the_extract_says_how_far_it_goes(tiny: Path) -> None:
     assert read_extract(tiny).box == (25.0, 60.0, 25.002, 60.001)
     wide = bounds.replace('maxlon="25.002"', 'maxlon="29"')
     tiny.write_text(text.replace('<osm version="0.6">', f'<osm version="0.6">{wide}'), encoding="utf-8")
-    assert max(size_m(read_extract(tiny).box)) < 400.0, "bounds that cannot be a town's are not believed"
+    assert max(read_extract(tiny).box.size_m) < 400.0, "bounds that cannot be a town's are not believed"
 
 
 def test_what_dangles_is_left_out(tiny: Path) -> None:
@@ -122,7 +122,7 @@ def test_what_cannot_be_read_is_said(tmp_path: Path, name: str, data: bytes, tol
 
 def test_a_box_elsewhere_is_answered_with_where_the_streets_are(tiny: Path) -> None:
     with pytest.raises(TownError, match=r"its streets are in 24\.9999\d,59\.9999\d,25\.0036\d,60\.0018\d"):
-        read_extract(tiny, (4.9, 59.9, 5.0, 60.0))
+        read_extract(tiny, Box(4.9, 59.9, 5.0, 60.0))
 
 
 def test_elements_that_are_no_map_are_left_out(tiny: Path) -> None:

@@ -13,7 +13,7 @@ from wcsim.errors import TownError
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
 from wcsim.towns.checks.check import _demand_classes, _find_notes, _for_routes, _unroutable_trips
-from wcsim.towns.checks.cures import routes_cure
+from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.town import Town, content_hash, open_town
 from wcsim.towns.street import _street_key
@@ -101,7 +101,7 @@ def test_what_is_included_stands_where_it_is_named(tmp_path: Path) -> None:
 
 
 def test_the_cure_of_trips_without_a_way_names_the_parts_that_matter(including: Town) -> None:
-    told = routes_cure(including)
+    told = Cures(including).routes()
     assert "move each <calibrator> of calibrator.add.xml into a file of its own" in told
     assert "--vtype-output /dev/null" in told and f"-a {including.folder.resolve()}/city.add.xml" in told
 

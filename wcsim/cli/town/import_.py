@@ -152,8 +152,7 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic drives on the {made.side}")
     report = checked(made.town, made.walkable_share, stage)
-    counted = ("parked", "crossings_mapped", "crossings_unpainted", "stops_mapped", "stops")
-    more = {"left_out": asdict(made.left_out), **{name: getattr(made, name) for name in counted}}
+    more = {"left_out": asdict(made.left_out), **made.counts}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
 
@@ -202,14 +201,14 @@ def _per_hour(text: str) -> dict[str, float]:
 
 def _bbox(text: str) -> Box:
     try:
-        west, south, east, north = (float(part) for part in text.split(","))
+        box = Box.of(text)
     except ValueError:
         raise ConfigError(
             f"--bbox {text!r} is not west,south,east,north in degrees, such as 24.9,60.1,25.0,60.2"
         ) from None
-    if not (-180 <= west < east <= 180 and -90 <= south < north <= 90):
+    if not (-180 <= box.west < box.east <= 180 and -90 <= box.south < box.north <= 90):
         raise ConfigError(f"--bbox {text!r} is empty or outside of the globe; expected west < east and south < north")
-    return west, south, east, north
+    return box
 
 
 @dataclass

@@ -29,7 +29,7 @@ from wcsim.config import RunConfig, resolve
 from wcsim.core import seeding
 from wcsim.errors import ConfigError
 from wcsim.supervisor.rewards import blamed
-from wcsim.towns.checks.cures import pave_cure, slowest_street_mps, walkers_cure
+from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.town import Town, content_hash, find_town
 from wcsim.towns.sumo.net import LaneKind, read_net
 
@@ -179,8 +179,8 @@ def _no_persons(town: Town) -> str:
     told = "no pedestrians: the demand has none, or none in this time"
     net = read_net(town.net)
     if net.lanes(LaneKind.WALKINGAREA):
-        return f"{told}; {walkers_cure(town)}"
+        return f"{told}; {Cures(town).walkers()}"
     told = f"{told}, and the net has no walking areas"
-    if slowest_street_mps(net) is None:  # there will be no paved copy
-        return f"{told}; {pave_cure(town)}"
-    return f"{told}; first {pave_cure(town)}\nthen, for the paved copy, {walkers_cure(town, paved=True)}"
+    if net.slowest_mps is None:  # there will be no paved copy
+        return f"{told}; {Cures(town).pave()}"
+    return f"{told}; first {Cures(town).pave()}\nthen, for the paved copy, {Cures(town).walkers(paved=True)}"

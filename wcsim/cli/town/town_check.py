@@ -19,7 +19,7 @@ from wcsim.cli.shared.consoles import stdout_console
 from wcsim.config import resolve
 from wcsim.core.reading import counted, escaped, listed
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import traffic_alone
+from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.overrides import settings_of
 from wcsim.towns.scenario.stage import stage_scenario
@@ -172,7 +172,7 @@ def _collisions_note(town: Town) -> tuple[str, ...]:
     return (
         f"SUMO itself reports {counted(len(hits), 'collision')} in the first {COLLIDING_S:g} s of this traffic: {who}; "
         f"its junction rules permit that, mostly for bicycles, and the vehicles pass through each other; half the "
-        f"traffic collides about half as often: {traffic_alone(town)} --set world.demand_scale=0.5",
+        f"traffic collides about half as often: {Cures(town).traffic_alone()} --set world.demand_scale=0.5",
     )
 
 

@@ -19,7 +19,7 @@ from wcsim.core.files import alone, whole_file
 from wcsim.errors import DiskFullError
 from wcsim.towns.cache.folder import cache_folder
 from wcsim.towns.ground.tiles import Packed, TileStore
-from wcsim.types import F64, Relief, SignalHead, Street, WalkEdge, WalkGraph, WayKind
+from wcsim.types import Relief, SignalHead, Street, WalkEdge, WalkGraph, WayKind
 from wcsim.types.street import FLAT
 
 
@@ -65,34 +65,30 @@ def unpack_street(packed: Packed) -> Street:
         packed["edge_never_green"].tolist(),
         strict=False,
     )
-    edges = tuple(_edge(*row) for row in rows)
+    edges = tuple(
+        WalkEdge(
+            sumo_id=sumo_id,
+            kind=WayKind(kind),
+            start=start,
+            end=end,
+            points_W_m=way,
+            width_m=width_m,
+            tls_id=tls_id,
+            tls_links=tuple(map(int, links.split())),
+            never_green=never_green,
+        )
+        for way, (start, end), width_m, (sumo_id, kind, tls_id, links), never_green in rows
+    )
     heads = zip(packed["head_tls"].tolist(), packed["head_places"].tolist(), strict=True)
     return Street(
         tiles=store,
         grid=store,
         walk=WalkGraph(nodes_W_m=packed["nodes_W_m"], edges=edges),
-        signal_heads=tuple(_head(name, place) for name, place in heads),
+        signal_heads=tuple(
+            SignalHead(tls_id=name, link=int(link), p_W_m=np.array([x, y, z]), yaw_rad=yaw, pedestrian=bool(walks))
+            for name, (x, y, z, yaw, link, walks) in heads
+        ),
         net_origin_m=(east_m, north_m, up_m),
-    )
-
-
-def _head(tls_id: str, place: list[float]) -> SignalHead:
-    return SignalHead(
-        tls_id=tls_id, link=int(place[4]), p_W_m=np.array(place[:3]), yaw_rad=place[3], pedestrian=bool(place[5])
-    )
-
-
-def _edge(way: F64, ends: list[int], width_m: float, texts: list[str], never_green: bool) -> WalkEdge:
-    return WalkEdge(
-        sumo_id=texts[0],
-        kind=WayKind(texts[1]),
-        start=ends[0],
-        end=ends[1],
-        points_W_m=way,
-        width_m=width_m,
-        tls_id=texts[2],
-        tls_links=tuple(int(number) for number in texts[3].split()),
-        never_green=never_green,
     )
 
 

@@ -20,19 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.config import RunConfig
 from wcsim.core.seeding import generator
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import (
-    FOR_ROUTES,
-    again_cure,
-    grade_cure,
-    larger_cure,
-    netedit_cure,
-    own_time,
-    pave_cure,
-    paved_streets,
-    routes_cure,
-    slowest_street_mps,
-    walkers_cure,
-)
+from wcsim.towns.checks.cures import FOR_ROUTES, Cures
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
@@ -73,17 +61,17 @@ def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
     grade = steepest_grade(net)
     if grade > STEEPEST:
         lines.append(
-            f"a lane of {town.net.name} has a grade of {grade:.2f}; expected at most {STEEPEST}: {grade_cure(town)}"
+            f"a lane of {town.net.name} has a grade of {grade:.2f}; expected at most {STEEPEST}: {Cures(town).grade()}"
         )
     return tuple(lines)
 
 
 def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[str, ...]:
     """What is worth knowing and no fault."""
-    changed, net_file = find_changes(town), town.net.resolve()
+    changed, net_file = find_changes(town.folder, town.file), town.net.resolve()
     notes = [f"changed since the import: {path.name}" for path in changed if path.resolve() != net_file]
     for path in (path for path in changed if path.resolve() == net_file):  # the demand was routed through it
-        again = f"; to route the traffic over the new net, {routes_cure(town)}" if town.routes else ""
+        again = f"; to route the traffic over the new net, {Cures(town).routes()}" if town.routes else ""
         notes.append(f"changed since the import: {path.name}{again}")
     if over:
         notes.append(_overlap(town, over))
@@ -118,7 +106,7 @@ def _foreign_polygons(town: Town, net: Net) -> list[str]:
         return []
     problem = f"none of the {len(things_m)} objects of {poly.name} is near the streets, so it belongs to another net; "
     if town.file.rebuild:
-        return [problem + again_cure(town, "build it for this net", town.file.rebuild)]
+        return [problem + Cures(town).again("build it for this net", town.file.rebuild)]
     return [f"{problem}build it from its map again, with polyconvert's option --net-file {town.net.name}"]
 
 
@@ -137,10 +125,12 @@ def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
     imported = "town import" in town.file.rebuild
 
     def paving() -> str:
-        return larger_cure(town) if imported else f"{'first ' * _walkers_later(town, net, found)}{pave_cure(town)}"
+        return (
+            Cures(town).larger() if imported else f"{'first ' * _walkers_later(town, net, found)}{Cures(town).pave()}"
+        )
 
     if not found.walkingareas:
-        paved = paved_streets(net)
+        paved = net.paved_streets
         has = f"has pavements beside {paved} streets, but" if paved else "has"
         return [
             f"the net {has} no walking areas{' to join them' if paved else ''}, so pedestrians cannot walk; {paving()}"
@@ -150,7 +140,7 @@ def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
         lines.append(f"the net has no crossings, so pedestrians cannot cross a street; {paving()}")
     if found.walkable_largest_share < _ENOUGH_SHARE:
         share = f"{found.walkable_largest_share:.1%} of the walkable area is connected"
-        cure = larger_cure(town) if imported else f"join the parts: {netedit_cure(town)}"
+        cure = Cures(town).larger() if imported else f"join the parts: {Cures(town).netedit()}"
         lines.append(f"only {share}; expected {_ENOUGH_SHARE:.0%}: {_parts(found.cut_off)}{cure}")
     return lines
 
@@ -162,7 +152,7 @@ def _lacks_crossings(net: Net, found: TownReport) -> bool:
 def _walkers_later(town: Town, net: Net, found: TownReport) -> bool:
     """Whether there are no walkers, and adding them needs a paved copy of the scenario first."""
     unpaved = not found.walkingareas or _lacks_crossings(net, found)
-    can_be = "town import" not in town.file.rebuild and slowest_street_mps(net) is not None
+    can_be = "town import" not in town.file.rebuild and net.slowest_mps is not None
     return unpaved and can_be and _WALKER not in found.classes
 
 
@@ -175,17 +165,17 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
 
 def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
     lines = []
-    if _WALKER not in found.classes and (found.walkingareas or slowest_street_mps(net) is not None):
+    if _WALKER not in found.classes and (found.walkingareas or net.slowest_mps is not None):
         later = _walkers_later(town, net, found)
-        cure = f"{'then, for the paved copy, ' * later}{walkers_cure(town, paved=later)}"
+        cure = f"{'then, for the paved copy, ' * later}{Cures(town).walkers(paved=later)}"
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
-            cure = again_cure(town, "add them", shlex.join(words))
+            cure = Cures(town).again("add them", shlex.join(words))
         lines.append(f"the demand has no pedestrians; {cure}")
     if found.unroutable:
         lines.append(
-            f"{found.unroutable} trips have no route through the net; to drop or repair them, {routes_cure(town)}"
+            f"{found.unroutable} trips have no route through the net; to drop or repair them, {Cures(town).routes()}"
         )
     return lines
 
@@ -196,7 +186,7 @@ def _overlap(town: Town, over: tuple[Overlap, ...]) -> str:
         f"{total_m2:.0f} m2 of pavement overlap the carriageway of another street without a junction (places of more "
         f"than {LEAST_M2:g} m2): SUMO's pedestrians and cars do not see each other there; the largest: edge "
         f"{worst.pavement} under {worst.street}, {worst.area_m2:.0f} m2; move or delete one of them: "
-        f"{netedit_cure(town)}"
+        f"{Cures(town).netedit()}"
     )
 
 
@@ -289,7 +279,7 @@ def _unroutable_trips(town: Town) -> int:
         needed = _for_routes([met.place(path, town.sumocfg) for path in town.additional])
         needed.write(Path(folder) / "needed.add.xml")
         options = ["-n", str(met.place(town.net, town.sumocfg)), "-r", ",".join(routes)]
-        begin_s = own_time(town)[0]  # SUMO drops who departs before
+        begin_s = Cures(town).own_time()[0]  # SUMO drops who departs before
         options += ["-a", "needed.add.xml", "-b", f"{begin_s:.12g}", "-e", f"{begin_s + _CHECKED_S:.12g}"]
         options += ["-o", "out.rou.xml", "--ignore-errors", "--no-step-log", "--xml-validation", "never"]
         run = run_tool("duarouter", options, Path(folder), Limits(wall_s=180.0))

@@ -10,17 +10,15 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wcsim.errors import TownError
-from wcsim.towns.osm.read import MARGIN_M, bbox_option, grown, holds_more, size_m
+from wcsim.towns.osm.read import MARGIN_M, Box, holds_more
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.options import read_configuration
-from wcsim.towns.scenario.stage import parse_seconds
 from wcsim.towns.scenario.town import Town, own_work
-from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import sumo_home
 from wcsim.towns.sumo.xml_io import read_root
 
@@ -37,149 +35,125 @@ _WIDER = 0.3  # of a box's size, on each of its sides
 FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement by default
 
 
-def pave_cure(town: Town) -> str:
-    """The command that adds pavements and crossings to a scenario, or why there is none."""
-    net = read_net(town.net)
-    slowest_mps = slowest_street_mps(net)
-    if slowest_mps is None:
-        return "no street is open to cars, so no pavement can be added; choose another scenario"
-    command = pave_command(town, _copy(town), max(FASTEST_MPS, slowest_mps))
-    return f"{'add crossings and walking areas' if paved_streets(net) else 'add pavements and crossings'}: {command}"
+class Cures:
+    """The commands that cure one town."""
 
+    def __init__(self, town: Town) -> None:
+        self._town = town
+        self._sumocfg, self._net = _path(town.sumocfg), _path(town.net)
+        self._outside = " --allow-outside" if town.border is None else ""
+        self._copy = Path(f"{town.name}-paved")  # seen from the folder in which the command is typed
 
-def pave_command(town: Town, out: Path, fastest_mps: float) -> str:
-    """The command that paves a scenario into a new folder, streets of up to `fastest_mps` too."""
-    options = f" --max-speed {math.ceil(fastest_mps)}" if fastest_mps > FASTEST_MPS else ""
-    return f"wcsim town pave {_path(town.sumocfg)} --out {shlex.quote(str(out))}{_outside(town)}{options}"
+    def pave(self) -> str:
+        """The command that adds pavements and crossings to a scenario, or why there is none."""
+        net = read_net(self._town.net)
+        slowest_mps = net.slowest_mps
+        if slowest_mps is None:
+            return "no street is open to cars, so no pavement can be added; choose another scenario"
+        command = self.pave_into(self._copy, max(FASTEST_MPS, slowest_mps))
+        return f"{'add crossings and walking areas' if net.paved_streets else 'add pavements and crossings'}: {command}"
 
+    def pave_into(self, out: Path, fastest_mps: float) -> str:
+        """The command that paves a scenario into a new folder, streets of up to `fastest_mps` too."""
+        options = f" --max-speed {math.ceil(fastest_mps)}" if fastest_mps > FASTEST_MPS else ""
+        return f"wcsim town pave {self._sumocfg} --out {shlex.quote(str(out))}{self._outside}{options}"
 
-def traffic_alone(town: Town) -> str:
-    """The command that runs a scenario's traffic without wheelchairs."""
-    return f"wcsim town run {_path(town.sumocfg)} --chairs 0{_outside(town)}"
+    def traffic_alone(self) -> str:
+        """The command that runs a scenario's traffic without wheelchairs."""
+        return f"wcsim town run {self._sumocfg} --chairs 0{self._outside}"
 
+    def netedit(self) -> str:
+        """The command that opens a town's net to be changed by hand."""
+        return f"{_tool('netedit')} -s {self._net}"
 
-def _outside(town: Town) -> str:
-    """What the commands need for a scenario that is trusted with files outside of its folder."""
-    return " --allow-outside" if town.border is None else ""
+    def walkers(self, *, paved: bool = False) -> str:
+        """The command that makes walkers for the scenario's own time, for an hour of it at most.
 
+        With `paved` it makes them for the copy that the command of `pave` leaves.
 
-def paved_streets(net: Net) -> int:
-    """How many edges of a net have a pavement."""
-    return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in net.streets)
+        Raises:
+            TownError: the scenario's begin or end is no time.
+        """
+        town = self._town
+        sumocfg, net = town.sumocfg, town.net
+        begin_s, end_s = self.own_time()
+        if paved:
+            own, *files = (Path(os.path.normpath(p.absolute())) for p in (town.folder, sumocfg, net))
+            if town.border is None or not all(path.is_relative_to(own) for path in files):
+                return "add pedestrians as the copy's check says"  # its folders are named by what it shares with others
+            sumocfg, net = (self._copy.absolute() / path.relative_to(own) for path in files)
+        tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
+        return (
+            f"create walkers.rou.xml with this command, and name it in {_path(sumocfg)}, within <input>, "
+            f'in the value of <route-files value="..."/>: {tool} -n {_path(net)} '
+            f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
+            f"-r {_path(sumocfg.with_name('walkers.rou.xml'))} -o {_path(sumocfg.with_name('walkers.trips.xml'))}"
+        )
 
+    def own_time(self) -> tuple[float, float]:
+        """When the scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
+        config = read_configuration(self._town.sumocfg)
+        begin_s, end_s = config.seconds("begin", "0"), config.seconds("end", "-1")
+        return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
 
-def speeds_mps(net: Net) -> dict[str, float]:
-    """The speed limit of each street for cars, by its edge."""
-    motor = ((e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR]) for e in net.edges)
-    return {edge: max(limits) for edge, limits in motor if limits and not edge.startswith(":")}
+    @staticmethod
+    def signals(net: Path) -> str:
+        """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
+        return f"rebuild all programs in the net: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
 
+    def again(self, task: str, rebuild: str) -> str:
+        """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
+        folder = self._town.folder
+        work = own_work(folder)
+        lost = f" (this discards your changes to {', '.join(work)})" if work else ""
+        return f"{task}{lost}: cd {shlex.quote(str(folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
 
-def slowest_street_mps(net: Net) -> float | None:
-    """The lowest speed limit of a net's streets for cars, None where there are none."""
-    return min(filter(None, speeds_mps(net).values()), default=None)
+    def larger(self) -> str:
+        """The command that imports a town with more around it: of its extract while that holds more, or downloaded."""
+        words, folder = shlex.split(self._town.file.rebuild), self._town.folder
+        by_hand = f"join the parts: {self.netedit()}"
+        at = next((number for number, word in enumerate(words) if word.startswith("--bbox=")), None)
+        if at is None or "--osm" not in words[:-1]:  # written by hand
+            return by_hand
+        osm = words.index("--osm")
+        extract = (folder / words[osm + 1]).resolve()
+        try:
+            box = Box.of(words[at].removeprefix("--bbox="))
+            more = extract.is_relative_to(folder.resolve()) and holds_more(extract, box)
+        except (ValueError, TownError):  # a town.toml may say anything
+            return by_hand
+        words[at] = box.grown(MARGIN_M if more else _WIDER * max(box.size_m)).option
+        if not more:
+            del words[osm : osm + 2]
+        return self.again(f"take a larger area{'' if more else ' from the internet'}", shlex.join(words))
 
+    def grade(self) -> str:
+        """The command that flattens a town's steepest streets."""
+        return (
+            f"create better.net.xml with this command, and name it in {self._sumocfg}: "
+            f"{_tool('netconvert')} -s {self._net} "
+            f"--geometry.max-grade 12 --geometry.max-grade.fix -o {self._beside('better.net.xml')}"
+        )
 
-def netedit_cure(town: Town) -> str:
-    """The command that opens a town's net to be changed by hand."""
-    return f"{_tool('netedit')} -s {_path(town.net)}"
+    def routes(self, name: str = "better.rou.xml") -> str:
+        """The command that routes a town's demand again and drops what finds no way."""
+        town = self._town
+        read = {path: _whole(path, town) for path in town.additional}
+        needed = [path for path, parts in read.items() if any(_for_routes(root) for root in parts.values())]
+        inside = {path: root for named in needed for path, root in read[named].items()}
+        typed = [path.name for path, root in inside.items() if _has_types(root)]
+        twice = typed if any(_has_types(root) for path in town.routes for root in _whole(path, town).values()) else []
+        deadly = [path.name for path, root in inside.items() if root.find(DEADLY) is not None]
+        more = f" -a {_paths(needed)}" if needed else ""
+        more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
+        return (
+            f"{_before_routing(deadly, twice, name)}create {name} with this command, and name it in {self._sumocfg}: "
+            f"{_tool('duarouter')} -n {self._net} -r {_paths(town.routes)}{more} "
+            f"--ignore-errors -o {self._beside(name)}"
+        )
 
-
-def signals_cure(net: Path) -> str:
-    """The command that gives up a net's signal programs for netconvert's own, which have phases for walkers."""
-    return f"rebuild all programs in the net: {_tool('netconvert')} -s {_path(net)} --tls.rebuild -o {_path(net)}"
-
-
-def walkers_cure(town: Town, *, paved: bool = False) -> str:
-    """The command that makes walkers for the scenario's own time, for an hour of it at most.
-
-    Args:
-        town: The scenario.
-        paved: Make them for the copy that the command of `pave_cure` leaves.
-
-    Raises:
-        TownError: the scenario's begin or end is no time.
-    """
-    begin_s, end_s = own_time(town)
-    if paved:
-        own, *files = (Path(os.path.normpath(p.absolute())) for p in (town.folder, town.sumocfg, town.net))
-        if town.border is None or not all(path.is_relative_to(own) for path in files):
-            return "add pedestrians as the copy's check says"  # its folders are named by what it shares with others
-        sumocfg, net = (_copy(town).absolute() / path.relative_to(own) for path in files)
-        town = replace(town, sumocfg=sumocfg, net=net)
-    tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
-    return (
-        f"create walkers.rou.xml with this command, and name it in {_path(town.sumocfg)}, within <input>, "
-        f'in the value of <route-files value="..."/>: {tool} '
-        f"-n {_path(town.net)} "
-        f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
-        f"-r {_beside(town, 'walkers.rou.xml')} -o {_beside(town, 'walkers.trips.xml')}"
-    )
-
-
-def _copy(town: Town) -> Path:
-    """Where the paved copy of a scenario goes, seen from the folder in which the command is typed."""
-    return Path(f"{town.name}-paved")
-
-
-def own_time(town: Town) -> tuple[float, float]:
-    """When a scenario begins and ends, in s; an hour after its begin where it names no end. Raises TownError."""
-    config = read_configuration(town.sumocfg)
-    begin_s = parse_seconds(config.value("begin") or "0", town.sumocfg)
-    end_s = parse_seconds(config.value("end") or "-1", town.sumocfg)
-    return begin_s, end_s if end_s > begin_s else begin_s + _HOUR_S
-
-
-def again_cure(town: Town, task: str, rebuild: str) -> str:
-    """What to do, and the command that builds a town again in its folder; it says whose work would be lost."""
-    work = own_work(town.folder)
-    lost = f" (this discards your changes to {', '.join(work)})" if work else ""
-    return f"{task}{lost}: cd {shlex.quote(str(town.folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
-
-
-def larger_cure(town: Town) -> str:
-    """The command that imports a town with more around it: of its own extract while that holds more, or downloaded."""
-    words = shlex.split(town.file.rebuild)
-    at = next((number for number, word in enumerate(words) if word.startswith("--bbox=")), None)
-    if at is None or "--osm" not in words[:-1]:  # written by hand
-        return f"join the parts: {netedit_cure(town)}"
-    osm = words.index("--osm")
-    extract = (town.folder / words[osm + 1]).resolve()
-    try:
-        west, south, east, north = (float(part) for part in words[at].removeprefix("--bbox=").split(","))
-        box = (west, south, east, north)
-        more = extract.is_relative_to(town.folder.resolve()) and holds_more(extract, box)
-    except (ValueError, TownError):  # a town.toml may say anything
-        return f"join the parts: {netedit_cure(town)}"
-    words[at] = bbox_option(grown(box, MARGIN_M if more else _WIDER * max(size_m(box))))
-    if not more:
-        del words[osm : osm + 2]
-    return again_cure(town, f"take a larger area{'' if more else ' from the internet'}", shlex.join(words))
-
-
-def grade_cure(town: Town) -> str:
-    """The command that flattens a town's steepest streets."""
-    return (
-        f"create better.net.xml with this command, and name it in {_path(town.sumocfg)}: "
-        f"{_tool('netconvert')} -s {_path(town.net)} "
-        f"--geometry.max-grade 12 --geometry.max-grade.fix -o {_beside(town, 'better.net.xml')}"
-    )
-
-
-def routes_cure(town: Town, name: str = "better.rou.xml") -> str:
-    """The command that routes a town's demand again and drops what finds no way."""
-    read = {path: _whole(path, town) for path in town.additional}
-    needed = [path for path, parts in read.items() if any(_for_routes(root) for root in parts.values())]
-    inside = {path: root for named in needed for path, root in read[named].items()}
-    typed = [path.name for path, root in inside.items() if _has_types(root)]
-    twice = typed if any(_has_types(root) for path in town.routes for root in _whole(path, town).values()) else []
-    deadly = [path.name for path, root in inside.items() if root.find(DEADLY) is not None]
-    more = f" -a {_paths(needed)}" if needed else ""
-    more += " --vtype-output /dev/null" if typed and not twice else ""  # SUMO takes each type once
-    return (
-        f"{_before_routing(deadly, twice, name)}create {name} with this command, and name it in {_path(town.sumocfg)}: "
-        f"{_tool('duarouter')} -n {_path(town.net)} -r {_paths(town.routes)}{more} "
-        f"--ignore-errors -o {_beside(town, name)}"
-    )
+    def _beside(self, name: str) -> str:
+        return _path(self._town.sumocfg.with_name(name))
 
 
 def _before_routing(deadly: list[str], twice: list[str], name: str) -> str:
@@ -206,10 +180,6 @@ def _has_types(root: Element) -> bool:
 def _tool(name: str) -> str:
     """One of SUMO's, where the installed wheel has it: it need not be on the PATH."""
     return shlex.quote(str(sumo_home() / "bin" / name))
-
-
-def _beside(town: Town, name: str) -> str:
-    return _path(town.sumocfg.with_name(name))
 
 
 def _path(path: Path) -> str:

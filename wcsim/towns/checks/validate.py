@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.cache.folder import cache_folder, write_verdict
-from wcsim.towns.checks.cures import pave_cure, traffic_alone
+from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.files import FilteredFiles
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.tools import Limits, run_tool
@@ -73,9 +73,10 @@ def _scan_net(root: Element, where: str) -> None:
 def require_pavement(street: Street, town: Town) -> None:
     """Raise TownError with the command that cures it when a town has nothing that a wheelchair can drive on."""
     if not street.walk.edges:
+        cures = Cures(town)
         raise TownError(
             f"{town.net}: has no pavement, walking area or crossing, so a wheelchair cannot drive there (without "
-            f"wheelchairs it runs: {traffic_alone(town)}); {pave_cure(town)}"
+            f"wheelchairs it runs: {cures.traffic_alone()}); {cures.pave()}"
         )
 
 

@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from wcsim.core.frames import yaw_from_sumo
 from wcsim.errors import TownError
 from wcsim.towns.furniture.models import CLASS_OF_AREA, FOOT_M, LOOKS
-from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, put_at_first, stood, stood_at_first
+from wcsim.towns.furniture.placement import CLEAR_M, FreeGround, StandingObject, stood
 from wcsim.towns.furniture.traffic_lights import sign_things, signal_things
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.plane_geometry import Patches, distinct, left_of, polygons_of, unit, valid, yaw_of
@@ -56,7 +56,9 @@ def _things(item: Item) -> list[StandingObject]:
     points_m = distinct(item.points_W_m)
     if len(points_m) == 1:
         size = (length_m or usual[0], width_m or usual[1], height_m or usual[2])
-        return [stood(item.kind, points_m[0], yaw_from_sumo(_angle_deg(item)), size if size != usual else None)]
+        return [
+            stood(item.kind, points_m[0], yaw_from_sumo(_number(item, "angle") or 0.0), size if size != usual else None)
+        ]
     outline = _outline(item, points_m, width_m or usual[1])
     make = _fenced if item.kind == "roadworks" else _filled
     return [make(item.kind, area, height_m or usual[2]) for area in polygons_of(outline, 1e-4)]
@@ -112,33 +114,27 @@ def _corners(area: BaseGeometry) -> list[F64]:
 
 def _size(item: Item, key: str) -> float | None:
     """A length that the author gave, or None."""
-    text = item.tags.get(key, "").strip()
-    if not text:
-        return None
-    value = _number(item, key, text)
-    if not 0.01 <= value <= LARGEST_M:
-        raise _error(item, key, text, f"a number of metres from 0.01 to {LARGEST_M:g}")
+    value = _number(item, key)
+    if value is not None and not 0.01 <= value <= LARGEST_M:
+        raise _error(item, key, f"a number of metres from 0.01 to {LARGEST_M:g}")
     return value
 
 
-def _angle_deg(item: Item) -> float:
-    text = item.tags.get("angle", "").strip()
-    return _number(item, "angle", text) if text else 0.0
-
-
-def _number(item: Item, key: str, text: str) -> float:
+def _number(item: Item, key: str) -> float | None:
+    """A number that the author gave, or None."""
+    text = item.tags.get(key, "").strip()
     try:
-        value = float(text)
+        value = float(text) if text else None
     except ValueError:
         value = np.nan
-    if not np.isfinite(value):
-        raise _error(item, key, text, "a number")
+    if value is not None and not np.isfinite(value):
+        raise _error(item, key, "a number")
     return value
 
 
-def _error(item: Item, key: str, text: str, expected: str) -> TownError:
+def _error(item: Item, key: str, expected: str) -> TownError:
     what = f"{item.source}: {key} of {item.id!r} ({AUTHOR_PREFIX}{item.kind})"
-    return TownError(f"{what} is {text!r}; expected {expected}: correct the <param>")
+    return TownError(f"{what} is {item.tags[key].strip()!r}; expected {expected}: correct the <param>")
 
 
 SHIFTS_M = (0.0, 0.4, 0.8, 1.2, 1.6)  # how far a thing may be moved to give way
@@ -227,7 +223,7 @@ def _stood(item: Item, kind: str, middle: F64, site: _Site) -> list[StandingObje
     if facing is None:
         facing = yaw_of(-away)  # things look at those who walk by
     places_m = (middle + shift_m * away for shift_m in SHIFTS_M)
-    return stood_at_first(kind, places_m, facing, site.place)
+    return site.place.room_for(kind, places_m, facing)
 
 
 def _mapped_direction(tags: dict[str, str]) -> float | None:
@@ -268,12 +264,7 @@ def _barriers(item: Item, site: _Site) -> list[StandingObject]:
     lines, low, solid = (patches.near(near) for patches in site.near)
     blocked = shapely.union_all([lines.buffer(CLEAR_M + thick_m, quad_segs=2), low, solid])
     return [
-        StandingObject(
-            piece=solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id),
-            footprint=part,
-            base_m=shapely.get_coordinates(part.representative_point())[0],
-            follows=True,
-        )
+        _thing(part, [solid_shapes.prism(shapely.segmentize(part, LONGEST_M), FOOT_M, height_m, class_id)])
         for part in _solid_parts(band.difference(blocked))
     ]
 
@@ -284,27 +275,45 @@ def _solid_parts(area: BaseGeometry) -> list[Polygon]:
     return [solid for part in parts for solid in polygons_of(part, 0.05) if solid.is_valid]
 
 
-LOOK_OF: dict[str, str] = {
-    "advertising": "poster", "archive": "", "artwork": "statue", "bbq": "tap", "bench": "bench",
-    "bicycle_parking": "rack", "bicycle_rental": "rack", "bicycle_repair_station": "tap", "billboard": "billboard",
-    "block": "block", "board": "info", "bollard": "bollard", "border_control": "", "boulder": "block",
-    "bump_gate": "", "bust": "statue", "catenary_mast": "pole", "cattle_grid": "", "chain": "bollard",
-    "charging_station": "meter", "column": "column", "cycle_barrier": "cycle_barrier", "debris": "block",
-    "drinking_water": "tap", "entrance": "", "fire_hydrant": "hydrant", "flagpole": "flagpole", "fountain": "fountain",
-    "full-height_turnstile": "gate", "gate": "gate", "give_box": "cabinet", "grit_bin": "bin", "hampshire_gate": "gate",
-    "height_restrictor": "", "jersey_barrier": "block", "kerb": "", "kissing_gate": "gate", "letter_box": "post_box",
-    "lift_gate": "lift_gate", "log": "block", "mast": "pole", "memorial": "block", "monitoring_station": "cabinet",
-    "monument": "statue", "motorcycle_barrier": "cycle_barrier", "no": "", "parcel_locker": "machine",
-    "parking_meter": "meter", "photo_booth": "machine", "picnic_table": "table", "planter": "planter", "pole": "pole",
-    "post_box": "post_box", "poster_box": "poster", "public_bookcase": "cabinet", "recycling": "recycling",
-    "rock": "block", "sally_port": "", "screen": "poster", "shelter": "shelter", "shrub": "shrub", "sign": "sign",
-    "sliding_gate": "gate", "spikes": "", "statue": "statue", "stile": "cycle_barrier", "stone": "block",
-    "street_cabinet": "cabinet", "street_lamp": "lamp", "sump_buster": "", "swing_gate": "lift_gate",
-    "telephone": "phone", "toll_booth": "kiosk", "totem": "poster", "traffic_sign": "sign", "tree": "tree",
-    "turnstile": "gate", "utility_pole": "pole", "vending_machine": "machine", "waste_basket": "bin",
-    "waste_disposal": "recycling", "watering_place": "tap", "water_tap": "tap", "water_well": "block",
-    "wayside_cross": "block", "wayside_shrine": "block", "wedge": "",
-}  # fmt: skip
+_LOOKS = {
+    "": (
+        "archive border_control bump_gate cattle_grid entrance height_restrictor kerb no sally_port spikes "
+        "sump_buster wedge"
+    ),
+    "bench": "bench",
+    "billboard": "billboard",
+    "bin": "grit_bin waste_basket",
+    "block": "block boulder debris jersey_barrier log memorial rock stone water_well wayside_cross wayside_shrine",
+    "bollard": "bollard chain",
+    "cabinet": "give_box monitoring_station public_bookcase street_cabinet",
+    "column": "column",
+    "cycle_barrier": "cycle_barrier motorcycle_barrier stile",
+    "flagpole": "flagpole",
+    "fountain": "fountain",
+    "gate": "full-height_turnstile gate hampshire_gate kissing_gate sliding_gate turnstile",
+    "hydrant": "fire_hydrant",
+    "info": "board",
+    "kiosk": "toll_booth",
+    "lamp": "street_lamp",
+    "lift_gate": "lift_gate swing_gate",
+    "machine": "parcel_locker photo_booth vending_machine",
+    "meter": "charging_station parking_meter",
+    "phone": "telephone",
+    "planter": "planter",
+    "pole": "catenary_mast mast pole utility_pole",
+    "post_box": "letter_box post_box",
+    "poster": "advertising poster_box screen totem",
+    "rack": "bicycle_parking bicycle_rental",
+    "recycling": "recycling waste_disposal",
+    "shelter": "shelter",
+    "shrub": "shrub",
+    "sign": "sign traffic_sign",
+    "statue": "artwork bust monument statue",
+    "table": "picnic_table",
+    "tap": "bbq bicycle_repair_station drinking_water watering_place water_tap",
+    "tree": "tree",
+}
+LOOK_OF = {kind: look for look, kinds in _LOOKS.items() for kind in kinds.split()}
 """Looks of mapped points by the second word of their type; "" for what stands nowhere."""
 
 _ROW_STEPS_M = {"tree_row": ("tree", TREE_STEP_M), "bollard": ("bollard", POST_STEP_M), "chain": ("bollard", 2.0)}
@@ -353,8 +362,8 @@ def _at_stop(item: Item, place: FreeGround, lefthand: bool) -> list[StandingObje
     along = unit(end - start)
     aside = left_of(along) * (1.0 if lefthand else -1.0)
     pole_at = end - min(1.0, 0.25 * float(np.hypot(*(end - start)))) * along
-    pole = put_at_first("stop_pole", _outward(pole_at, along, aside), yaw_of(-along), place)
-    return [*pole, *put_at_first("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside), place)]
+    pole = place.put("stop_pole", _outward(pole_at, along, aside), yaw_of(-along))
+    return [*pole, *place.put("shelter", _outward(middle, along, aside, 1.2), yaw_of(-aside))]
 
 
 def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
@@ -366,7 +375,7 @@ def _mapped(item: Item, place: FreeGround) -> list[StandingObject]:
     aside = -towards / distance_m if distance_m > 1e-6 else np.array([0.0, -1.0])
     along = left_of(aside)
     kinds = ("shelter", "stop_pole") if item.tags.get("shelter") == "yes" else ("stop_pole",)
-    found = (put_at_first(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside), place) for kind in kinds)
+    found = (place.put(kind, _outward(middle, along, aside, 0.0, 3.0), yaw_of(-aside)) for kind in kinds)
     return next(filter(None, found), [])
 
 

@@ -243,11 +243,16 @@ LOOKS: dict[str, _FurnitureModel] = {
     "wall": _solid((2.0, 0.2, 1.5), ClassId.WALL),
 }
 
-CLASS_OF_AREA: dict[str, int] = {
-    "bicycle": ClassId.BICYCLE, "bollard": ClassId.POLE, "barrier": ClassId.FENCE, "box": ClassId.DYNAMIC,
-    "cone": ClassId.DYNAMIC, "fence": ClassId.FENCE, "hedge": ClassId.VEGETATION, "kiosk": ClassId.BUILDING,
-    "lamp": ClassId.POLE, "planter": ClassId.VEGETATION, "pole": ClassId.POLE, "roadworks": ClassId.FENCE,
-    "scooter": ClassId.MOTORCYCLE, "shelter": ClassId.BUILDING, "sign": ClassId.TRAFFIC_SIGN,
-    "tree": ClassId.VEGETATION, "wall": ClassId.WALL,
-}  # fmt: skip
+_KINDS_OF_CLASS = {
+    ClassId.BICYCLE: "bicycle",
+    ClassId.POLE: "bollard lamp pole",
+    ClassId.FENCE: "barrier fence roadworks",
+    ClassId.DYNAMIC: "box cone",
+    ClassId.VEGETATION: "hedge planter tree",
+    ClassId.BUILDING: "kiosk shelter",
+    ClassId.MOTORCYCLE: "scooter",
+    ClassId.TRAFFIC_SIGN: "sign",
+    ClassId.WALL: "wall",
+}
+CLASS_OF_AREA = {kind: class_id for class_id, kinds in _KINDS_OF_CLASS.items() for kind in kinds.split()}
 """Class of things of a kind that are drawn as an outline or a line; others are STATIC."""

@@ -91,6 +91,20 @@ class FreeGround:
             and self.taken.free(footprint)
         )
 
+    def room_for(self, kind: str, places_m: Iterable[F64], facing_rad: float) -> list[StandingObject]:
+        """One thing of a kind at the first of some places where there is room for it, if there is one."""
+        yaw_rad = facing_rad - np.pi / 2
+        for xy_m in places_m:
+            if self.free(_footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)):
+                return [stood(kind, xy_m, yaw_rad)]
+        return []
+
+    def put(self, kind: str, places_m: Iterable[F64], facing_rad: float) -> list[StandingObject]:
+        """The same, and its ground is taken."""
+        things = self.room_for(kind, places_m, facing_rad)
+        self.take(things)
+        return things
+
     def free_spots(self, xy_m: F64, radius_m: float) -> Bool:
         """The same (n,) for discs about points (n, 2), whatever stands there already."""
         points = shapely.points(xy_m)
@@ -120,22 +134,6 @@ def _footprint_of(kind: str, xy_m: F64, yaw_rad: float, size_lwh_m: tuple[float,
     if LOOKS[kind].round and length_m == width_m:
         return shapely.Point(xy_m).buffer(length_m / 2, quad_segs=2)
     return solid_shapes.rectangle(xy_m, length_m, width_m, yaw_rad)
-
-
-def stood_at_first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
-    """One thing of a kind at the first of some places where there is room for it, if there is one."""
-    yaw_rad = facing_rad - np.pi / 2
-    for xy_m in places_m:
-        if place.free(_footprint_of(kind, xy_m, yaw_rad, LOOKS[kind].size_lwh_m)):
-            return [stood(kind, xy_m, yaw_rad)]
-    return []
-
-
-def put_at_first(kind: str, places_m: Iterable[F64], facing_rad: float, place: FreeGround) -> list[StandingObject]:
-    """The same, and its ground is taken."""
-    things = stood_at_first(kind, places_m, facing_rad, place)
-    place.take(things)
-    return things
 
 
 def collect_footprints(things: Iterable[StandingObject]) -> list[Polygon]:

@@ -13,7 +13,7 @@ import shapely
 from shapely import Polygon
 
 from wcsim.towns.furniture.models import FOOT_M
-from wcsim.towns.furniture.placement import FreeGround, StandingObject, put_at_first
+from wcsim.towns.furniture.placement import FreeGround, StandingObject
 from wcsim.towns.ground import solid_shapes
 from wcsim.towns.ground.plane_geometry import left_of, unit, yaw_of
 from wcsim.towns.ground.solid_shapes import Solid
@@ -76,7 +76,7 @@ def sign_things(items: list[Item], net: Net, place: FreeGround) -> list[Standing
     for item in wanted:
         nearest = tree.query_nearest(shapely.Point(item.points_W_m[0]), max_distance=_SIGN_REACH_M)
         for approach in (approaches[i] for i in nearest[:1].tolist()):
-            found += put_at_first("sign", _beside(approach), yaw_of(-approach.ahead), place)
+            found += place.put("sign", _beside(approach), yaw_of(-approach.ahead))
     return found
 
 

@@ -16,7 +16,7 @@ from wcsim.core.constants import KERB_STEP_M
 from wcsim.core.jit import exact_kernel
 from wcsim.towns.ground.kerb_heights import STEEPEST, Kerbing
 from wcsim.towns.ground.plane_geometry import WHOLE_M, Patches, buffered, cross_z
-from wcsim.towns.ground.solid_shapes import Solid, joined
+from wcsim.towns.ground.solid_shapes import Solid, joined, triangles_of
 from wcsim.towns.ground.surfaces import GRID_M, Surfaces
 from wcsim.towns.ground.tiles import CELL_M, CHUNK_M, Box
 from wcsim.types import F64, I32, U8, Bool, ClassId, Relief, StreetGrid, StreetMesh
@@ -46,8 +46,8 @@ def build_ground(surfaces: Surfaces, kerbing: Kerbing, relief: Relief = FLAT) ->
     classes = _classify(surfaces, shapely.get_coordinates(inside))
     kept = classes != ClassId.VOID
     faces, classes = faces[kept], classes[kept]
-    triangles, owner = _triangles(faces)
-    face_class = classes[owner]
+    triangles, owner, twice_area = triangles_of(faces)
+    triangles, face_class = triangles[twice_area > 0], classes[owner[twice_area > 0]]
     low = np.isin(face_class, LOW_CLASSES)
     vertices, indices = _index(triangles, low, kerbing)
     vertices[:, 2] = _eased(vertices, indices[~low])
@@ -132,16 +132,6 @@ def _folds(hull: BaseGeometry, relief: Relief) -> BaseGeometry:
         first, last = max(0, shift), min(cols - 1, rows - 1 + shift)
         lines.append([(xs[first], ys[first - shift]), (xs[last], ys[last - shift])])
     return shapely.MultiLineString(lines).intersection(hull)
-
-
-def _triangles(faces: np.ndarray) -> tuple[F64, I32]:
-    """Triangles (F, 3, 2) counter-clockwise, and the face (F,) that each belongs to."""
-    parts, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(faces), return_index=True)
-    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
-    twice_area = cross_z(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    corners[twice_area < 0] = corners[twice_area < 0][:, ::-1]
-    kept = np.abs(twice_area) > 0
-    return corners[kept], owner[kept].astype(np.int32)
 
 
 def _index(triangles: F64, low: Bool, kerbing: Kerbing) -> tuple[F64, I32]:

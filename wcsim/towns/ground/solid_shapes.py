@@ -134,6 +134,15 @@ def spindle(xy_m: F64, levels_m: tuple[tuple[float, float], ...], class_id: int,
     return Solid(vertices_W_m=np.concatenate(vertices), faces=table, face_class=np.full(len(table), class_id, np.uint8))
 
 
+def triangles_of(faces: Polygon | np.ndarray) -> tuple[F64, I32, F64]:
+    """Triangles (F, 3, 2) of polygons, counter-clockwise, the polygon (F,) of each, and twice its area (F,)."""
+    parts, owner = shapely.get_parts(shapely.constrained_delaunay_triangles(faces), return_index=True)
+    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    twice_area = cross_z(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    corners[twice_area < 0] = corners[twice_area < 0][:, ::-1]
+    return corners, owner.astype(np.int32), np.abs(twice_area)
+
+
 def _ring(xy_m: F64, radius_m: float, sides: int) -> F64:
     angle = 2.0 * np.pi * np.arange(sides) / sides
     return np.asarray(xy_m) + radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -142,8 +151,5 @@ def _ring(xy_m: F64, radius_m: float, sides: int) -> F64:
 def _cover(outline: Polygon, base: F64) -> I32:
     """Triangles (R, 3) over the outline, as indices into its corners."""
     number = {(x, y): i for i, (x, y) in enumerate(base.tolist())}
-    triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(outline))
-    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-    turned = cross_z(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
-    corners[turned] = corners[turned][:, ::-1]
+    corners, _, _ = triangles_of(outline)
     return np.array([[number[x, y] for x, y in corner] for corner in corners.tolist()], dtype=np.int32).reshape(-1, 3)

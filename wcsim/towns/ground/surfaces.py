@@ -34,15 +34,13 @@ _SIMPLE_M = 0.3
 LEAST_M2 = 4.0
 _BUILT_UP = frozenset(("residential", "commercial", "retail", "industrial", "construction", "railway", "civil"))
 _GREEN = {
-    "landuse": frozenset(
-        (
-            "grass", "forest", "meadow", "village_green", "recreation_ground", "cemetery", "allotments", "farmland",
-            "orchard", "vineyard", "flowerbed", "greenery", "basin", "plant_nursery"
-        )
+    "landuse": (
+        "grass forest meadow village_green recreation_ground cemetery allotments farmland orchard vineyard flowerbed "
+        "greenery basin plant_nursery"
     ),
-    "leisure": frozenset(("park", "garden", "pitch", "golf_course", "nature_reserve", "dog_park", "common")),
-    "natural": frozenset(("water", "wood", "grassland", "scrub", "beach")),
-}  # fmt: skip
+    "leisure": "park garden pitch golf_course nature_reserve dog_park common",
+    "natural": "water wood grassland scrub beach",
+}
 """Ground that stays as it grows, by group of SUMO's type."""
 NOT_ON_GROUND = frozenset(("underground", "multi-storey", "rooftop", "carports", "garage_boxes", "sheds"))
 """Car parks that are no ground, by the map's tag `parking`."""
@@ -233,7 +231,7 @@ def covered(surfaces: Surfaces, items: Iterable[Item]) -> Surfaces:
     items = [item for item in items if not item.author and len(item.points_W_m) > 3]
     parking = _area(item for item in items if _is_car_park(item))
     squares = _area(item for item in items if _is_square(item))
-    green = _area(item for item in items if item.kind in _GREEN.get(item.group, ()))
+    green = _area(item for item in items if item.kind in _GREEN.get(item.group, "").split())
     houses = _area(item for item in items if item.group == "building")
     quarters = _area(item for item in items if item.group == "landuse" and item.kind in _BUILT_UP)
     yards = buffered(buffered(houses, BESIDE_M + GAP_M, quad_segs=2), -GAP_M, quad_segs=2)

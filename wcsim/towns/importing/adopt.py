@@ -16,7 +16,7 @@ from wcsim.core.reading import FileKind, is_file, opened, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.importing.folder_texts import check_new, foreign_license_text, town_toml_text
+from wcsim.towns.importing.folder_texts import check_new, town_toml_text
 from wcsim.towns.scenario.files import FilteredFiles, check_file, check_inside
 from wcsim.towns.scenario.options import Configuration, Content, Treatment, read_configuration
 from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
@@ -37,6 +37,10 @@ ROOTS = frozenset(
 )  # fmt: skip
 """Root elements of what SUMO reads."""
 
+_FOREIGN = """\
+The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
+author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
+"""
 _PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"BM")
 _SELECTED = ("edge:", "lane:")
 _SELECTION = FileKind(what="a list of edges", limit_bytes=16 << 20, error=TownError)
@@ -129,7 +133,7 @@ def copy_scenario(
     _stay_inside(read_configuration(work / start.relative_to(base)), work)
     notices = _copy_notices(start.parent, work / start.relative_to(base).parent, border)
     if not (work / "LICENSE-DATA").exists():
-        (work / "LICENSE-DATA").write_text(foreign_license_text(start.name, notices), encoding="utf-8")
+        (work / "LICENSE-DATA").write_text(_license_text(start.name, notices), encoding="utf-8")
     return base, files
 
 
@@ -194,6 +198,12 @@ def _copy_settings(path: Path, place: Path) -> None:
         place.write_text("<viewsettings/>\n", encoding="utf-8")
     else:
         copy_file(path, place)
+
+
+def _license_text(config: str, notices: tuple[str, ...]) -> str:
+    """The notice that lies beside a copied scenario."""
+    beside = f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
+    return _FOREIGN.format(config=config, beside=beside)
 
 
 def _copy_notices(source: Path, out: Path, border: Path | None) -> tuple[str, ...]:

@@ -11,16 +11,19 @@ for minutes, and with them the cars that wait for them.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
+from wcsim.towns.ground.plane_geometry import arc_of
 from wcsim.towns.sumo.net import Edge, Net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root, write_gzip
@@ -38,8 +41,7 @@ ROUNDS = 2
 _JAMMED = re.compile(r"Person 'walkers\.\d+\.(\d+)\.\d+' is jammed")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Traffic:
+class _Traffic(NamedTuple):
     """How much of one class a town gets."""
 
     types: str  # id of the vType or vTypeDistribution
@@ -47,8 +49,8 @@ class _Traffic:
     per_h_km: float  # departures per hour and kilometre of lane that the class may use
     flows_per_km: float  # how many different ways these are spread over
     shortest_m: float
-    longest_m: float  # straight line between the ends
     fringe: float  # how much likelier a way starts or ends where the town is cut off
+    longest_m: float = math.inf  # straight line between the ends
 
     @property
     def walks(self) -> bool:
@@ -57,31 +59,20 @@ class _Traffic:
 
 
 # Helsinki's centre (8.3 km of motor lanes, 22 km for walkers) gets some 900 cars and 2400 walkers an hour by these.
-MIX = (
-    _Traffic(types="cars", vclass="passenger", per_h_km=97, flows_per_km=6, shortest_m=150, longest_m=9e9, fringe=8),
-    _Traffic(types="trucks", vclass="truck", per_h_km=7, flows_per_km=1, shortest_m=200, longest_m=9e9, fringe=15),
-    _Traffic(types="buses", vclass="bus", per_h_km=4.5, flows_per_km=1, shortest_m=250, longest_m=9e9, fringe=50),
-    _Traffic(types="trams", vclass="tram", per_h_km=5, flows_per_km=2, shortest_m=200, longest_m=9e9, fringe=200),
-    _Traffic(
-        types="motorcycles", vclass="motorcycle", per_h_km=7, flows_per_km=1.5, shortest_m=150, longest_m=9e9, fringe=8
-    ),
-    _Traffic(types="bicycles", vclass="bicycle", per_h_km=26, flows_per_km=4, shortest_m=120, longest_m=9e9, fringe=5),
-    _Traffic(
-        types="walkers", vclass="pedestrian", per_h_km=100, flows_per_km=9, shortest_m=60, longest_m=400, fringe=2
-    ),
-    *(
-        _Traffic(
-            types=types, vclass=vclass, per_h_km=per_h_km, flows_per_km=0.3, shortest_m=200, longest_m=9e9, fringe=8
-        )
-        for types, vclass, per_h_km in (
-            ("taxis", "taxi", 3.0),
-            ("deliveries", "delivery", 3.0),
-            ("mopeds", "moped", 2.0),
-            ("coaches", "coach", 0.6),
-            ("emergencies", "emergency", 0.3),
-            ("scooters", "scooter", 8.0),
-        )
-    ),
+MIX = (  # types, class, departures per hour and km, flows per km, shortest, how much likelier at the rim, longest
+    _Traffic("cars", "passenger", 97, 6, 150, 8),
+    _Traffic("trucks", "truck", 7, 1, 200, 15),
+    _Traffic("buses", "bus", 4.5, 1, 250, 50),
+    _Traffic("trams", "tram", 5, 2, 200, 200),
+    _Traffic("motorcycles", "motorcycle", 7, 1.5, 150, 8),
+    _Traffic("bicycles", "bicycle", 26, 4, 120, 5),
+    _Traffic("walkers", "pedestrian", 100, 9, 60, 2, 400),
+    _Traffic("taxis", "taxi", 3.0, 0.3, 200, 8),
+    _Traffic("deliveries", "delivery", 3.0, 0.3, 200, 8),
+    _Traffic("mopeds", "moped", 2.0, 0.3, 200, 8),
+    _Traffic("coaches", "coach", 0.6, 0.3, 200, 8),
+    _Traffic("emergencies", "emergency", 0.3, 0.3, 200, 8),
+    _Traffic("scooters", "scooter", 8.0, 0.3, 200, 8),
 )
 CLASSES = tuple(dict.fromkeys(traffic.vclass for traffic in MIX))
 
@@ -157,7 +148,7 @@ def _draw(net: Net, traffic: _Traffic, seed: int) -> list[tuple[str, str]]:
 def _middle_m(edge: Edge) -> F64:
     """The point (2,) at half the length of an edge: streets that bow between the same junctions have different ones."""
     points_m = edge.lanes[0].points_m
-    arc_m = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))]
+    arc_m = arc_of(points_m)
     return np.array([np.interp(arc_m[-1] / 2, arc_m, column) for column in points_m.T])
 
 
@@ -219,24 +210,16 @@ def _choose(net: Net, drawn: list[tuple[_Traffic, tuple[str, str]]], routed: dic
     return tuple(ways)
 
 
-def flows_text(
-    net: Net,
-    ways: Sequence[Way],
-    seed: int,
-    scale: float = 1.0,
-    per_hour: Mapping[str, float] | None = None,
-    first: Sequence[str] = (),
+def _flows_text(
+    net: Net, ways: Sequence[Way], seed: int, scale: float, per_hour: Mapping[str, float], first: Sequence[str]
 ) -> str:
-    """A SUMO route file of endless flows along `ways`, after the elements `first`; their types are in `vtypes.xml`.
-
-    A class has as many departures an hour as `per_hour` says, else those of MIX, all times `scale`. Vehicle flows come
-    first, then person flows by their begin, as SUMO's reading ahead needs it.
-    """
+    """Vehicle flows come first, then person flows by their begin, as SUMO's reading ahead needs it."""
     lines = ["<routes>", *(f"    {line}" for line in first)]
     order = sorted(MIX, key=lambda traffic: traffic.walks)
     for traffic in order:
         mine = [way for way in ways if way.traffic is traffic]
-        per_s = scale * _per_hour(net, traffic, per_hour or {}) / 3600.0
+        usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
+        per_s = scale * per_hour.get(traffic.vclass, usual) / 3600.0
         if not mine or per_s <= 0.0:
             continue
         if traffic.walks:
@@ -248,11 +231,6 @@ def flows_text(
             rate = f'period="exp({per_s / len(mine):.6f})" departLane="best" departSpeed="max"'
             lines.append(f"    <flow {head} {rate}>{route}</flow>")
     return "\n".join([*lines, "</routes>", ""])
-
-
-def _per_hour(net: Net, traffic: _Traffic, per_hour: Mapping[str, float]) -> float:
-    usual = traffic.per_h_km * _usable_km(net, traffic.vclass)
-    return per_hour.get(traffic.vclass, usual)
 
 
 def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Generator) -> list[str]:
@@ -268,16 +246,23 @@ def _walks(ways: list[Way], traffic: _Traffic, per_s: float, rng: np.random.Gene
     return lines
 
 
-def write_tried(sumocfg: Path, ways: tuple[Way, ...], text_of: Callable[[tuple[Way, ...]], str]) -> None:
-    """Write the route file of a town's folder, without the walking ways on which people get stuck.
+def write_demand(
+    sumocfg: Path,
+    net: Net,
+    ways: tuple[Way, ...],
+    seed: int,
+    scale: float = 1.0,
+    per_hour: Mapping[str, float] | None = None,
+    first: Sequence[str] = (),
+) -> None:
+    """Write the route file of a town's folder, <stem of its sumocfg>.rou.xml.gz; its types are in `vtypes.xml`.
 
-    Args:
-        sumocfg: The town's, which names <its stem>.rou.xml.gz.
-        ways: All ways.
-        text_of: The route file's text for some of them.
+    It has endless flows along `ways`, without the walking ones on which people get stuck, after the elements `first`.
+    A class has as many departures an hour as `per_hour` says, else those of MIX, all times `scale`.
     """
     for trials_left in reversed(range(ROUNDS + 1)):
-        write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text_of(ways).encode())
+        text = _flows_text(net, ways, seed, scale, per_hour or {}, first)
+        write_gzip(sumocfg.with_suffix(".rou.xml.gz"), text.encode())
         stuck = _stuck_ways(sumocfg, ways) if trials_left and ways else ()
         if not stuck:
             return

@@ -27,9 +27,9 @@ import numpy as np
 
 from wcsim.core.reading import FileKind, escaped, read_bytes
 from wcsim.core.seeding import generator
-from wcsim.errors import TownError, check_installed
+from wcsim.errors import TownError
 from wcsim.towns.ground.relief import steepest_run
-from wcsim.towns.osm.read import Box, grown, is_within, size_m
+from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.types import F64
 
@@ -72,12 +72,39 @@ class Dem:
     box: Box  # outer edges
     smooth: bool = False  # nothing is to be done to it
 
+    @classmethod
+    def hill(cls, height_m: float, box_m: Box, seed: int) -> Dem:
+        """A made-up hill over a net's own metres, for a net that lies nowhere on the globe."""
+        west, south, east, north = box_m
+        shape = max(8, round((north - south) / CELL_M)), max(8, round((east - west) / CELL_M))
+        return cls(height_m=_hill(height_m, shape, seed), box=box_m)
+
+    def write(self, max_grade: float, path: Path) -> None:
+        """Write the heights, which are gentle enough for a grade, as a GeoTIFF in longitude and latitude."""
+        import rasterio
+        from rasterio.transform import from_bounds
+
+        rows, cols = self.height_m.shape
+        profile = {
+            "driver": "GTiff",
+            "width": cols,
+            "height": rows,
+            "count": 1,
+            "dtype": "float32",
+            "crs": "EPSG:4326",
+            "transform": from_bounds(*self.box, cols, rows),
+            "compress": "deflate",
+        }
+        with _own_projections(), rasterio.open(path, "w", **profile) as file:
+            file.write(self.height_m.astype(np.float32), 1)
+            file.update_tags(**{_DONE: f"{max_grade:g}"})
+
 
 def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
     """The heights of a town's area and its surroundings, None for a level town. Raises TownError."""
     if not 0.01 <= relief.max_grade <= 0.25:
         raise TownError(f"a largest grade of {relief.max_grade} is not possible; expected 0.01 to 0.25")
-    area = grown(box, MARGIN_M)
+    area = box.grown(MARGIN_M)
     if relief.dem is not None:
         return _read(relief.dem, area, relief.max_grade)
     if relief.hill_m == 0.0:
@@ -85,13 +112,6 @@ def make_dem(relief: Heights, box: Box, seed: int) -> Dem | None:
     if not 0.0 < relief.hill_m <= 200.0:
         raise TownError(f"a hill of {relief.hill_m} m is not possible; expected more than 0 and at most 200 m")
     return Dem(height_m=_hill(relief.hill_m, _shape(area), seed), box=area)
-
-
-def hill_over(hill_m: float, box_m: Box, seed: int) -> Dem:
-    """A made-up hill over a net's own metres, for a net that lies nowhere on the globe."""
-    west, south, east, north = box_m
-    shape = max(8, round((north - south) / CELL_M)), max(8, round((east - west) / CELL_M))
-    return Dem(height_m=_hill(hill_m, shape, seed), box=box_m)
 
 
 def _heights_at(dem: Dem, places: F64) -> F64:
@@ -126,7 +146,7 @@ def _as_stored(dem: Dem) -> Dem:
 
 
 def _shape(area: Box) -> tuple[int, int]:
-    wide_m, high_m = size_m(area)
+    wide_m, high_m = area.size_m
     return max(8, round(high_m / CELL_M)), max(8, round(wide_m / CELL_M))
 
 
@@ -140,11 +160,6 @@ def _hill(height_m: float, shape: tuple[int, int], seed: int) -> F64:
         field += high * np.exp(-((row - y) ** 2 + (col - x) ** 2) / (2.0 * wide**2))
     field -= field.min()
     return np.asarray(height_m * field / field.max())
-
-
-def check_rasterio() -> None:
-    """Raise TownError, with what to type, where heights cannot be read: a hill and a DEM need rasterio."""
-    check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
 
 
 @contextmanager
@@ -215,7 +230,7 @@ def _read(path: Path, area: Box, max_grade: float) -> Dem:
     try:
         with _own_projections(), _quiet(), _opened(path) as file:
             _require_usable(path, file)
-            if _gentle_enough(file.tags(), max_grade) and _covers(tuple(file.bounds), area):
+            if _gentle_enough(file.tags(), max_grade) and _covers(Box(*file.bounds), area):
                 return _taken_as_it_is(path, file)
             place = transform_bounds(file.crs, "EPSG:4326", *file.bounds)
             reproject(
@@ -250,7 +265,7 @@ def _taken_as_it_is(path: Path, file: DatasetReader) -> Dem:
     height_m = file.read(1).astype(np.float64)
     if not (np.abs(height_m) < _HIGHEST_M).all():
         raise TownError(f"--dem {path}: holds heights that are not numbers; {_WANTED}")
-    return Dem(height_m=height_m, box=tuple(file.bounds), smooth=True)
+    return Dem(height_m=height_m, box=Box(*file.bounds), smooth=True)
 
 
 def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
@@ -263,8 +278,8 @@ def _gentle_enough(tags: dict[str, str], max_grade: float) -> bool:
 
 def _covers(place: Box, area: Box) -> bool:
     slack = 1e-6  # degrees
-    west, south, east, north = area
-    return is_within((west + slack, south + slack), place) and is_within((east - slack, north - slack), place)
+    low, high = (area.west + slack, area.south + slack), (area.east - slack, area.north - slack)
+    return place.holds(low) and place.holds(high)
 
 
 def _told(box: Box) -> str:
@@ -283,27 +298,6 @@ def _filled(height_m: F64) -> F64:
         filled[fresh] = mean_m[fresh]
         known |= fresh
     return filled
-
-
-def write_dem(dem: Dem, relief: Heights, path: Path) -> None:
-    """Write heights as a GeoTIFF in longitude and latitude."""
-    import rasterio
-    from rasterio.transform import from_bounds
-
-    rows, cols = dem.height_m.shape
-    profile = {
-        "driver": "GTiff",
-        "width": cols,
-        "height": rows,
-        "count": 1,
-        "dtype": "float32",
-        "crs": "EPSG:4326",
-        "transform": from_bounds(*dem.box, cols, rows),
-        "compress": "deflate",
-    }
-    with _own_projections(), rasterio.open(path, "w", **profile) as file:
-        file.write(dem.height_m.astype(np.float32), 1)
-        file.update_tags(**{_DONE: f"{relief.max_grade:g}"})
 
 
 def lift_net(path: Path, dem: Dem, relief: Heights, *, on_globe: bool = True) -> Dem:

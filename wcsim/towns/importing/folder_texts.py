@@ -41,28 +41,6 @@ _SUMOCFG = """\
 </sumoConfiguration>
 """
 
-_LICENSE = """\
-The data in this folder (the extract in osm/, and the net, polygons and routes of "{name}" derived from it) are
-
-    (c) OpenStreetMap contributors
-
-and available under the Open Database License 1.0 (ODbL): https://opendatacommons.org/licenses/odbl/1-0/ See
-https://www.openstreetmap.org/copyright. Derived data that you publish must stay under the ODbL and name its source;
-pictures and results made with it need only the attribution. The way it was derived is wcsim's own importer
-(wcsim/towns/importing/importer.py), run on osm/{name}.osm.xml.gz with the bounding box of osm/bbox. The code of wcsim
-is under a licence of its own and not affected.
-"""
-
-_HEIGHTS = """
-The heights in the net and in {name}.dem.tif were made of a terrain model that is not part of OpenStreetMap. Its own
-licence holds for them: name its source and follow its terms when you pass them on.
-"""
-
-_FOREIGN = """\
-The files in this folder, but for this one and a town.toml, were made of somebody's scenario ({config}). They are its
-author's, under the author's licence, and wcsim gives no right to pass them on. {beside}
-"""
-
 
 def sumocfg_text(name: str, seed: int, routes: str, additional: tuple[str, ...]) -> str:
     """A .sumocfg that opens in sumo-gui as it is: file names are relative.
@@ -82,20 +60,6 @@ def write_scenario(folder: Path, name: str, seed: int, vtypes: str) -> None:
     routes, additional = f"{name}.rou.xml.gz", (f"{name}.add.xml", f"{name}.poly.xml.gz")
     (folder / additional[0]).write_text(vtypes, encoding="utf-8")
     (folder / f"{name}.sumocfg").write_text(sumocfg_text(name, seed, routes, additional), encoding="utf-8")
-
-
-def license_text(name: str, source: str = "", heights: bool = False) -> str:
-    """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
-    text = _LICENSE.format(name=name)
-    if heights:
-        text += _HEIGHTS.format(name=name)
-    return text + (f"\nSource, as told at the import: {source}\n" if source else "")
-
-
-def foreign_license_text(config: str, notices: tuple[str, ...]) -> str:
-    """The notice that lies beside a copied scenario."""
-    beside = f"What lay beside it: {', '.join(notices)}." if notices else "No licence lay beside it: ask its author."
-    return _FOREIGN.format(config=config, beside=beside)
 
 
 def _quoted(text: str) -> str:

@@ -17,47 +17,40 @@ from xml.etree.ElementTree import Element
 
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
-from wcsim.errors import SumoError, TownError
+from wcsim.errors import SumoError, TownError, check_installed
 from wcsim.towns.importing.demand import (
     Way,
     build_ways,
     check_rates,
-    flows_text,
     vtypes_text,
     without_ways,
-    write_tried,
+    write_demand,
 )
-from wcsim.towns.importing.elevation import Heights, check_rasterio, lift_net, make_dem, write_dem
+from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
 from wcsim.towns.importing.folder_texts import (
     check_place,
     check_words,
-    license_text,
     town_toml_text,
     write_scenario,
 )
-from wcsim.towns.importing.map_marks import MapMarks, Parking, find_parking, map_marks
+from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
 from wcsim.towns.osm.clean import (
     LeftOut,
     NetWays,
     count_inside,
     cut_bridges,
     filter_osm,
-    find_left_out,
-    left_out_notes,
     strip_orphans,
-    unpaved_ways,
     ways_inside,
     wrongly_paved,
 )
-from wcsim.towns.osm.read import Box, Extract, Side, bbox_option, box_centre, check_box, read_extract, side_at, size_m
+from wcsim.towns.osm.read import Box, Extract, Side, read_extract, side_at
 from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files, open_town
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
 from wcsim.towns.walking.islands import (
     Islands,
-    islands_by_ground,
-    islands_by_links,
     largest_share,
     osm_ways_by_edge,
     walkable_parts,
@@ -114,6 +107,22 @@ _LADDER: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
     (("--osm.crossings", "--junctions.join", "--roundabouts.guess", "--osm.bike-access"), ("--ignore-errors",)),
 )
 
+_LICENSE = """\
+The data in this folder (the extract in osm/, and the net, polygons and routes of "{name}" derived from it) are
+
+    (c) OpenStreetMap contributors
+
+and available under the Open Database License 1.0 (ODbL): https://opendatacommons.org/licenses/odbl/1-0/ See
+https://www.openstreetmap.org/copyright. Derived data that you publish must stay under the ODbL and name its source;
+pictures and results made with it need only the attribution. The way it was derived is wcsim's own importer
+(wcsim/towns/importing/importer.py), run on osm/{name}.osm.xml.gz with the bounding box of osm/bbox. The code of wcsim
+is under a licence of its own and not affected.
+"""
+
+_HEIGHTS = """
+The heights in the net and in {name}.dem.tif were made of a terrain model that is not part of OpenStreetMap. Its own
+licence holds for them: name its source and follow its terms when you pass them on.
+"""
 
 Stage = Callable[[str], None]  # what begins now, in words
 
@@ -231,12 +240,12 @@ def _ids(root: Element) -> frozenset[str]:
 
 def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
     net = _converted(order, root, folder)
-    found = islands_by_links(net, folder / f"{order.name}.net.xml")
+    found = Islands.by_links(net, folder / f"{order.name}.net.xml")
     if found.footways:
         net = _converted(order, root, folder, found.footways)
     parts = walkable_parts(net, chair_ways(order.cycle_paths))
     if largest_share(parts) < _GOOD_SHARE:
-        ground = islands_by_ground(net, folder / f"{order.name}.net.xml", parts)
+        ground = Islands.by_ground(net, folder / f"{order.name}.net.xml", parts)
         if ground.footways | ground.roads:
             smaller = _smaller(order, root, folder, ground)
             if smaller is not None:
@@ -266,7 +275,7 @@ def _converted(order: ImportOrder, root: Element, folder: Path, dropped: frozens
     strip_orphans(root)
     (folder / EXTRACT).write_bytes(xml_bytes(root))
     net = _read(_convert_net(order, EXTRACT, folder))
-    if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", unpaved_ways(root)):
+    if paved := wrongly_paved(net, folder / f"{order.name}.net.xml", root):
         config = folder / "unpaved.netccfg"
         net = _read(_convert_net(order, EXTRACT, folder, by_file("sidewalks.guess.exclude", paved, config)))
         config.unlink()
@@ -293,11 +302,7 @@ class Imported:
     walkable_share: float  # of the walkable ground, in its largest part
     notes: tuple[str, ...] = ()  # what the town does not have that the map or the order has
     left_out: LeftOut = field(default_factory=LeftOut)
-    parked: int = 0  # cars in the car parks, which never drive
-    crossings_mapped: int = 0  # that the map has; the others of the net are guessed
-    crossings_unpainted: int = 0  # of the net: guessed, or unmarked on the map
-    stops_mapped: int = 0  # of buses, that the map has
-    stops: int = 0  # of SUMO's, that were made of them
+    counts: Mapping[str, int] = field(default_factory=dict)  # of parked cars, crossings and stops, see `_told_counts`
 
 
 def import_town(
@@ -318,10 +323,8 @@ def import_town(
     _check(order)
     stage(f"reading {order.osm}")
     extract = read_extract(order.osm, order.bbox)
-    if order.lefthand is None:
-        side = side_at(*box_centre(extract.box))
-    else:
-        side = Side(lefthand=order.lefthand, why="as ordered")
+    ordered = Side(lefthand=order.lefthand, why="as ordered") if order.lefthand is not None else None
+    side = ordered or side_at(*extract.box.centre)
     order = replace(order, bbox=extract.box, lefthand=side.lefthand)
     try:
         with whole_folder(order.out) as work:
@@ -335,12 +338,12 @@ def import_town(
 def _check(order: ImportOrder) -> None:
     check_words(order.name, order.split)
     if order.bbox is not None:
-        check_box(order.bbox)
+        order.bbox.check()
     check_rates(order.per_hour)
     if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
         raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.relief.dem is not None or order.relief.hill_m:
-        check_rasterio()
+        check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
     check_place(order.out, overwrite=order.overwrite)
 
 
@@ -362,36 +365,40 @@ def _build(
     dem = make_dem(order.relief, extract.box, order.seed)
     built = _build_net(order, extract.root, work)
     net_path = work / f"{name}.net.xml"
-    left_out = find_left_out(mapped, built.ways)
+    left_out = LeftOut.of(mapped, built.ways)
     stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:
-        write_dem(lift_net(net_path, dem, order.relief), order.relief, work / f"{name}.dem.tif")
+        lift_net(net_path, dem, order.relief).write(order.relief.max_grade, work / f"{name}.dem.tif")
         built = replace(built, net=read_net(net_path))
-    parking = find_parking(built.net, work / f"{name}.poly.xml", order.parked, order.seed)
+    lots, cars = find_parking(built.net, work / f"{name}.poly.xml", order.parked, order.seed)
     ways = build_ways(built.net, net_path, work, order.seed) if order.traffic > 0 else ()
-    write_scenario(work, name, order.seed, vtypes_text((*parking.areas, *marks.elements)))
+    write_scenario(work, name, order.seed, vtypes_text((*lots, *marks.elements)))
     _write_beside(order, work)
     _write_manifest(order, work, built)
     stage("building the street and testing the traffic")
     with ThreadPoolExecutor(1) as pool:
-        demand = pool.submit(_write_demand, order, work, built, ways, parking)
+        traffic = order.seed, order.traffic, order.per_hour, cars
+        demand = pool.submit(write_demand, work / f"{name}.sumocfg", built.net, ways, *traffic)
         if meanwhile is not None:
             meanwhile(_unfinished(work, order))
         demand.result()
     _write_manifest(order, work, built)
-    notes = (*left_out_notes(left_out), *_counts(built.net, crossings_mapped, stops_mapped, marks, parking))
+    counts = {
+        "parked": len(cars),
+        "crossings_mapped": crossings_mapped,
+        "crossings_unpainted": marks.unpainted,
+        "stops_mapped": stops_mapped,
+        "stops": marks.stops,
+    }
+    notes = (*left_out.notes, *_told_counts(built.net, **counts))
     return Imported(
         town=_unfinished(work, order),
         side=side,
         walkable_share=built.share,
         notes=(*_notes(order, built, ways), *filter(None, notes), *_unbounded_note(extract)),
         left_out=left_out,
-        parked=len(parking.vehicles),
-        crossings_mapped=crossings_mapped,
-        crossings_unpainted=marks.unpainted,
-        stops_mapped=stops_mapped,
-        stops=marks.stops,
+        counts=counts,
     )
 
 
@@ -404,28 +411,28 @@ def _marks(name: str, built: _BuiltNet, work: Path) -> MapMarks:
     return marks
 
 
-def _counts(
-    net: Net, crossings_mapped: int, stops_mapped: int, marks: MapMarks, parking: Parking
+def _told_counts(
+    net: Net, *, parked: int, crossings_mapped: int, crossings_unpainted: int, stops_mapped: int, stops: int
 ) -> tuple[str, str, str]:
+    """What became of the map's crossings and stops, and how many parked cars there are."""
     crossings = (
         f"the map has {crossings_mapped} crossings, the net {len(net.lanes(LaneKind.CROSSING))}: the others are "
-        f"guessed; {marks.unpainted} are unpainted (guessed or unmarked, and without a signal)"
+        f"guessed; {crossings_unpainted} are unpainted (guessed or unmarked, and without a signal)"
     )
-    stops = (
-        f"the map has {stops_mapped} bus stops, the town {marks.stops}: only those beside a lane open to buses "
+    told = (
+        f"the map has {stops_mapped} bus stops, the town {stops}: only those beside a lane open to buses "
         "(bus stations need --keep-service)"
     )
-    parked = f"{len(parking.vehicles)} parked cars never drive"
-    return crossings, stops if stops_mapped or marks.stops else "", parked if parking.vehicles else ""
+    return crossings, told if stops_mapped or stops else "", f"{parked} parked cars never drive" if parked else ""
 
 
 def _unbounded_note(extract: Extract) -> tuple[str, ...]:
-    note = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {bbox_option(extract.box)}"
+    note = f"the extract has no bounds, so all of it ({_size(extract.box)}) was imported: {extract.box.option}"
     return () if extract.bounded else (note,)
 
 
 def _size(box: Box) -> str:
-    wide_m, high_m = size_m(box)
+    wide_m, high_m = box.size_m
     return f"{wide_m / 1e3:.1f} x {high_m / 1e3:.1f} km"
 
 
@@ -446,19 +453,18 @@ def _unfinished(work: Path, order: ImportOrder) -> Town:
     return replace(town, routes=())
 
 
-def _write_demand(order: ImportOrder, work: Path, built: _BuiltNet, ways: tuple[Way, ...], parking: Parking) -> None:
-    """Write the flows, without the walking ways on which people get stuck."""
-
-    def text_of(some: tuple[Way, ...]) -> str:
-        return flows_text(built.net, some, order.seed, order.traffic, order.per_hour, parking.vehicles)
-
-    write_tried(work / f"{order.name}.sumocfg", ways, text_of)
+def _license_text(name: str, source: str = "", heights: bool = False) -> str:
+    """The notice that must lie beside data from OpenStreetMap, and beside heights from elsewhere."""
+    text = _LICENSE.format(name=name)
+    if heights:
+        text += _HEIGHTS.format(name=name)
+    return text + (f"\nSource, as told at the import: {source}\n" if source else "")
 
 
 def _write_beside(order: ImportOrder, work: Path) -> None:
     """What a town's folder has besides its scenario, and routes until the demand is there."""
     write_gzip(work / f"{order.name}.rou.xml.gz", b"<routes/>")
-    notice = license_text(order.name, order.source, order.relief.dem is not None)
+    notice = _license_text(order.name, order.source, order.relief.dem is not None)
     (work / "LICENSE-DATA").write_text(notice, encoding="utf-8")
     (work / "osm" / "bbox").write_text(",".join(map(str, order.bbox or ())) + "\n", encoding="utf-8")
 
@@ -482,7 +488,7 @@ def _write_manifest(order: ImportOrder, work: Path, built: _BuiltNet) -> None:
 def _rebuild_command(order: ImportOrder) -> str:
     """The command that makes the same town again from what its folder holds, run in that folder."""
     words = ["--name", order.name, "--split", order.split, "--osm", f"osm/{order.name}.osm.xml.gz", "--out", "."]
-    words += [bbox_option(order.bbox)] if order.bbox is not None else []
+    words += [order.bbox.option] if order.bbox is not None else []
     words += ["--lefthand" if order.lefthand else "--righthand"]
     words += ["--seed", str(order.seed), "--traffic", f"{order.traffic:g}", "--parked", f"{order.parked:g}"]
     if order.per_hour:

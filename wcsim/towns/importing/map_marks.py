@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 
 from wcsim.core.frames import deg
 from wcsim.core.seeding import generator
-from wcsim.towns.furniture.road_marks import CrossingMark, unmarked_points, unpainted
+from wcsim.towns.furniture.road_marks import GROUP, KIND, crossing_lines
 from wcsim.towns.ground.plane_geometry import yaw_of
 from wcsim.towns.ground.solid_shapes import rectangle
 from wcsim.towns.ground.surfaces import NOT_ON_GROUND, ground_of
@@ -31,6 +31,8 @@ from wcsim.types import F64
 _STOP_M = 14.0  # a bus, and a little
 _POLE_M = 12.0  # from a lane to the pole beside it
 _ON_LANE_M = 1.0  # so near to its middle a pole stands on the lane
+_REACH_M = 12.0  # from a crossing of a map to the one that it is in the net
+_PLAIN = frozenset(("unmarked", "no", "informal"))
 _SQUARES = ("place.square", "highway.pedestrian")
 _SPACE_M = (5.0, 2.5)  # across the way that leads to it: length and width
 _PARALLEL_M = (5.6, 2.2)  # along it
@@ -63,14 +65,36 @@ def map_marks(net: Net, poly: Path, ground: Path) -> MapMarks:
         ground: What it made of groundtypes.xml.
     """
     root = read_root(ground)
-    marks = [CrossingMark(at_m=_place(poi), tags=_tags(poi)) for poi in _points(root, "highway.crossing")]
-    plain = unpainted(net, marks)
+    plain = _unpainted(net, _points(root, "highway.crossing"))
     squares = [each for each in root.iterfind("poly") if each.get("type") in _SQUARES and _closed(each)]
     for square in squares:
         square.set("id", f"square.{square.get('id')}")  # it may be a polygon of another type already
     stops = _stops(net, _points(read_root(poly), "highway.bus_stop"))
-    elements = (*stops, *map(_text, squares), *unmarked_points(plain))
+    elements = (*stops, *map(_text, squares), *map(_unmarked_point, plain))
     return MapMarks(elements=elements, stops=len(stops), unpainted=len(plain))
+
+
+def _unpainted(net: Net, marks: list[Element]) -> list[Lane]:
+    """The crossings of a net that are neither the nearest one to a painted crossing of the map nor at a signal."""
+    lanes, tree = crossing_lines(net)
+    painted = net.signalled()
+    for mark in marks if lanes else ():
+        if _is_painted(_tags(mark)):
+            near = tree.query_nearest(shapely.Point(_place(mark)), max_distance=_REACH_M, all_matches=False)
+            painted |= {lanes[index].edge_id for index in near.tolist()}
+    return [lane for lane in lanes if lane.edge_id not in painted]
+
+
+def _is_painted(tags: dict[str, str]) -> bool:
+    """Whether the map does not say that a crossing has no markings."""
+    return tags.get("crossing") not in _PLAIN and tags.get("crossing:markings", "yes") != "no"
+
+
+def _unmarked_point(lane: Lane) -> str:
+    """The point that says that a crossing has no paint, as an element of an additional file."""
+    x_m, y_m = shapely.LineString(lane.points_m).interpolate(0.5, normalized=True).coords[0]
+    head = f'<poi id={quoteattr(f"{KIND}.{lane.edge_id}")} type="{GROUP}.{KIND}"'
+    return f'{head} x="{x_m:.2f}" y="{y_m:.2f}" color="0.6,0.6,0.6" layer="1"/>'
 
 
 def _stops(net: Net, poles: list[Element]) -> list[str]:
@@ -138,14 +162,6 @@ def _text(element: Element) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parking:
-    """What car parks add to a town's files."""
-
-    areas: tuple[str, ...] = ()  # XML elements for the additional file
-    vehicles: tuple[str, ...] = ()  # and for the route file, which come before everything else
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Space:
     middle_m: F64  # (2,)
     yaw_rad: float  # of a car in it
@@ -156,18 +172,22 @@ class _Space:
         return rectangle(self.middle_m, self.length_m, self.width_m, self.yaw_rad)
 
 
-def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
-    """Parking areas for the car parks among a town's polygons, a share `taken` of their spaces with a car in it."""
-    lots = sorted(_lots(poly))
-    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
-    if not lots or taken <= 0.0 or not lanes:
-        return Parking()
-    lines = [shapely.LineString(lane.points_m) for lane in lanes]
-    town, used = _town_and_used(net, poly)
-    tree, left = shapely.STRtree(lines), _MOST_SPACES
-    rng = generator(seed, "parking")
+def find_parking(net: Net, poly: Path, taken: float, seed: int) -> tuple[list[str], list[str]]:
+    """Parking areas for the car parks among a town's polygons, and cars in a share `taken` of their spaces.
+
+    Both are XML elements, of an additional file and of a route file, in which the cars come before everything else.
+    """
     areas: list[str] = []
     vehicles: list[str] = []
+    root = read_root(poly)
+    lots = sorted(_lots(root))
+    lanes = [lane for edge in net.streets for lane in edge.lanes if _leads_there(lane)]
+    if not lots or taken <= 0.0 or not lanes:
+        return areas, vehicles
+    lines = [shapely.LineString(lane.points_m) for lane in lanes]
+    town, used = _town_and_used(net, root)
+    tree, left = shapely.STRtree(lines), _MOST_SPACES
+    rng = generator(seed, "parking")
     for lot_id, lot in lots:
         marks = ((space, space.footprint()) for space in _spaces(lot))
         spaces = [space for space, mark in marks if town.contains(mark) and not used.intersects(mark)][:left]
@@ -179,13 +199,13 @@ def find_parking(net: Net, poly: Path, taken: float, seed: int) -> Parking:
         areas += _area(f"lot.{lot_id}", lanes[nearest], lines[nearest], lot, spaces)
         cars = round(taken * len(spaces))
         vehicles += [_vehicle(f"lot.{lot_id}", number, lanes[nearest]) for number in range(cars)]
-    return Parking(areas=tuple(areas), vehicles=tuple(vehicles))
+    return areas, vehicles
 
 
-def _town_and_used(net: Net, poly: Path) -> tuple[BaseGeometry, BaseGeometry]:
+def _town_and_used(net: Net, root: Element) -> tuple[BaseGeometry, BaseGeometry]:
     """Where there is ground, which ends not far outside of the streets, and where something is on it."""
     lanes = ground_of(net.every_lane).buffer(FREE_M)
-    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(poly)).union(_junctions(net))
+    town, used = lanes.convex_hull.buffer(INSIDE_M), lanes.union(_buildings(root)).union(_junctions(net))
     shapely.prepare([town, used])
     return town, used
 
@@ -194,9 +214,9 @@ def _leads_there(lane: Lane) -> bool:
     return lane.permits("passenger") and lane.length_m >= _LEAST_LANE_M and len(lane.points_m) > 1
 
 
-def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
+def _lots(root: Element) -> Iterator[tuple[str, Polygon]]:
     """Ids and outlines of the car parks at ground level."""
-    for element in read_root(poly).iterfind("poly"):
+    for element in root.iterfind("poly"):
         tags = _tags(element)
         if element.get("type") == "amenity.parking" and tags.get("parking", "surface") not in NOT_ON_GROUND:
             outline_m = points(element.get("shape", ""), (0, 0))
@@ -205,10 +225,10 @@ def _lots(poly: Path) -> Iterator[tuple[str, Polygon]]:
                 yield element.get("id", ""), lot
 
 
-def _buildings(poly: Path) -> BaseGeometry:
+def _buildings(root: Element) -> BaseGeometry:
     outlines = [
         shapely.make_valid(Polygon(points_m))
-        for element in read_root(poly).iterfind("poly")
+        for element in root.iterfind("poly")
         if element.get("type", "").startswith("building")
         and len(points_m := points(element.get("shape", ""), (0, 0))) > 3
     ]

@@ -34,14 +34,6 @@ _STOP_LANE_M = 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Dressing:
-    """What a town's pavements have, as pairs of SUMO's type and place (2,)."""
-
-    mapped: list[tuple[str, F64]] = field(default_factory=list)  # gives way where there is no room
-    placed: list[tuple[str, F64, float]] = field(default_factory=list)  # stands where it is; with its angle in degrees
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Row:
     """Things of a kind in a row along pavements."""
 
@@ -76,9 +68,16 @@ _ROWS = (
 _LEFT = ("wcsim.board", "wcsim.bin", "wcsim.scooter", "wcsim.bicycle", "wcsim.box", "wcsim.planter", "wcsim.table")
 
 
-def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
+_Mapped = list[tuple[str, F64]]
+"""SUMO's types and places (2,) of things that give way where there is no room."""
+_Placed = list[tuple[str, F64, float]]
+"""Those of things that stand where they are, with their angle in degrees."""
+
+
+def _dress(net: Net, rng: np.random.Generator) -> tuple[_Mapped, _Placed]:
     """Things along all pavements of a net, drawn for each pavement."""
-    found = _Dressing()
+    mapped: _Mapped = []
+    placed: _Placed = []
     left_per_m = rng.uniform(0.0, 0.02)
     since_stop_m = rng.uniform(0.0, _STOP_EVERY_M)
     for edge in net.streets:
@@ -86,16 +85,16 @@ def _dress(net: Net, rng: np.random.Generator) -> _Dressing:
             if lane.kind not in (LaneKind.SIDEWALK, LaneKind.SHARED) or len(lane.points_m) < 2:
                 continue
             line = shapely.LineString(lane.points_m)
-            _in_rows(lane, line, -1.0 if net.lefthand else 1.0, found, rng)
-            _in_the_way(lane, line, float(left_per_m), found, rng)
+            _in_rows(lane, line, -1.0 if net.lefthand else 1.0, mapped, rng)
+            _in_the_way(lane, line, float(left_per_m), placed, rng)
             since_stop_m += line.length
             if line.length > _STOP_LANE_M and since_stop_m > _STOP_EVERY_M and edge.lanes[-1].kind is LaneKind.MOTOR:
-                found.mapped.append(("highway.bus_stop", _beside(line, 0.5 * line.length, 0.0)[0]))
+                mapped.append(("highway.bus_stop", _beside(line, 0.5 * line.length, 0.0)[0]))
                 since_stop_m = 0.0
-    return found
+    return mapped, placed
 
 
-def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: _Dressing, rng: np.random.Generator) -> None:
+def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, mapped: _Mapped, rng: np.random.Generator) -> None:
     for row in _ROWS:
         has, every_m = rng.random() < row.share, rng.uniform(*row.every_m)
         if not has or lane.width_m < row.least_m:
@@ -104,10 +103,10 @@ def _in_rows(lane: Lane, line: shapely.LineString, kerb: float, found: _Dressing
         for along_m in _places(line, every_m, rng):
             kind = str(rng.choice(row.kinds))
             left_m = kerb * (aside_m if row.at_kerb else -aside_m)
-            found.mapped.append((kind, _beside(line, along_m, left_m)[0]))
+            mapped.append((kind, _beside(line, along_m, left_m)[0]))
 
 
-def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: _Dressing, rng: np.random.Generator) -> None:
+def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, placed: _Placed, rng: np.random.Generator) -> None:
     """Things left on a wide pavement, off its middle: a chair must go round them."""
     number = int(rng.poisson(per_m * max(0.0, line.length - 2.0 * _ENDS_M)))
     for along_m in np.sort(rng.uniform(_ENDS_M, max(_ENDS_M, line.length - _ENDS_M), number)).tolist():
@@ -115,7 +114,7 @@ def _in_the_way(lane: Lane, line: shapely.LineString, per_m: float, found: _Dres
         reach_m = rng.uniform(0.5, 1.0) * (0.5 * lane.width_m - 0.4)
         at_m, angle_deg = _beside(line, along_m, side * reach_m)
         if lane.width_m >= _IN_WAY_M:
-            found.placed.append((kind, at_m, angle_deg))
+            placed.append((kind, at_m, angle_deg))
 
 
 def _places(line: shapely.LineString, every_m: float, rng: np.random.Generator) -> Iterator[float]:
@@ -340,16 +339,16 @@ def draw_map(net: Net, name: str, folder: Path, rng: np.random.Generator) -> tup
     Returns:
         Both files, and elements for the town's additional file: what stands exactly where it is placed.
     """
-    blocks, dressing = _build_blocks(net, rng), _dress(net, rng)
+    blocks, (mapped, placed) = _build_blocks(net, rng), _dress(net, rng)
     poly, ground = _Writer(), _Writer()
     _write_blocks(blocks, poly, ground, rng)
-    for kind, xy_m in dressing.mapped:
+    for kind, xy_m in mapped:
         poly.point(kind, xy_m, [])
     _write_kerbs(net, poly, ground, rng)
     paths = folder / f"{name}.poly.xml", folder / f"{name}.ground.xml"
     for writer, path in zip((poly, ground), paths, strict=True):
         path.write_text(writer.text(), encoding="utf-8")
-    return *paths, _left_things(dressing)
+    return *paths, _left_things(placed)
 
 
 class _Writer:
@@ -426,8 +425,8 @@ def _write_kerbs(net: Net, poly: _Writer, ground: _Writer, rng: np.random.Genera
             poly.point(f"kerb.{'lowered' if kerb == 'raised' and lane.edge_id in lit else kerb}", end_m, [])
 
 
-def _left_things(dressing: _Dressing) -> tuple[str, ...]:
+def _left_things(placed: _Placed) -> tuple[str, ...]:
     return tuple(
         f'<poi id="left.{number}" type="{kind}" x="{xy_m[0]:.2f}" y="{xy_m[1]:.2f}" angle="{angle_deg:.1f}"/>'
-        for number, (kind, xy_m, angle_deg) in enumerate(dressing.placed)
+        for number, (kind, xy_m, angle_deg) in enumerate(placed)
     )

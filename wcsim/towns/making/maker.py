@@ -21,14 +21,15 @@ from wcsim.core.files import whole_folder
 from wcsim.core.frames import rad
 from wcsim.core.seeding import derive, generator
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.ground.plane_geometry import yaw_of
-from wcsim.towns.importing.demand import Way, build_ways, flows_text, vtypes_text, write_tried
-from wcsim.towns.importing.elevation import Heights, hill_over, lift_net
+from wcsim.towns.ground.plane_geometry import length_of, yaw_of
+from wcsim.towns.importing.demand import build_ways, vtypes_text, write_demand
+from wcsim.towns.importing.elevation import Dem, Heights, lift_net
 from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import find_parking, map_marks
 from wcsim.towns.making.asked_town import KINDS, Wishes, check_wishes
 from wcsim.towns.making.drawn_map import draw_map
 from wcsim.towns.making.plan import StreetPlan, draw_plan, shape_plan
+from wcsim.towns.osm.read import Box
 from wcsim.towns.scenario.town import Town, chair_ways, hash_files, net_middle, open_town, read_town_file
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
@@ -104,7 +105,7 @@ def _make_streets(plan: StreetPlan, rng: np.random.Generator) -> tuple[_NamedStr
     A street is one-way, or for walkers alone, only where everybody still gets everywhere.
     """
     chains = _chains(plan)
-    lengths_m = np.array([sum(_length_m(plan.lines_m[link]) for link in chain) for chain in chains])
+    lengths_m = np.array([sum(length_of(plan.lines_m[link]) for link in chain) for chain in chains])
     order = np.argsort(-lengths_m * rng.uniform(0.8, 1.25, len(chains)))
     rank = np.cumsum(lengths_m[order]) / lengths_m.sum()
     main, walks = rng.uniform(*_MAIN_SHARE), float(rng.choice([0.0, 0.1, 0.2]))
@@ -182,10 +183,6 @@ def _chains(plan: StreetPlan) -> list[tuple[int, ...]]:
 def _bend_rad(one_rad: float, other_rad: float) -> float:
     """How far from straight on a way between two arms is."""
     return abs(abs((one_rad - other_rad + np.pi) % (2.0 * np.pi) - np.pi) - np.pi)
-
-
-def _length_m(line: F64) -> float:
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
 
 
 _LIMITS = Limits(wall_s=120.0, cpu_s=120)
@@ -401,8 +398,8 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
     hill_m = hill_m if wishes.hill_m is None else wishes.hill_m
     if hill_m > 0.0:
         (west, south), (east, north) = (corner_m.tolist() for corner_m in read_net(path).corners_m())
-        box_m = (west - _LAND_M, south - _LAND_M, east + _LAND_M, north + _LAND_M)
-        land = hill_over(hill_m, box_m, seed)
+        box_m = Box(west - _LAND_M, south - _LAND_M, east + _LAND_M, north + _LAND_M)
+        land = Dem.hill(hill_m, box_m, seed)
         lift_net(path, land, Heights(hill_m=hill_m, max_grade=grade), on_globe=False)
     return read_net(path)
 
@@ -410,16 +407,12 @@ def _lifted(path: Path, seed: int, wishes: Wishes) -> Net:
 def _fill(name: str, seed: int, wishes: Wishes, net: Net, work: Path, stage: Stage) -> None:
     """Write all files of the town's folder."""
     poly, ground, left = draw_map(net, name, work, generator(seed, "making", "map"))
-    marks, parking = map_marks(net, poly, ground), find_parking(net, poly, wishes.parked, seed)
+    marks, (lots, cars) = map_marks(net, poly, ground), find_parking(net, poly, wishes.parked, seed)
     ground.unlink()
     ways = build_ways(net, work / f"{name}.net.xml", work, seed) if wishes.traffic > 0.0 else ()
-    write_scenario(work, name, seed, vtypes_text((*parking.areas, *marks.elements, *left)))
+    write_scenario(work, name, seed, vtypes_text((*lots, *marks.elements, *left)))
     stage("testing the traffic")
-
-    def text_of(some: tuple[Way, ...]) -> str:
-        return flows_text(net, some, seed, wishes.traffic, first=parking.vehicles)
-
-    write_tried(work / f"{name}.sumocfg", ways, text_of)
+    write_demand(work / f"{name}.sumocfg", net, ways, seed, wishes.traffic, first=cars)
     text = town_toml_text(
         name=name,
         split=wishes.split,

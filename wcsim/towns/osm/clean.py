@@ -33,7 +33,7 @@ import shapely
 
 from wcsim.core.frames import rad
 from wcsim.core.reading import listed
-from wcsim.towns.osm.read import Box, is_within, size_m
+from wcsim.towns.osm.read import Box
 from wcsim.towns.sumo.net import LaneKind, Net
 from wcsim.towns.walking.islands import osm_ways_by_edge
 from wcsim.types import F64
@@ -162,13 +162,10 @@ def _quicken_motorways(root: Element) -> None:
                 tag.set("v", str(_SLOWEST_KMH))
 
 
-def unpaved_ways(root: Element) -> frozenset[str]:
-    """Ids, without a sign, of the ways of an extract that have no pavement of their own."""
-    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way") if _is_unpaved(_read_tags(way)))
-
-
-def wrongly_paved(net: Net, net_path: Path, ways: frozenset[str]) -> tuple[str, ...]:
-    """Edges of a net that have a pavement although all ways that they were made of have none; sorted."""
+def wrongly_paved(net: Net, net_path: Path, root: Element) -> tuple[str, ...]:
+    """Edges of a net that have a pavement although all ways of its extract that they were made of have none; sorted."""
+    unpaved = (way for way in root.iterfind("way") if _is_unpaved(_read_tags(way)))
+    ways = frozenset(way.get("id", "").lstrip("-") for way in unpaved)
     if not ways:
         return ()
     made_of = osm_ways_by_edge(net_path)
@@ -372,6 +369,52 @@ class LeftOut:
     names: tuple[str, ...] = ()  # of streets that are left out, longest first
     footways: tuple[_LostWay, ...] = ()  # all that are left out, longest first
 
+    @classmethod
+    def of(cls, ways: Collection[_MapWay], made: NetWays) -> LeftOut:
+        """What of `ways` is not in the net."""
+        gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
+        by_name: dict[str, float] = defaultdict(float)
+        for way in gone:
+            if way.name and way.street:
+                by_name[way.name] += way.inside_m
+        rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
+        lost = [
+            _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
+            for way in gone
+            if not way.street
+        ]
+        return cls(
+            streets_m=sum(way.inside_m for way in ways if way.street),
+            footways_m=sum(way.inside_m for way in ways if not way.street),
+            streets_left_out_m=sum(way.inside_m for way in gone if way.street),
+            footways_left_out_m=sum(way.inside_m for way in lost),
+            names=tuple(sorted(by_name, key=lambda name: (-by_name[name], name))),
+            footways=tuple(sorted(lost, key=lambda way: (-way.inside_m, way.id))),
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Streets where they are more than next to nothing, and each way on foot or the longest."""
+        notes = []
+        if self.streets_left_out_m >= LEAST_M:
+            names = listed(self.names, TOLD)
+            notes.append(
+                f"left out: {_km(self.streets_left_out_m)} of {_km(self.streets_m)} of streets: bridges, and streets "
+                f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox "
+                "or --keep-service may connect them"
+            )
+        if lost := self.footways:
+            told = ", ".join(
+                f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
+            )
+            more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
+            more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
+            notes.append(
+                f"left out: {self.footways_left_out_m:.0f} of {self.footways_m:.0f} m of footways in the box, by map "
+                f"id: {told}{more}"
+            )
+        return tuple(notes)
+
 
 def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
     """The streets of an extract at street level, and its ways on foot; `root` is as it was read."""
@@ -394,7 +437,7 @@ def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
             name=tags.get("name", ""),
             inside_m=sum(_inside_m([places[node] for node in part], box) for part in parts),
             nodes=nodes,
-            leaves=any(not is_within(places[node], box) for node in nodes),
+            leaves=any(not box.holds(places[node]) for node in nodes),
             why=_why_by_tags(tags),
         )
         found.append(way)
@@ -426,30 +469,7 @@ def _why_by_tags(tags: dict[str, str]) -> str:
 def count_inside(root: Element, box: Box, highway: str) -> int:
     """How many nodes with this value of `highway` the map has in the box; crossings without paint count too."""
     nodes = (node for node in root.iterfind("node") if _read_tags(node).get("highway") == highway)
-    return sum(is_within((float(node.get("lon", "0")), float(node.get("lat", "0"))), box) for node in nodes)
-
-
-def find_left_out(ways: Collection[_MapWay], made: NetWays) -> LeftOut:
-    """What of `ways` is not in the net."""
-    gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
-    by_name: dict[str, float] = defaultdict(float)
-    for way in gone:
-        if way.name and way.street:
-            by_name[way.name] += way.inside_m
-    rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
-    lost = [
-        _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
-        for way in gone
-        if not way.street
-    ]
-    return LeftOut(
-        streets_m=sum(way.inside_m for way in ways if way.street),
-        footways_m=sum(way.inside_m for way in ways if not way.street),
-        streets_left_out_m=sum(way.inside_m for way in gone if way.street),
-        footways_left_out_m=sum(way.inside_m for way in lost),
-        names=tuple(sorted(by_name, key=lambda name: (-by_name[name], name))),
-        footways=tuple(sorted(lost, key=lambda way: (-way.inside_m, way.id))),
-    )
+    return sum(box.holds((float(node.get("lon", "0")), float(node.get("lat", "0")))) for node in nodes)
 
 
 def _why(way: _MapWay, made: NetWays, rest: frozenset[str]) -> str:
@@ -464,35 +484,12 @@ def _why(way: _MapWay, made: NetWays, rest: frozenset[str]) -> str:
     return "part of a junction, or left out by netconvert" if joined else "not connected to the rest in the box"
 
 
-def left_out_notes(found: LeftOut) -> tuple[str, ...]:
-    """What is left out: streets where they are more than next to nothing, and each way on foot or the longest."""
-    notes = []
-    if found.streets_left_out_m >= LEAST_M:
-        names = listed(found.names, TOLD)
-        notes.append(
-            f"left out: {_km(found.streets_left_out_m)} of {_km(found.streets_m)} of streets: bridges, and streets "
-            f"connected to the rest only outside of the box{' (' + names + ')' if names else ''}; a larger --bbox or "
-            "--keep-service may connect them"
-        )
-    if lost := found.footways:
-        told = ", ".join(
-            f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
-        )
-        more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
-        more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
-        notes.append(
-            f"left out: {found.footways_left_out_m:.0f} of {found.footways_m:.0f} m of footways in the box, by map id: "
-            f"{told}{more}"
-        )
-    return tuple(notes)
-
-
 def _inside_m(points: list[tuple[float, float]], box: Box) -> float:
     """Length in m of the parts between points (longitude, latitude) that have their middles in the box."""
     total_m = 0.0
     for (x1, y1), (x2, y2) in itertools.pairwise(points):
-        if is_within(((x1 + x2) / 2, (y1 + y2) / 2), box):
-            total_m += math.hypot(*size_m((x1, y1, x2, y2)))
+        if box.holds(((x1 + x2) / 2, (y1 + y2) / 2)):
+            total_m += math.hypot(*Box(x1, y1, x2, y2).size_m)
     return total_m
 
 

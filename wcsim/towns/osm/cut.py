@@ -19,11 +19,10 @@ def _cut(source: str, file_format: str, out: str, box: Box | None) -> None:
     header = osmium.io.Reader(file, osmium.osm.osm_entity_bits.NOTHING).header()
     nodes, ways, needed = osmium.IdTracker(), osmium.IdTracker(), osmium.IdTracker()
     if box is not None:
-        west, south, east, north = box
         for node in osmium.FileProcessor(file, osmium.osm.NODE):
             assert isinstance(node, osmium.osm.Node)  # noqa: S101 - only nodes were requested
             place = node.location
-            if place.valid() and west <= place.lon <= east and south <= place.lat <= north:
+            if place.valid() and box.holds((place.lon, place.lat)):
                 nodes.add_node(node.id)
         for way in osmium.FileProcessor(file, osmium.osm.WAY).with_filter(nodes.contains_filter()):
             ways.add_way(way.id)
@@ -52,10 +51,5 @@ def _bounds(header: osmium.io.Header, box: Box | None) -> osmium.io.Header:
     return made
 
 
-def _box(text: str) -> Box:
-    west, south, east, north = (float(part) for part in text.split(","))
-    return west, south, east, north
-
-
 if __name__ == "__main__":
-    _cut(sys.argv[1], sys.argv[2], sys.argv[3], _box(sys.argv[4]) if len(sys.argv) > 4 else None)
+    _cut(sys.argv[1], sys.argv[2], sys.argv[3], Box.of(sys.argv[4]) if len(sys.argv) > 4 else None)

@@ -14,6 +14,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from urllib.parse import urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -32,9 +33,6 @@ from wcsim.towns.sumo.xml_io import (
     read_bytes,
     xml_bytes,
 )
-
-Box = tuple[float, float, float, float]
-"""west, south, east, north in degrees."""
 
 LONGEST_M = 12_000.0  # of a side: netconvert and the street mesh of more take minutes and gigabytes
 _M_PER_DEG = 111_320.0
@@ -71,54 +69,59 @@ _SHARED = "Asia/Bangkok"  # of Thailand, and of Vietnam north of the 17th parall
 _VIETNAM_DEG = ((105.0, 16.5), (102.0, 18.55))  # of that zone, what lies east and north of either; Laos lies between
 
 
-def check_box(box: Box) -> None:
-    """Raise TownError unless a box is one that a town can be made of."""
-    west, south, east, north = box
-    if not (-180 <= west < east <= 180 and -84 <= south < north <= 84):
-        raise TownError(f"bounding box {box} is not west,south,east,north in degrees, from -84 to 84 north")
-    wide_m, high_m = size_m(box)
-    if max(wide_m, high_m) > LONGEST_M:
-        raise TownError(
-            f"the bounding box is {wide_m / 1e3:.0f} x {high_m / 1e3:.0f} km; expected at most "
-            f"{LONGEST_M / 1e3:.0f} km each way: choose a part of it, such as its middle: {bbox_option(_core(box))}"
-        )
+class Box(NamedTuple):
+    """An area on the globe, in degrees."""
 
+    west: float
+    south: float
+    east: float
+    north: float
 
-def size_m(box: Box) -> tuple[float, float]:
-    """Width and height of a box in metres."""
-    west, south, east, north = box
-    return (east - west) * _M_PER_DEG * math.cos(rad((south + north) / 2)), (north - south) * _M_PER_DEG
+    @classmethod
+    def of(cls, text: str) -> Box:
+        """The box of "west,south,east,north". Raises ValueError."""
+        west, south, east, north = (float(part) for part in text.split(","))
+        return cls(west, south, east, north)
 
+    def check(self) -> None:
+        """Raise TownError unless it is one that a town can be made of."""
+        if not (-180 <= self.west < self.east <= 180 and -84 <= self.south < self.north <= 84):
+            raise TownError(f"bounding box {tuple(self)} is not west,south,east,north in degrees, from -84 to 84 north")
+        wide_m, high_m = self.size_m
+        if max(wide_m, high_m) > LONGEST_M:
+            middle = Box(*self.centre, *self.centre).grown(500.0)
+            core = Box(*(round(side, 5) for side in middle))
+            raise TownError(
+                f"the bounding box is {wide_m / 1e3:.0f} x {high_m / 1e3:.0f} km; expected at most "
+                f"{LONGEST_M / 1e3:.0f} km each way: choose a part of it, such as its middle: {core.option}"
+            )
 
-def bbox_option(box: Box) -> str:
-    """A box as the command line takes it."""
-    return f"--bbox={','.join(map(str, box))}"
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height in metres."""
+        wide_m = (self.east - self.west) * _M_PER_DEG * math.cos(rad((self.south + self.north) / 2))
+        return wide_m, (self.north - self.south) * _M_PER_DEG
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Longitude and latitude of its middle."""
+        return (self.west + self.east) / 2, (self.south + self.north) / 2
 
-def _core(box: Box) -> Box:
-    """A kilometre in the middle of a box, in 1e-5 degrees."""
-    west, south, east, north = grown((*box_centre(box), *box_centre(box)), 500.0)
-    return round(west, 5), round(south, 5), round(east, 5), round(north, 5)
+    @property
+    def option(self) -> str:
+        """As the command line takes it."""
+        return f"--bbox={','.join(map(str, self))}"
 
+    def grown(self, margin_m: float) -> Box:
+        """The same with a margin in metres on each side, within the globe."""
+        high = margin_m / _M_PER_DEG
+        wide = high / max(0.05, math.cos(rad((self.south + self.north) / 2)))
+        west, south = max(-180.0, self.west - wide), max(-90.0, self.south - high)
+        return Box(west, south, min(180.0, self.east + wide), min(90.0, self.north + high))
 
-def grown(box: Box, margin_m: float) -> Box:
-    """A box with a margin in metres on each side, within the globe."""
-    west, south, east, north = box
-    high = margin_m / _M_PER_DEG
-    wide = high / max(0.05, math.cos(rad((south + north) / 2)))
-    return max(-180.0, west - wide), max(-90.0, south - high), min(180.0, east + wide), min(90.0, north + high)
-
-
-def is_within(place: tuple[float, float], box: Box) -> bool:
-    """Whether a place (longitude, latitude) lies in a box."""
-    west, south, east, north = box
-    return west <= place[0] <= east and south <= place[1] <= north
-
-
-def box_centre(box: Box) -> tuple[float, float]:
-    """Longitude and latitude of the middle of a box."""
-    west, south, east, north = box
-    return (west + east) / 2, (south + north) / 2
+    def holds(self, place: tuple[float, float]) -> bool:
+        """Whether a place (longitude, latitude) lies in it."""
+        return self.west <= place[0] <= self.east and self.south <= place[1] <= self.north
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,14 +197,15 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
     named = box or _bounds(root)
     try:
         box = named or cover
-        check_box(box)
+        box.check()
     except TownError as error:
         raise TownError(f"{path}: {error}") from None
     _cut(root, places, box)
     if not _streets(root):
         cover_text = ",".join(f"{value:.5f}" for value in cover)
         raise TownError(
-            f"{path}: no street lies in the bounding box {box}; its streets are in {cover_text}: choose a box there"
+            f"{path}: no street lies in the bounding box {tuple(box)}; its streets are in {cover_text}: choose a box "
+            "there"
         )
     return Extract(root=root, box=box, bounded=named is not None)
 
@@ -212,7 +216,7 @@ def holds_more(path: Path, box: Box) -> bool:
         return False
     root = parse_root(_xml_of(path, None), str(path))
     places = _places(root)
-    inside = {key for key, place in places.items() if is_within(place, box)}
+    inside = {key for key, place in places.items() if box.holds(place)}
     return any(inside.isdisjoint(nd.get("ref", "") for nd in way.iterfind("nd")) for way in _streets(root))
 
 
@@ -267,7 +271,7 @@ def _require_tags(path: Path) -> None:
 
 
 def _cut_by_osmium(path: Path, file_format: str, box: Box | None) -> bytes:
-    place = [",".join(map(repr, grown(box, MARGIN_M)))] if box is not None else []
+    place = [",".join(map(repr, box.grown(MARGIN_M)))] if box is not None else []
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "cut.osm"
         words = ["-m", "wcsim.towns.osm.cut", str(path.resolve()), file_format, str(out), *place]
@@ -321,7 +325,7 @@ def _cover(places: dict[str, tuple[float, float]], streets: list[Element]) -> Bo
     longitudes, latitudes = (sorted(values) for values in zip(*found, strict=True))
     margin = 1e-5  # a street that runs along the edge is inside
     west, east = longitudes[few] - margin, longitudes[-1 - few] + margin
-    return west, latitudes[few] - margin, east, latitudes[-1 - few] + margin
+    return Box(west, latitudes[few] - margin, east, latitudes[-1 - few] + margin)
 
 
 def _bounds(root: Element) -> Box | None:
@@ -335,9 +339,8 @@ def _bounds(root: Element) -> Box | None:
             return None
     except (KeyError, ValueError):
         return None
-    box = (west, south, east, north)
-    sane = west < east and south < north and max(size_m(box)) <= LONGEST_M
-    return box if sane else None
+    box = Box(west, south, east, north)
+    return box if west < east and south < north and max(box.size_m) <= LONGEST_M else None
 
 
 def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> None:
@@ -358,9 +361,9 @@ def _cut(root: Element, places: dict[str, tuple[float, float]], box: Box) -> Non
 
 def _needed(root: Element, places: dict[str, tuple[float, float]], box: Box) -> tuple[set[str], set[str], set[Element]]:
     """Ids of the nodes and ways around a box, and the ways that are not; all ways lose what is not within reach."""
-    near, far = grown(box, MARGIN_M), grown(box, FAR_M)
-    inside = {key for key, place in places.items() if is_within(place, near)}
-    reachable = {key for key, place in places.items() if is_within(place, far)}
+    near, far = box.grown(MARGIN_M), box.grown(FAR_M)
+    inside = {key for key, place in places.items() if near.holds(place)}
+    reachable = {key for key, place in places.items() if far.holds(place)}
     nodes, ways, elsewhere = set(inside), set(), set()
     for way in root.iterfind("way"):
         way[:] = [child for child in way if child.tag != "nd" or child.get("ref") in reachable]
@@ -386,7 +389,7 @@ def download(box: Box, folder: Path, url: str = "", wait_s: float = WAIT_S) -> P
 
     Raises TownError with one line when no server answers in time, or answers something else.
     """
-    check_box(box)
+    box.check()
     if url and (urlsplit(url).scheme not in ("http", "https") or not urlsplit(url).netloc):
         raise TownError(f"--url {url!r} is not a server address; expected http://... or https://...")
     home = sumo_home()

@@ -15,42 +15,60 @@ from xml.etree.ElementTree import Element
 import shapely
 
 from wcsim.errors import TownError
+from wcsim.towns.sumo.net import Connection, Lane, Net
 
 _LinkKey = tuple[str, str, int, int]  # edges and lanes, from and to
 _NEAR_END_M = 1.0  # how far before its end a lane still sees what lay beyond it: SUMO's vehicles stand so far back
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _LaneLine:
-    """A lane as a line with SUMO's positions on it, which may be longer or shorter than it is drawn."""
-
-    id: str
-    length_m: float
-    line: shapely.LineString
-
-    def point(self, pos_m: float) -> shapely.Point:
-        """The place of a position, in net coordinates."""
-        point: shapely.Point = self.line.interpolate(min(1.0, max(0.0, pos_m / self.length_m)), normalized=True)
-        return point
-
-    def nearest(self, point: shapely.Point) -> float:
-        """The position in m of the nearest point on the lane; 0 or the length for a place before or behind it."""
-        return float(self.line.project(point, normalized=True)) * self.length_m
+def _line(lane: Lane) -> shapely.LineString:
+    points_m = lane.points_m
+    return shapely.LineString(points_m if len(points_m) > 1 else [*points_m, *points_m])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def _length_m(lane: Lane) -> float:
+    """SUMO's length of a lane, which may be drawn longer or shorter."""
+    return max(0.01, lane.length_m)
+
+
+def _point(lane: Lane, pos_m: float) -> shapely.Point:
+    """The place of a position on a lane."""
+    point: shapely.Point = _line(lane).interpolate(min(1.0, max(0.0, pos_m / _length_m(lane))), normalized=True)
+    return point
+
+
 class _LaneMap:
-    """The lanes of a net before and after; edges by id, lanes from right to left."""
+    """The lanes of a net before and after, of which the second is the first with pavements; from right to left."""
 
-    before: Mapping[str, tuple[_LaneLine, ...]]
-    after: Mapping[str, tuple[_LaneLine, ...]]
-    moved: Mapping[str, str]  # id of every lane before -> after
-    lines: Mapping[str, _LaneLine]  # all lanes of before by id, those within junctions too
-    new_lines: Mapping[str, _LaneLine]
+    def __init__(self, before: Net, after: Net) -> None:
+        """Raises TownError for an edge of the first that is not in the second, or has fewer lanes there."""
+        self.before, self.after = _edges(before, "", "connector"), _edges(after, "", "connector")
+        self.lines, self.new_lines = (  # those within junctions too, which other nets call by other names
+            {lane.id: lane for lanes in _edges(net, "", "connector", "internal").values() for lane in lanes}
+            for net in (before, after)
+        )
+        self.moved: dict[str, str] = {}  # id of every lane before -> after
+        for edge, lanes in self.before.items():
+            new = self.after.get(edge, ())
+            if not 0 <= len(new) - len(lanes) <= 1:
+                raise TownError(
+                    f"edge {edge!r} has {len(lanes)} lanes, and {len(new)} after netconvert; expected at "
+                    "most one more: repair the net in netedit, and try again"
+                )
+            self.moved |= {lane.id: new[index + self.shift(edge)].id for index, lane in enumerate(lanes)}
+        vias = {self.key(link, shifted=False): link.via for link in _between_streets(after)}
+        for link in _between_streets(before):
+            if link.via in self.lines and vias.get(self.key(link)) in self.new_lines:
+                self.moved[link.via] = vias[self.key(link)]
 
     def shift(self, edge: str) -> int:
         """By how many indices the lanes of an edge moved; 0 for an edge that the net does not have."""
         return len(self.after.get(edge, ())) - len(self.before.get(edge, ()))
+
+    def key(self, link: Connection, *, shifted: bool = True) -> _LinkKey:
+        """The edges and lanes of a connection; those of one of before are counted as after the shift of its edges."""
+        start, end = (self.shift(edge) if shifted else 0 for edge in (link.start, link.end))
+        return link.start, link.end, link.start_lane + start, link.end_lane + end
 
     def position(self, lane: str, pos_m: float, *, span: bool) -> tuple[float, float]:
         """A position on a lane of before, found again where it lay.
@@ -65,15 +83,16 @@ class _LaneMap:
             unless a junction has grown over it.
         """
         old, new = self.lines[lane], self.new_lines[self.moved[lane]]
-        at_m = min(old.length_m, max(0.0, old.length_m + pos_m if pos_m < 0.0 else pos_m))
-        place = old.point(at_m)
-        found_m = new.nearest(place)
+        old_m, new_m, line = _length_m(old), _length_m(new), _line(new)
+        at_m = min(old_m, max(0.0, old_m + pos_m if pos_m < 0.0 else pos_m))
+        place = _point(old, at_m)
+        found_m = float(line.project(place, normalized=True)) * new_m
         if not span:
-            low_m, high_m = min(at_m, _NEAR_END_M), new.length_m - min(old.length_m - at_m, _NEAR_END_M)
+            low_m, high_m = min(at_m, _NEAR_END_M), new_m - min(old_m - at_m, _NEAR_END_M)
             found_m = min(max(found_m, min(low_m, high_m)), high_m)
         found_m = math.floor(found_m * 100.0 + 0.5) / 100.0
-        found_m = max(0.0, min(found_m, math.floor(new.length_m * 100.0 + 1e-6) / 100.0))
-        return found_m, _along_m(new.line, place, new.point(found_m))
+        found_m = max(0.0, min(found_m, math.floor(new_m * 100.0 + 1e-6) / 100.0))
+        return found_m, _along_m(line, place, _point(new, found_m))
 
 
 def _along_m(line: shapely.LineString, old: shapely.Point, new: shapely.Point) -> float:
@@ -87,73 +106,14 @@ def _along_m(line: shapely.LineString, old: shapely.Point, new: shapely.Point) -
     return float(abs((new.x - old.x) * way[0] + (new.y - old.y) * way[1])) / size_m
 
 
-def lane_map(before: Element, after: Element) -> _LaneMap:
-    """The lanes of two nets, of which the second is the first with pavements.
-
-    Raises:
-        TownError: an edge of the first is not in the second, or has fewer lanes there.
-    """
-    old, new = _edges(before), _edges(after)
-    moved: dict[str, str] = {}
-    for edge, lanes in old.items():
-        shift = len(new.get(edge, ())) - len(lanes)
-        if not 0 <= shift <= 1:
-            raise TownError(
-                f"edge {edge!r} has {len(lanes)} lanes, and {len(new.get(edge, ()))} after netconvert; expected at "
-                "most one more: repair the net in netedit, and try again"
-            )
-        moved |= {lane.id: new[edge][index + shift].id for index, lane in enumerate(lanes)}
-    lines, new_lines, vias = _lines_by_id(before), _lines_by_id(after), _vias(after, {})
-    for link, via in _vias(before, {edge: len(new[edge]) - len(lanes) for edge, lanes in old.items()}).items():
-        if via in lines and vias.get(link) in new_lines:
-            moved[via] = vias[link]
-    return _LaneMap(
-        before=old,
-        after=new,
-        moved=moved,
-        lines=lines,
-        new_lines=new_lines,
-    )
+def _edges(net: Net, *functions: str) -> dict[str, tuple[Lane, ...]]:
+    """The lanes of edges with these functions, by edge."""
+    return {edge.id: edge.lanes for edge in net.edges if edge.function in functions}
 
 
-def _edges(net: Element, *functions: str) -> dict[str, tuple[_LaneLine, ...]]:
-    """The lanes of streets by edge, and of edges with some other functions."""
-    wanted = ("normal", "connector", *functions)
-    edges = (edge for edge in net.iterfind("edge") if (edge.get("function") or "normal") in wanted)
-    return {edge.get("id", ""): _lines(edge.iterfind("lane")) for edge in edges}
-
-
-def _lines_by_id(net: Element) -> dict[str, _LaneLine]:
-    """The lanes of streets, and those within junctions, which other nets call by other names."""
-    return {lane.id: lane for lanes in _edges(net, "internal").values() for lane in lanes}
-
-
-def _lines(lanes: Iterable[Element]) -> tuple[_LaneLine, ...]:
-    found = sorted(lanes, key=lambda lane: int(lane.get("index", "0")))
-    return tuple(
-        _LaneLine(
-            id=lane.get("id", ""), length_m=max(0.01, float(lane.get("length", "0"))), line=_line(lane.get("shape", ""))
-        )
-        for lane in found
-    )
-
-
-def _line(shape: str) -> shapely.LineString:
-    places = [tuple(float(part) for part in place.split(",")[:2]) for place in shape.split()]
-    return shapely.LineString(places if len(places) > 1 else [*places, *places])
-
-
-def _vias(net: Element, shifts: Mapping[str, int]) -> dict[_LinkKey, str]:
-    """The inner lane of each connection between streets."""
-    links = (link for link in net.iterfind("connection") if not link.get("from", "").startswith(":"))
-    return {_key(link, shifts): via for link in links if (via := link.get("via"))}
-
-
-def _key(link: Element, shifts: Mapping[str, int]) -> _LinkKey:
-    """The edges and lanes of a connection, counted as after the shift of its edges."""
-    start, end = link.get("from", ""), link.get("to", "")
-    lanes = int(link.get("fromLane", "0")) + shifts.get(start, 0), int(link.get("toLane", "0")) + shifts.get(end, 0)
-    return start, end, *lanes
+def _between_streets(net: Net) -> list[Connection]:
+    """The connections between streets that lead over an inner lane."""
+    return [link for link in net.connections if link.via and not link.start.startswith(":")]
 
 
 SAME_M = 0.01  # as nets are written
@@ -173,13 +133,12 @@ _WALKS = ("walk", "personTrip", "tranship")
 _RIDES = ("ride", "transport")
 _PEOPLE = ("person", "personFlow", "container", "containerFlow")
 _RINGS = "NEMA"  # the type of programs that show a phase of each ring at once
-Way = tuple[str, ...]  # the edges of a route, or the first and the last edge of a trip
+_Way = tuple[str, ...]  # the edges of a route, or the first and the last edge of a trip
 _SHORT_S = 8.0  # of a phase in which everything is red: shorter ones clear the junction, longer ones are for walkers
 _RED = frozenset("rRs")
 _GREEN = frozenset("Gg")
 _OFF = frozenset("oO")
 _CHANGING = frozenset("yYu")
-_STRAIGHT = "s"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,54 +151,53 @@ class _NeverGreen:
     rings: bool  # whether it is a NEMA controller's
 
 
-@dataclass(slots=True, kw_only=True)
 class Paving:
     """What is known of a scenario while its files are gone through, and what was done."""
 
-    lanes: _LaneMap
-    signals: Mapping[str, _SignalLinks]
-    routes: dict[str, Way] = field(default_factory=dict)  # by id, of all files
-    members: dict[str, str] = field(default_factory=dict)  # a distribution of routes -> its first, where it names that
-    placed: int = 0  # elements that lie on a lane
-    programs: int = 0
-    moved_m: dict[str, float] = field(default_factory=dict)  # element -> how far, where that is farther than FAR_M
-    lost: list[str] = field(default_factory=list)  # lanes within junctions that are not found again
-    never_green: list[_NeverGreen] = field(default_factory=list)
-    overridden: set[str] = field(default_factory=set)  # signals of which SUMO loads a program after the net's
-    parking: list[str] = field(default_factory=list)  # parking areas beside lanes that have a pavement now
+    def __init__(self, before: Net, after: Net) -> None:
+        """The net, and the same with pavements. Raises TownError when the second is not the first with pavements."""
+        self.lanes = _LaneMap(before, after)
+        self.signals = _find_links(before, after, self.lanes)
+        self.routes: dict[str, _Way] = {}  # by id, of all files
+        self.members: dict[str, str] = {}  # a distribution of routes -> its first, where it names that
+        self.placed = 0  # elements that lie on a lane
+        self.programs = 0
+        self.moved_m: dict[str, float] = {}  # element -> how far, where that is farther than FAR_M
+        self.lost: list[str] = []  # lanes within junctions that are not found again
+        self.never_green: list[_NeverGreen] = []
+        self.overridden: set[str] = set()  # signals of which SUMO loads a program after the net's
+        self.parking: list[str] = []  # parking areas beside lanes that have a pavement now
 
+    def note_routes(self, root: Element) -> None:
+        """Note the edges of every route, and of every distribution of routes, that has a name."""
+        for element in root.iter():
+            name, tag = element.get("id", ""), _tag(element)
+            if name and tag == "route" and (edges := element.get("edges", "").split()):
+                self.routes[name] = tuple(edges)
+            elif name and tag == "routeDistribution":
+                if member := _first_member(element):
+                    self.members[name] = member
+                elif way := _way(element, self):
+                    self.routes[name] = way
 
-def note_routes(root: Element, paving: Paving) -> None:
-    """Note the edges of every route, and of every distribution of routes, that has a name."""
-    for element in root.iter():
-        name, tag = element.get("id", ""), _tag(element)
-        if name and tag == "route" and (edges := element.get("edges", "").split()):
-            paving.routes[name] = tuple(edges)
-        elif name and tag == "routeDistribution":
-            if member := _first_member(element):
-                paving.members[name] = member
-            elif way := _way(element, paving):
-                paving.routes[name] = way
+    def find_edits(self, root: Element, *, in_net: bool = False) -> dict[int, dict[str, str]]:
+        """Attributes of a file, or of the net, that get other values: number of the element -> attribute -> value."""
+        found: dict[int, dict[str, str]] = {}
+        number_of = {element: number for number, element in enumerate(root.iter())}
+        for element, number in number_of.items():
+            tag = _tag(element)
+            if tag == "tlLogic":
+                found |= _program(element, number_of, self, in_net)
+            changes = _placed(element, tag, self) | _travelling(element, tag, self)
+            if changes := {key: value for key, value in changes.items() if value != element.get(key)}:
+                found[number] = changes
+        return found
 
 
 def _first_member(distribution: Element) -> str:
     """The name of the route that a distribution names first; empty where it holds its first route itself."""
     names = distribution.get("routes", "").split()
     return names[0] if names else next((child.get("refId", "") for child in distribution), "")
-
-
-def find_edits(root: Element, paving: Paving, *, in_net: bool = False) -> dict[int, dict[str, str]]:
-    """Attributes of a file, or of the net, that get other values: number of the element -> attribute -> value."""
-    found: dict[int, dict[str, str]] = {}
-    number_of = {element: number for number, element in enumerate(root.iter())}
-    for element, number in number_of.items():
-        tag = _tag(element)
-        if tag == "tlLogic":
-            found |= _program(element, number_of, paving, in_net)
-        changes = _placed(element, tag, paving) | _travelling(element, tag, paving)
-        if changes := {key: value for key, value in changes.items() if value != element.get(key)}:
-            found[number] = changes
-    return found
 
 
 def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
@@ -280,23 +238,23 @@ def _note_placed(element: Element, tag: str, lane: str, paving: Paving) -> None:
 
 def _whole(element: Element, tag: str, lanes: list[str], found: Mapping[str, str], paving: Paving) -> dict[str, str]:
     """Keep something of an area that a junction has grown into."""
-    new = paving.lanes.new_lines[paving.lanes.moved[lanes[-1]]]
+    new_m = _length_m(paving.lanes.new_lines[paving.lanes.moved[lanes[-1]]])
     first = "startPos" if "startPos" in found else "pos"
     start_m, end_m = _number(found.get(first)), _number(found.get("endPos"))
     if tag in _AREAS and start_m is not None and start_m >= 0.0 and (size_m := _number(element.get("length"))):
-        start_m = min(start_m, max(0.0, new.length_m - LEAST_M))
-        return {first: _text(start_m), "length": _text(min(size_m, new.length_m - start_m))}
+        start_m = min(start_m, max(0.0, new_m - LEAST_M))
+        return {first: _text(start_m), "length": _text(min(size_m, new_m - start_m))}
     short = start_m is not None and end_m is not None and 0.0 <= end_m < start_m + LEAST_M
     if tag not in _SPANS or len(set(lanes)) > 1 or not short or start_m is None or end_m is None:
         return {}
-    end_m = min(max(end_m, LEAST_M), new.length_m)
+    end_m = min(max(end_m, LEAST_M), new_m)
     return {first: _text(max(0.0, end_m - LEAST_M)), "endPos": _text(end_m)}
 
 
 def _position(lane: str, pos_m: float, span: bool, lanes: _LaneMap) -> tuple[str, float]:
     """A position as it is written for the new net, and how far its place moved along the lane."""
     found_m, along_m = lanes.position(lane, pos_m, span=span)
-    old_m, new_m = lanes.lines[lane].length_m, lanes.new_lines[lanes.moved[lane]].length_m
+    old_m, new_m = _length_m(lanes.lines[lane]), _length_m(lanes.new_lines[lanes.moved[lane]])
     same_m = pos_m if pos_m >= 0.0 else pos_m + old_m
     kept = abs(found_m - same_m) <= SAME_M and (pos_m >= 0.0 or abs(new_m - old_m) <= SAME_M)
     return _text(pos_m if kept else found_m), along_m
@@ -333,7 +291,7 @@ def _travelling(element: Element, tag: str, paving: Paving) -> dict[str, str]:
     return found
 
 
-def _begin(person: Element, paving: Paving) -> Way | None:
+def _begin(person: Element, paving: Paving) -> _Way | None:
     """The edge where a person's plan begins, that of its first stage or of one after stops at named places."""
     for stage in person:
         if _tag(stage) == "stop":
@@ -347,7 +305,7 @@ def _begin(person: Element, paving: Paving) -> Way | None:
     return None
 
 
-def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool]:
+def _edge_at(element: Element, key: str, way: _Way, last: int) -> tuple[str, bool]:
     """The edge that an attribute names by number, `way[last]` without one; whether it is that one for sure."""
     number = element.get(key)
     if number is None:
@@ -358,7 +316,7 @@ def _edge_at(element: Element, key: str, way: Way, last: int) -> tuple[str, bool
     return way[int(number)], True
 
 
-def _way(element: Element, paving: Paving) -> Way | None:
+def _way(element: Element, paving: Paving) -> _Way | None:
     """The edges of a route, at least the first and the last, "" for one that is not named; None for neither."""
     inner = next((child for child in element.iter() if child.get("edges")), None)
     if edges := inner.get("edges", "").split() if inner is not None else []:
@@ -442,31 +400,25 @@ class _SignalLinks:
     crossings: dict[int, frozenset[str]] = field(default_factory=dict)  # link -> the edges that it crosses
 
 
-def find_links(before: Element, after: Element, shifts: Mapping[str, int]) -> dict[str, _SignalLinks]:
-    """The links of all traffic lights of a net that has crossings now; `shifts` says how lane indices moved."""
-    lit = [link for link in before.iterfind("connection") if link.get("tl")]
-    old = {(link.get("tl"), *_key(link, shifts)): int(link.get("linkIndex", "0")) for link in lit}
-    crossed = {
-        edge.get("id", ""): frozenset(edge.get("crossingEdges", "").split())
-        for edge in after.iterfind("edge")
-        if edge.get("function") == "crossing"
-    }
+def _find_links(before: Net, after: Net, lanes: _LaneMap) -> dict[str, _SignalLinks]:
+    """The links of all traffic lights of a net that has crossings now."""
+    old = {(link.tls_id, *lanes.key(link)): max(0, link.tls_link) for link in before.connections if link.tls_id}
+    crossed = {edge.id: frozenset(edge.crossed) for edge in after.edges if edge.function == "crossing"}
     found: dict[str, _SignalLinks] = defaultdict(_SignalLinks)
-    for link in after.iterfind("connection"):
-        if not (name := link.get("tl")):
+    for link in after.connections:
+        if not (name := link.tls_id):
             continue
-        signal, index, key = found[name], int(link.get("linkIndex", "0")), (name, *_key(link, {}))
-        numbers = (index, int(link.get("linkIndex2", "-1")))
+        signal, index, key = found[name], max(0, link.tls_link), (name, *lanes.key(link, shifted=False))
+        numbers = (index, link.tls_link2)
         signal.count = max(signal.count, *(number + 1 for number in numbers))
-        crossing = next((crossed[name] for name in (key[2], key[1]) if name in crossed), None)
+        crossing = next((crossed[name] for name in (link.end, link.start) if name in crossed), None)
         if crossing is not None and key not in old:
             signal.crossings |= {number: crossing for number in numbers if number >= 0}
             continue
         if key in old:
             signal.was[index] = old[key]
         if crossing is None:
-            straight = link.get("dir", "").lower() == _STRAIGHT
-            signal.drives.append(_VehicleLink(link=index, start=key[1], end=key[2], straight=straight))
+            signal.drives.append(_VehicleLink(link=index, start=link.start, end=link.end, straight=link.straight))
     return dict(found)
 
 

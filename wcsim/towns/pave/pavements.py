@@ -22,21 +22,13 @@ from xml.sax.saxutils import escape
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import (
-    FASTEST_MPS,
-    netedit_cure,
-    pave_command,
-    paved_streets,
-    signals_cure,
-    slowest_street_mps,
-    speeds_mps,
-)
+from wcsim.towns.checks.cures import FASTEST_MPS, Cures
 from wcsim.towns.importing.adopt import copy_scenario
 from wcsim.towns.importing.folder_texts import check_new
-from wcsim.towns.pave.elements import Paving, find_edits, find_links, lane_map, note_routes
+from wcsim.towns.pave.elements import Paving
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
-from wcsim.towns.sumo.net import LaneKind, Net, read_net
+from wcsim.towns.sumo.net import LaneKind, Net, net_of, read_net
 from wcsim.towns.sumo.tools import Limits, by_file, run_tool
 from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip, xml_bytes
 
@@ -55,7 +47,7 @@ def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     programs = Element("additional")
     programs.extend(logic for logic in before.iterfind("tlLogic") if logic.get("id") in paving.signals)
     elements = list(programs.iter())
-    for number, changes in find_edits(programs, paving, in_net=True).items():
+    for number, changes in paving.find_edits(programs, in_net=True).items():
         elements[number].attrib.update(changes)
     theirs = {logic.get("id") for logic in programs}
     made = [logic for logic in after.iterfind("tlLogic") if logic.get("id") in theirs]
@@ -151,7 +143,7 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     if net.lanes(LaneKind.CROSSING):
         raise TownError(
             f"{town.net}: has pavements and crossings already, and more would break them; connect the parts: "
-            f"{netedit_cure(town)}"
+            f"{Cures(town).netedit()}"
         )
     config = read_configuration(town.sumocfg)
     with whole_folder(out) as work:
@@ -162,21 +154,20 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
         before = _root(place)
         _convert(place, _unpaved(net), fastest_mps)
         after = _root(place)
-        lanes = lane_map(before, after)
-        shifts = {edge: lanes.shift(edge) for edge in lanes.before}
-        paving = Paving(lanes=lanes, signals=find_links(before, after, shifts))
+        nets = net_of(before, place.name), net_of(after, place.name)
+        paving = Paving(*nets)
         if _keep_programs(before, after, paving):
             _write(place, xml_bytes(after))
         _change(tuple(work / path.relative_to(base) for path in files), place, paving)
-        crossings = _count(after, "crossing")
-        if not crossings and not any(shifts.values()):
+        crossings, streets = _count(nets[1], "crossing"), sum(map(paving.lanes.shift, paving.lanes.before))
+        if not crossings and not streets:
             raise TownError(_why_none(town, net, out, fastest_mps))
     return Paved(
         sumocfg=out / Path(os.path.normpath(config.path.absolute())).relative_to(base),
-        streets=sum(shifts.values()),
-        had=paved_streets(net),
+        streets=streets,
+        had=net.paved_streets,
         crossings=crossings,
-        walkingareas=_count(after, "walkingarea") - _count(before, "walkingarea"),
+        walkingareas=_count(nets[1], "walkingarea") - _count(nets[0], "walkingarea"),
         placed=paving.placed,
         programs=paving.programs,
         moved_m=tuple(sorted(paving.moved_m.items(), key=lambda item: -item[1])),
@@ -184,8 +175,8 @@ def pave_town(town: Town, out: Path, fastest_mps: float = FASTEST_MPS) -> Paved:
     )
 
 
-def _count(net: Element, function: str) -> int:
-    return sum(edge.get("function") == function for edge in net.iterfind("edge"))
+def _count(net: Net, function: str) -> int:
+    return sum(edge.function == function for edge in net.edges)
 
 
 def _unpaved(net: Net) -> list[str]:
@@ -196,14 +187,14 @@ def _unpaved(net: Net) -> list[str]:
 def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str, ...]:
     """How many streets have no pavement for their speed, with the command that gives them one; what junctions got."""
     bare = (edge for edge in net.edges if all(lane.kind is not LaneKind.SIDEWALK for lane in edge.lanes))
-    limits = speeds_mps(net)
+    limits = net.speeds_mps
     fast = [limits[edge.id] for edge in bare if limits.get(edge.id, 0.0) > fastest_mps]
     notes = []
     if fast:
         other = out.with_name(f"{out.name}-{math.ceil(max(fast))}")
         notes.append(
             f"{len(fast)} of {len(limits)} streets are faster than {fastest_mps:g} m/s and got no pavement; to include "
-            f"them, in another folder: {pave_command(town, other, max(fast))}"
+            f"them, in another folder: {Cures(town).pave_into(other, max(fast))}"
         )
     if not any(edge.function == "internal" for edge in net.edges):
         notes.append(
@@ -213,12 +204,14 @@ def _net_notes(town: Town, net: Net, out: Path, fastest_mps: float) -> tuple[str
 
 
 def _why_none(town: Town, net: Net, out: Path, fastest_mps: float) -> str:
-    problem, slowest_mps = f"{town.net}: none of its streets got a pavement: ", slowest_street_mps(net)
+    problem, slowest_mps = f"{town.net}: none of its streets got a pavement: ", net.slowest_mps
     if slowest_mps is None:
         return f"{problem}none is open to cars; choose another scenario"
     if slowest_mps <= fastest_mps:
         return f"{problem}netconvert guessed none; draw them in netedit"
-    return f"{problem}all are faster than {fastest_mps:g} m/s; to include them: {pave_command(town, out, slowest_mps)}"
+    return (
+        f"{problem}all are faster than {fastest_mps:g} m/s; to include them: {Cures(town).pave_into(out, slowest_mps)}"
+    )
 
 
 def _convert(net: Path, unpaved: list[str], fastest_mps: float) -> None:
@@ -249,13 +242,13 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
     """Change what names lanes, positions or signals in the copies, and write those that differ."""
     others = [path for path in files if path != net and path.suffix != ".sumocfg" and _is_xml(path)]
     for path in others:
-        note_routes(_root(path), paving)
+        paving.note_routes(_root(path))
     for path in others:
         data, root = read_bytes(path), _root(path)
         if root.tag == "net":
             continue
         try:
-            edits = find_edits(root, paving)
+            edits = paving.find_edits(root)
         except TownError as error:
             raise TownError(f"{path.name}: {error}") from None
         if edits:
@@ -269,7 +262,7 @@ def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
         notes.append(
             f"parking areas on the new pavement of their lane: {names}; if wheelchairs must pass, move them in netedit"
         )
-    notes += _never_green(paving, f"add a phase in netedit, or {signals_cure(net)}", in_net=True)
+    notes += _never_green(paving, f"add a phase in netedit, or {Cures.signals(net)}", in_net=True)
     notes += _never_green(paving, "add a phase there", in_net=False)
     if paving.lost:
         names = listed(paving.lost, TOLD)

@@ -110,6 +110,33 @@ class Configuration:
         """The value that the author gave an option, None when it is not mentioned."""
         return next((item.value for item in self.given if item.option.name == name), None)
 
+    def number(self, name: str, otherwise: float) -> float:
+        """The number that the author gave an option; `otherwise` where that is none: SUMO refuses it in its words."""
+        try:
+            return float(self.value(name) or otherwise)
+        except ValueError:
+            return otherwise
+
+    @property
+    def scale(self) -> float:
+        """The author's own factor of the demand."""
+        return self.number("scale", 1.0)
+
+    def seconds(self, name: str, otherwise: str) -> float:
+        """A time of SUMO's, in seconds or as [[days:]hours:]minutes:seconds. Raises TownError.
+
+        >>> times = SumoOption(name="begin", topic="time", kind="TIME")
+        >>> given = (GivenOption(option=times, value="1:00:30"),)
+        >>> Configuration(path=Path("x"), given=given).seconds("begin", "0")
+        3630.0
+        """
+        text = self.value(name) or otherwise
+        try:
+            parts = [float(part) for part in reversed(text.split(":"))]
+        except ValueError:
+            raise TownError(f"{self.path}: {text!r} is not a time; expected seconds or hours:minutes:seconds") from None
+        return sum(part * share for part, share in zip(parts, (1, 60, 3600, 86400), strict=False))
+
     def files(self, name: str) -> tuple[Path, ...]:
         """The files that an option names."""
         return next((item.files(self.path.parent) for item in self.given if item.option.name == name), ())

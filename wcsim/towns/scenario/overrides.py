@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from wcsim.config import RunConfig
 from wcsim.towns.scenario.options import Configuration, Treatment, sumo_options
@@ -43,51 +44,42 @@ def settings_of(config: RunConfig, seed: int) -> Settings:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Rule:
-    """What happens to an option, in words for the guide; `value` is fixed, or "" where it depends on the run."""
+class _Rule(NamedTuple):
+    """What happens to an option, in words for the guide."""
 
     option: str
     says: str
     why: str
-    value: str = ""
+    fixed: bool = False  # to the value that `says` is, in every run
 
 
 STEP, _ACTION_STEP = "step-length", "default.action-step-length"
 JUMPING = "nonInteracting"
 """Of the models of pedestrians, the one whose people have no way between two streets."""
 RULES = (
-    _Rule(option="step-length", says="`world.tick_s`", why="one tick is one step of SUMO"),
+    _Rule("step-length", "`world.tick_s`", "one tick is one step of SUMO"),
+    _Rule(_ACTION_STEP, "kept, unless `world.action_step_s` is set", "the run sets how often drivers decide"),
+    _Rule("seed", "drawn from `--seed`", "one seed for all random draws"),
+    _Rule("random", "false", "equal seeds give equal traffic", fixed=True),
     _Rule(
-        option=_ACTION_STEP,
-        says="kept, unless `world.action_step_s` is set",
-        why="the run sets how often drivers decide",
+        "scale",
+        "the scenario's value times `world.demand_scale`; kept while that is 1",
+        "the run sets the amount of traffic",
     ),
-    _Rule(option="seed", says="drawn from `--seed`", why="one seed for all random draws"),
-    _Rule(option="random", says="false", value="false", why="equal seeds give equal traffic"),
+    _Rule("time-to-teleport", "kept, unless `world.jam_teleport_s` is set", "the run sets when a jam ends"),
     _Rule(
-        option="scale",
-        says="the scenario's value times `world.demand_scale`; kept while that is 1",
-        why="the run sets the amount of traffic",
+        "pedestrian.model",
+        f"kept; with `{JUMPING}` pedestrians jump between streets and ignore wheelchairs",
+        "SUMO moves pedestrians",
     ),
-    _Rule(
-        option="time-to-teleport",
-        says="kept, unless `world.jam_teleport_s` is set",
-        why="the run sets when a jam ends",
-    ),
-    _Rule(
-        option="pedestrian.model",
-        says=f"kept; with `{JUMPING}` pedestrians jump between streets and ignore wheelchairs",
-        why="SUMO moves pedestrians",
-    ),
-    _Rule(option="no-step-log", says="true", value="true", why="wcsim writes to the console"),
-    _Rule(option="no-warnings", says="true", value="true", why="wcsim writes to the console"),
-    _Rule(option="duration-log.disable", says="true", value="true", why="wcsim writes to the console"),
-    _Rule(option="xml-validation", says="never", value="never", why="no schema is downloaded"),
-    _Rule(option="xml-validation.net", says="never", value="never", why="no schema is downloaded"),
-    _Rule(option="xml-validation.routes", says="never", value="never", why="no schema is downloaded"),
+    _Rule("no-step-log", "true", "wcsim writes to the console", fixed=True),
+    _Rule("no-warnings", "true", "wcsim writes to the console", fixed=True),
+    _Rule("duration-log.disable", "true", "wcsim writes to the console", fixed=True),
+    _Rule("xml-validation", "never", "no schema is downloaded", fixed=True),
+    _Rule("xml-validation.net", "never", "no schema is downloaded", fixed=True),
+    _Rule("xml-validation.routes", "never", "no schema is downloaded", fixed=True),
 )
-_FIXED = tuple((rule.option, rule.value) for rule in RULES if rule.value)
+_FIXED = tuple((rule.option, rule.says) for rule in RULES if rule.fixed)
 _WHY = {rule.option: rule.why for rule in RULES}
 _FASTER = (
     "; traffic that was calibrated for longer steps drives 10 to 20 % faster; to correct it, set world.action_step_s "
@@ -139,7 +131,7 @@ def _override(config: Configuration, name: str, value: str, why: str) -> Overrid
 
 def _forced_rows(config: Configuration, settings: Settings) -> Iterator[Override]:
     """What a world sets, where that is another value than it would have been."""
-    for name, value in forced(settings, author_scale(config)):
+    for name, value in forced(settings, config.scale):
         author, default = config.value(name), sumo_options()[name].default
         if not _same(default if author is None else author, value):
             given = f"{default} (default)" if author is None and name == STEP else author or ""
@@ -174,14 +166,6 @@ def _seconds(text: str) -> float:
         return float(text)
     except ValueError:
         return 0.0  # as hours:minutes:seconds, which no step is written in
-
-
-def author_scale(config: Configuration) -> float:
-    """The author's own factor of the demand."""
-    try:
-        return float(config.value("scale") or 1.0)
-    except ValueError:
-        return 1.0  # SUMO refuses it with a message of its own
 
 
 def _same(author: str, value: str) -> bool:

@@ -25,7 +25,6 @@ from wcsim.towns.scenario.overrides import (
     JUMPING,
     Override,
     Settings,
-    author_scale,
     forced,
     overrides_of,
     settings_of,
@@ -67,12 +66,12 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     names = files.names
     names.unique(town.sumocfg.name)
     _make(folder)
-    set_here = dict(forced(settings, author_scale(config)))
+    set_here = dict(forced(settings, config.scale))
     unasked = _unasked_outputs(config, names)
     kept = [
         (item.option, _value(item, config, names, files))
         for item in config.given
-        if _stays(item, set_here) and item.option.name not in unasked
+        if item.value and item.option.treatment is not Treatment.DROP and item.option.name not in (*set_here, *unasked)
     ]
     kept += _asked_for(outputs, config, names)
     kept += [(sumo_options()[name], value) for name, value in (set_here | unasked).items()]
@@ -80,17 +79,17 @@ def stage_scenario(town: Town, settings: Settings, folder: Path, outputs: Sequen
     sumocfg = names.folder / town.sumocfg.name
     sumocfg.write_text(text, encoding="utf-8")
     led = [
-        (option.name, value)
+        (option.name, value.replace(f"{names.folder}/", "sumo/"))
         for option, value in kept
         if option.treatment is Treatment.OUTPUT and config.value(option.name) is not None
     ]
     return Scenario(
         sumocfg=sumocfg,
-        overrides=overrides_of(config, settings, [(name, _shown(value, names.folder)) for name, value in led]),
+        overrides=overrides_of(config, settings, led),
         notes=_notes_of(config),
         outputs=names.paths,
-        author_scale=author_scale(config),
-        begin_s=parse_seconds(config.value("begin") or "0", town.sumocfg),
+        author_scale=config.scale,
+        begin_s=config.seconds("begin", "0"),
         digest=_digest(text, settings, names.folder, files),
         inputs=tuple(files.read),
     )
@@ -118,7 +117,7 @@ def scenario_overrides(town: Town, settings: Settings) -> tuple[Override, ...]:
 def _notes_of(config: Configuration) -> tuple[str, ...]:
     """What the users of a scenario should know of its own choices."""
     notes = []
-    if not _positive(config.value("lateral-resolution")):
+    if config.number("lateral-resolution", 0.0) <= 0.0:
         notes.append(
             "the scenario has no lateral-resolution, so vehicles pass a wheelchair only by changing lanes; to let "
             'them pass within a lane, set <lateral-resolution value="0.8"/>'
@@ -137,30 +136,11 @@ def _refuse_mesoscopic(config: Configuration) -> None:
         raise TownError(f"{config.path}: is mesoscopic (mesosim): vehicles have no positions; remove that option")
 
 
-def parse_seconds(text: str, where: Path) -> float:
-    """A time of SUMO's, in seconds or as [[days:]hours:]minutes:seconds. Raises TownError.
-
-    >>> parse_seconds("1:00:30", Path("x"))
-    3630.0
-    """
-    try:
-        total_s = 0.0
-        for part, share in zip(reversed(text.split(":")), (1, 60, 3600, 86400), strict=False):
-            total_s += float(part) * share
-        return total_s
-    except ValueError:
-        raise TownError(f"{where}: {text!r} is not a time; expected seconds or hours:minutes:seconds") from None
-
-
 def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise TownError(f"{folder}: cannot be created ({error.strerror}); choose another run folder") from None
-
-
-def _stays(item: GivenOption, set_here: dict[str, str]) -> bool:
-    return item.option.treatment is not Treatment.DROP and item.option.name not in set_here and item.value != ""
 
 
 def _value(item: GivenOption, config: Configuration, names: OutputNames, files: FilteredFiles) -> str:
@@ -220,10 +200,6 @@ def _quoted(path: Path) -> str:
     return str(path).replace("%", "%25").replace("${", "%24{")
 
 
-def _shown(value: str, folder: Path) -> str:
-    return value.replace(f"{folder}/", "sumo/")
-
-
 def _digest(text: str, settings: Settings, folder: Path, files: FilteredFiles) -> str:
     """Equal for equal scenarios, wherever they lie and whatever the seed."""
     neutral = text.replace(str(folder), "").replace(f'<seed value="{settings.seed}"', "")
@@ -234,10 +210,3 @@ def _digest(text: str, settings: Settings, folder: Path, files: FilteredFiles) -
             digest.update(hashlib.file_digest(file, "sha256").digest())
     digest.update(neutral.encode())
     return digest.hexdigest()
-
-
-def _positive(text: str | None) -> bool:
-    try:
-        return float(text or 0.0) > 0.0
-    except ValueError:
-        return False

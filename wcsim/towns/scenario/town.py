@@ -302,10 +302,11 @@ def hash_files(folder: Path, name: str) -> dict[str, str]:
     return {kind: _digest(path) for kind, path in paths.items() if path.is_file()}
 
 
-def find_changes(town: Town) -> tuple[Path, ...]:
-    """Files that were changed since the import; nothing for a town without a manifest."""
-    noted = {_path(town, kind): digest for kind, digest in town.file.hashes.items()}
-    return tuple(path for path, digest in noted.items() if _now(path) != digest)
+def find_changes(folder: Path, file: TownFile) -> tuple[Path, ...]:
+    """Files of a town's folder that were changed since the import; nothing for a town without a manifest."""
+    # in an adopted scenario files are noted by their place in the folder
+    noted = {folder / (f"{file.name}.{kind}" if kind in KINDS else kind): was for kind, was in file.hashes.items()}
+    return tuple(path for path, was in noted.items() if _now(path) != was)
 
 
 def own_work(folder: Path) -> tuple[str, ...]:
@@ -317,10 +318,8 @@ def own_work(folder: Path) -> tuple[str, ...]:
     name = file.name
     written = {*BESIDE, f"osm/{name}.osm.xml.gz", *(f"{name}.{kind}" for kind in KINDS)} if file.rebuild else set()
     there = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
-    changed = {f"{name}.{kind}" for kind, digest in file.hashes.items() if _now(folder / f"{name}.{kind}") != digest}
-    if _by_hand(file):
-        changed.add("town.toml")
-    return tuple(sorted((there - written) | (changed & there)))
+    changed = set(find_changes(folder, file)) | ({folder / "town.toml"} if _by_hand(file) else set())
+    return tuple(sorted(name for name in there if name not in written or folder / name in changed))
 
 
 def chair_ways(cycle_paths: bool) -> tuple[ChairWay, ...]:
@@ -339,11 +338,6 @@ def _now(path: Path) -> str:
         return _digest(path) if path.is_file() else ""
     except TownError:
         return ""
-
-
-def _path(town: Town, kind: str) -> Path:
-    """The file that is meant; in an adopted scenario files are noted by their place in the folder."""
-    return town.folder / (f"{town.name}.{kind}" if kind in KINDS else kind)
 
 
 def _digest(path: Path) -> str:

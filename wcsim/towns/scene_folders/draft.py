@@ -85,7 +85,7 @@ class Draft:
     routes: str = ""
     start_m: XY
     heading_deg: float = 90.0
-    goal_m: XY
+    ahead_m: float = 30.0  # to the goal: east of the start, beyond what is reached
     stick: tuple[Push, ...]
     duration_s: float
     attention_share: float = 0.0
@@ -104,7 +104,6 @@ def mirrored(draft: Draft) -> Draft:
             things=tuple(t._replace(outline_m=tuple((x, -y) for x, y in t.outline_m)) for t in place.things),
         ),
         start_m=(draft.start_m[0], -draft.start_m[1]),
-        goal_m=(draft.goal_m[0], -draft.goal_m[1]),
         heading_deg=180.0 - draft.heading_deg,
         stick=tuple(push._replace(right=-push.right) for push in draft.stick),
         lefthand=not draft.lefthand,
@@ -188,7 +187,7 @@ attention_share = {_text(draft.attention_share)}
 [[seats]]
 start_m = [{_text(draft.start_m[0])}, {_text(draft.start_m[1])}]
 heading_deg = {_text(draft.heading_deg)}
-goal_m = [{_text(draft.goal_m[0])}, {_text(draft.goal_m[1])}]
+goal_m = [{_text(draft.start_m[0] + draft.ahead_m)}, {_text(draft.start_m[1])}]
 recording = "{RECORDING}"
 """
 
@@ -219,22 +218,20 @@ class Pavement(NamedTuple):
             f'sidewalkWidth="{self.width_m:.2f}" disallow="pedestrian wheelchair"/>'
         )
 
+    def street(self, *things: _Thing, kerb_height_m: float = 0.12) -> Place:
+        """A street that runs east between such pavements; `things` stand beside it."""
+        return Place(
+            nodes=(Node("W", -END_M, 0.0), Node("E", END_M, 0.0)),
+            types=self.types(),
+            edges=_EDGES,
+            crossings=_CROSSING,
+            things=things,
+            kerb_height_m=kerb_height_m,
+        )
 
-def street(pavement: Pavement, *things: _Thing, kerb_height_m: float = 0.12) -> Place:
-    """A street that runs east between pavements; `things` stand beside it."""
-    return Place(
-        nodes=(Node("W", -END_M, 0.0), Node("E", END_M, 0.0)),
-        types=pavement.types(),
-        edges=_EDGES,
-        crossings=_CROSSING,
-        things=things,
-        kerb_height_m=kerb_height_m,
-    )
-
-
-def row(pavement: Pavement, away_m: float = 0.0) -> _Thing:
-    """A row of houses along a pavement, so far from it."""
-    return house("row", (-45.0, 45.0), pavement.outer_y_m - away_m)
+    def row(self, away_m: float = 0.0) -> _Thing:
+        """A row of houses along it, so far from it."""
+        return house("row", (-45.0, 45.0), self.outer_y_m - away_m)
 
 
 def house(name: str, x_m: XY, near_y_m: float, kind: str = "building") -> _Thing:

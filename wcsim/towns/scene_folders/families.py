@@ -40,11 +40,8 @@ from wcsim.towns.scene_folders.draft import (
     mirrored,
     path_types,
     predict_path,
-    row,
-    street,
 )
 
-_AHEAD_M = 30.0  # the destination, beyond what is reached
 _ROAD = f'<type id="road" priority="3" numLanes="1" speed="8.33" width="{LANE_M}" disallow="pedestrian wheelchair"/>'
 _WALK = '<type id="walk" priority="1" numLanes="1" speed="2.78" width="{:.2f}" allow="pedestrian"/>'
 _ROAD_AND_WALK = """\
@@ -67,10 +64,9 @@ def _reversing_off_kerb(rng: np.random.Generator) -> Draft:
     )
     return Draft(
         shows="A wheelchair stands across the pavement, its back to the road, and its user backs up too far.",
-        place=street(pavement, row(pavement), kerb_height_m=rng.uniform(0.1, 0.15)),
+        place=pavement.street(pavement.row(), kerb_height_m=rng.uniform(0.1, 0.15)),
         start_m=start_m,
         heading_deg=heading_deg,
-        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
         stick=stick,
         duration_s=begin_s + back_s + 6.0,
     )
@@ -92,10 +88,9 @@ def _turning_beside_drop(rng: np.random.Generator) -> Draft:
     )
     return Draft(
         shows="A wheelchair stands along a kerb, and its user turns it there, forwards or backing up, over the edge.",
-        place=street(pavement, row(pavement, rng.uniform(0.0, 3.0))),
+        place=pavement.street(pavement.row(rng.uniform(0.0, 3.0))),
         start_m=start_m,
         heading_deg=90.0 + rng.uniform(-6.0, 6.0),
-        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
         stick=stick,
         duration_s=done_s + 5.0,
     )
@@ -129,10 +124,9 @@ def _twisted_ramp(rng: np.random.Generator) -> Draft:
             ),
             types=f"{_ROAD}\n{_WALK.format(pavement.width_m)}",
             edges=_ROAD_AND_WALK,
-            things=(row(pavement, rng.uniform(0.0, 2.0)),),
+            things=(pavement.row(rng.uniform(0.0, 2.0)),),
         ),
         start_m=start_m,
-        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
         stick=stick,
         duration_s=pull_s + pulls_s + 7.0,
     )
@@ -158,10 +152,9 @@ def _footplate_swing(rng: np.random.Generator) -> Draft:
     west_m = start_m[0] - rng.uniform(2.0, 8.0)
     return Draft(
         shows="A wheelchair stands close beside a wall, and its user turns towards it on the spot.",
-        place=street(pavement, house("wall", (west_m, west_m + rng.uniform(10.0, 20.0)), near_y_m, kind)),
+        place=pavement.street(house("wall", (west_m, west_m + rng.uniform(10.0, 20.0)), near_y_m, kind)),
         start_m=start_m,
         heading_deg=90.0 + rng.uniform(-4.0, 4.0),
-        goal_m=(start_m[0] + _AHEAD_M, start_m[1]),
         stick=stick,
         duration_s=begin_s + turn_s + 6.0,
     )
@@ -222,7 +215,7 @@ def _overtaking_rider(rng: np.random.Generator) -> Draft:
         ),
         routes=routes,
         start_m=start_m,
-        goal_m=(END_M - 5.0, start_m[1]),
+        ahead_m=END_M - 5.0,
         stick=stick,
         duration_s=drift_s + 9.0,
     )
@@ -263,7 +256,7 @@ def _scooter_cuts_in(rng: np.random.Generator) -> Draft:
         ),
         routes=routes,
         start_m=start_m,
-        goal_m=(merge_m + END_M - 5.0, start_m[1]),
+        ahead_m=merge_m + END_M - 5.0,
         stick=stick,
         duration_s=merge_s + 8.0,
     )
@@ -305,9 +298,9 @@ def _car_door(rng: np.random.Generator) -> Draft:
     return Draft(
         shows="The door of a parked car opens over the pavement in front of a wheelchair.",
         routes=routes,
-        place=street(pavement, row(pavement)),
+        place=pavement.street(pavement.row()),
         start_m=start_m,
-        goal_m=(45.0, start_m[1]),
+        ahead_m=65.0,
         stick=stick,
         duration_s=open_s + 8.0,
     )
@@ -345,7 +338,7 @@ def _bus_at_corner(rng: np.random.Generator) -> Draft:
         place=_junction(pavement, west_m),
         routes=routes,
         start_m=start_m,
-        goal_m=(35.0, start_m[1]),
+        ahead_m=35.0 - start_m[0],
         stick=stick,
         duration_s=enters_s + 9.0,
     )
@@ -390,9 +383,9 @@ def _oncoming_pair(rng: np.random.Generator) -> Draft:
     return Draft(
         shows="Two people walk abreast towards a wheelchair on a pavement that is too narrow for the three.",
         routes=f"{WALKER.format(pace_mps)}\n{people}",
-        place=street(pavement, row(pavement)),
+        place=pavement.street(pavement.row()),
         start_m=start_m,
-        goal_m=(45.0, start_m[1]),
+        ahead_m=65.0,
         stick=stick,
         duration_s=meet_s + 8.0,
         attention_share=1.0,
@@ -417,9 +410,9 @@ def _person_turns_round(rng: np.random.Generator) -> Draft:
     return Draft(
         shows="Somebody walks in front of a wheelchair on a narrow pavement and turns round, or stops dead.",
         routes=f"{WALKER.format(pace_mps)}\n{person}",
-        place=street(pavement, row(pavement)),
+        place=pavement.street(pavement.row()),
         start_m=start_m,
-        goal_m=(45.0, start_m[1]),
+        ahead_m=65.0,
         stick=stick,
         duration_s=turn_s + 8.0,
         attention_share=1.0,

@@ -47,31 +47,24 @@ class Item:
     source: str = ""  # the file that says so
 
 
-class _Lanes:
-    """Lanes by id, looked up only when an item asks for one."""
+_Lanes = Mapping[str, Lane]
 
-    def __init__(self, net: Net | None) -> None:
-        self._net = net
-        self._by_id: Mapping[str, Lane] | None = None
 
-    def points_at(self, lane_id: str, places_m: tuple[float, ...], left_m: float = 0.0) -> F64:
-        """Points (n, 2) at positions along a lane, negative ones from its end, all moved to its left."""
-        if self._by_id is None:
-            edges = self._net.edges if self._net is not None else ()
-            self._by_id = {lane.id: lane for edge in edges for lane in edge.lanes}
-        lane = self._by_id.get(lane_id)
-        if lane is None or len(lane.points_m) < 2:
-            raise ValueError(f"the net has no lane {lane_id!r}")
-        line = shapely.LineString(lane.points_m)
-        length_m = lane.length_m or line.length
-        along = np.clip([(p if p >= 0.0 else p + length_m) / length_m for p in places_m], 0.0, 1.0) * line.length
-        here: F64 = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
-        if left_m == 0.0:
-            return here
-        ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, np.minimum(along + 0.1, line.length)))
-        behind = shapely.get_coordinates(shapely.line_interpolate_point(line, np.maximum(along - 0.1, 0.0)))
-        way = (ahead - behind) / np.maximum(1e-9, np.linalg.norm(ahead - behind, axis=1))[:, None]
-        return np.asarray(here + left_m * np.column_stack([-way[:, 1], way[:, 0]]))
+def _points_at(lanes: _Lanes, lane_id: str, places_m: tuple[float, ...], left_m: float = 0.0) -> F64:
+    """Points (n, 2) at positions along a lane, negative ones from its end, all moved to its left. Raises ValueError."""
+    lane = lanes.get(lane_id)
+    if lane is None or len(lane.points_m) < 2:
+        raise ValueError(f"the net has no lane {lane_id!r}")
+    line = shapely.LineString(lane.points_m)
+    length_m = lane.length_m or line.length
+    along = np.clip([(p if p >= 0.0 else p + length_m) / length_m for p in places_m], 0.0, 1.0) * line.length
+    here: F64 = shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+    if left_m == 0.0:
+        return here
+    ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, np.minimum(along + 0.1, line.length)))
+    behind = shapely.get_coordinates(shapely.line_interpolate_point(line, np.maximum(along - 0.1, 0.0)))
+    way = (ahead - behind) / np.maximum(1e-9, np.linalg.norm(ahead - behind, axis=1))[:, None]
+    return np.asarray(here + left_m * np.column_stack([-way[:, 1], way[:, 0]]))
 
 
 def read_items(files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | None = None) -> list[Item]:
@@ -81,7 +74,7 @@ def read_items(files: tuple[Path, ...], origin_m: tuple[int, int], net: Net | No
         TownError: a polygon or point is broken, or of an unknown type wcsim.*.
     """
     items: dict[tuple[str, bytes], Item] = {}
-    lanes = _Lanes(net)
+    lanes = {lane.id: lane for lane in net.every_lane} if net is not None else {}
     for path in files:
         for element in read_root(path):
             if element.tag in ("poly", "poi"):
@@ -132,7 +125,7 @@ def _place(element: Element, origin_m: tuple[int, int], lanes: _Lanes, must: boo
     if element.tag == "poi" and "lane" in element.attrib and "x" not in element.attrib:
         try:
             pos_m, left_m = _number(element.get("pos", "0")), _number(element.get("posLat", "0"))
-            return lanes.points_at(element.attrib["lane"], (pos_m,), left_m)
+            return _points_at(lanes, element.attrib["lane"], (pos_m,), left_m)
         except ValueError as error:
             _leave_out(element, str(error), must)
             return None
@@ -160,9 +153,9 @@ def _stop(element: Element, lanes: _Lanes, source: str) -> Item | None:
     """A stop of buses or trams: start, middle and end (3, 2) on the middle of its lane."""
     try:
         start_m, end_m = _number(element.get("startPos", "0")), _number(element.get("endPos", "-0.1"))
-        end = lanes.points_at(element.get("lane", ""), (start_m, end_m))
+        end = _points_at(lanes, element.get("lane", ""), (start_m, end_m))
         if np.hypot(*(end[1] - end[0])) < 0.5:  # a point is a stop too; its way is that of the lane
-            end = lanes.points_at(element.get("lane", ""), (max(0.0, start_m - 1.0), start_m + 1.0))
+            end = _points_at(lanes, element.get("lane", ""), (max(0.0, start_m - 1.0), start_m + 1.0))
     except ValueError as error:
         _leave_out(element, str(error), must=False)
         return None

@@ -83,6 +83,8 @@ class Connection:
     tls_id: str
     tls_link: int  # -1 for none
     via: str = ""  # the first lane inside the junction, "" for none
+    tls_link2: int = -1  # a second link of the same light, which shows the crossing's far half
+    straight: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +131,22 @@ class Net:
         """The edges from which or to which a signal lets anybody pass."""
         return {name for link in self.connections if link.tls_id for name in (link.start, link.end)}
 
+    @property
+    def paved_streets(self) -> int:
+        """How many streets have a pavement."""
+        return sum(any(lane.kind is LaneKind.SIDEWALK for lane in edge.lanes) for edge in self.streets)
+
+    @property
+    def speeds_mps(self) -> dict[str, float]:
+        """The speed limit of each street for cars, by its edge."""
+        motor = ((e.id, [lane.speed_mps for lane in e.lanes if lane.kind is LaneKind.MOTOR]) for e in self.edges)
+        return {edge: max(limits) for edge, limits in motor if limits and not edge.startswith(":")}
+
+    @property
+    def slowest_mps(self) -> float | None:
+        """The lowest speed limit of the streets for cars, None where there are none."""
+        return min(filter(None, self.speeds_mps.values()), default=None)
+
     def crossing_links(self) -> Iterator[tuple[str, Connection]]:
         """Each crossing that has a signal, by its edge, with each link by which it has it."""
         crossings = {lane.edge_id for lane in self.lanes(LaneKind.CROSSING)}
@@ -140,7 +158,11 @@ class Net:
 
 def read_net(path: Path, origin_m: tuple[int, int] = (0, 0)) -> Net:
     """Read a .net.xml[.gz]; all points are moved by -origin_m. Raises TownError when it is not a net."""
-    root = read_root(path)
+    return net_of(read_root(path), str(path), origin_m)
+
+
+def net_of(root: Element, path: str, origin_m: tuple[int, int] = (0, 0)) -> Net:
+    """A net by its root element; messages call its file `path`. Raises TownError as `read_net` does."""
     if root.tag != "net":
         raise TownError(f"{path}: its root element is <{root.tag}>; expected <net>: build it with netconvert")
     try:
@@ -272,6 +294,8 @@ def _connection(element: Element) -> Connection:
         tls_id=element.get("tl", ""),
         tls_link=int(element.get("linkIndex", "-1")),
         via=element.get("via", ""),
+        tls_link2=int(element.get("linkIndex2", "-1")),
+        straight=element.get("dir", "").lower() == "s",
     )
 
 

@@ -16,7 +16,7 @@ import re
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 from xml.etree import ElementTree
 from xml.parsers import expat
 
@@ -40,16 +40,6 @@ _DECLARED = re.compile(rb"<\?[xX][mM][lL][\s?]")
 _BLANKS = b" \t\r\n"
 _TRUE = frozenset(("1", "yes", "true", "on", "x", "t"))
 Visit = Callable[[str, list[str]], None]
-
-
-class _Machine(Protocol):
-    @property
-    def eof(self) -> bool: ...
-    @property
-    def unused_data(self) -> bytes: ...
-    @property
-    def needs_input(self) -> bool: ...
-    def decompress(self, data: bytes, max_length: int) -> bytes: ...
 
 
 class _Gunzip:
@@ -86,7 +76,7 @@ def bunzip2(file: BinaryIO, most: int) -> bytes:
     return _unpack(file, most, bz2.BZ2Decompressor)
 
 
-def _unpack(file: BinaryIO, most: int, make: Callable[[], _Machine]) -> bytes:
+def _unpack(file: BinaryIO, most: int, make: Callable[[], _Gunzip | bz2.BZ2Decompressor]) -> bytes:
     found, left, members, machine = list[bytes](), most, 1, make()
     data = file.read(_CHUNK_BYTES)
     while left > 0:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import networkx
 import numpy as np
@@ -82,14 +82,6 @@ _SEAM_M = 0.05  # pavements and crossings may be this far apart and still count 
 _SNAP_M = 1.5  # how far an end of a lane may move to stand where there is room
 SHORTEST_M = 3.0  # of the part of a lane that is kept when the whole cannot be passed
 REACH_M = 1.5  # how far a way may leave the lane or walking area that it belongs to
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Port:
-    """One end of a lane or crossing."""
-
-    node: int
-    p_m: F64  # (2,)
 
 
 def free_space(walkable: BaseGeometry, kerbs: BaseGeometry, solids: BaseGeometry) -> BaseGeometry:
@@ -169,7 +161,7 @@ class _Builder:
         self.nodes: list[F64] = []
         self.edges: list[WalkEdge] = []
         self._space = Patches(space)
-        self._ports: dict[str, list[_Port]] = {}
+        self._ends: dict[str, list[int]] = {}  # nodes by lane
 
     def add_lane(self, lane: Lane, kind: WayKind, signal: tuple[str, tuple[int, ...]] = ("", ())) -> None:
         """The way along a lane, as close to its middle as there is room; both its ends become nodes.
@@ -180,46 +172,46 @@ class _Builder:
             return
         local = self._local(shapely.LineString(lane.points_m).buffer(lane.width_m / 2 + REACH_M))
         ends = [_snapped(local, lane.points_m[k]) for k in (0, -1)]
-        ports = self._ports.setdefault(lane.id, [])
+        nodes = self._ends.setdefault(lane.id, [])
         if ends[0] is not None and ends[1] is not None:
             way = _along(local, np.concatenate([[ends[0]], lane.points_m[1:-1], [ends[1]]]))
             if way is not None:
-                both = (self._port(ends[0]), self._port(ends[1]))
-                ports += both
+                both = (self._node(ends[0]), self._node(ends[1]))
+                nodes += both
                 self._add(lane.id, kind, both, way, lane.width_m, signal)
                 return
         for end, points_m in zip(ends, (lane.points_m, lane.points_m[::-1]), strict=True):
             part = _first_part(local, np.concatenate([[end], points_m[1:]])) if end is not None else None
             if part is not None:
-                ports.append(self._port(part[0]))
-                self._add(lane.id, kind, (ports[-1], self._port(part[-1])), part, lane.width_m, signal)
+                nodes.append(self._node(part[0]))
+                self._add(lane.id, kind, (nodes[-1], self._node(part[-1])), part, lane.width_m, signal)
 
     def link(self, area: Lane, lane_ids: list[str]) -> None:
         """Ways through a walking area, from each lane that ends in it to each other."""
         outline = shapely.MultiPoint(area.points_m).convex_hull
-        ports = [self._near(lane_id, outline) for lane_id in lane_ids if self._ports.get(lane_id)]
-        local = self._local(outline.buffer(REACH_M)) if len(ports) > 1 else outline
-        for i, a in enumerate(ports):
-            for b in ports[i + 1 :]:
-                way = _shortest_inside(local, a.p_m, b.p_m) if a.node != b.node else None
+        nodes = [self._near(lane_id, outline) for lane_id in lane_ids if self._ends.get(lane_id)]
+        local = self._local(outline.buffer(REACH_M)) if len(nodes) > 1 else outline
+        for i, a in enumerate(nodes):
+            for b in nodes[i + 1 :]:
+                way = _shortest_inside(local, self.nodes[a], self.nodes[b]) if a != b else None
                 if way is not None:
                     self._add(area.edge_id, WayKind.WALKINGAREA, (a, b), way, area.width_m, ("", ()))
 
-    def _near(self, lane_id: str, outline: BaseGeometry) -> _Port:
-        return min(self._ports[lane_id], key=lambda port: shapely.distance(outline, shapely.points(port.p_m)))
+    def _near(self, lane_id: str, outline: BaseGeometry) -> int:
+        return min(self._ends[lane_id], key=lambda node: shapely.distance(outline, shapely.points(self.nodes[node])))
 
     def _local(self, around: BaseGeometry) -> BaseGeometry:
         return self._space.near(around.bounds).intersection(around)
 
-    def _port(self, p_m: F64) -> _Port:
+    def _node(self, p_m: F64) -> int:
         self.nodes.append(p_m)
-        return _Port(node=len(self.nodes) - 1, p_m=p_m)
+        return len(self.nodes) - 1
 
     def _add(
         self,
         sumo_id: str,
         kind: WayKind,
-        ports: tuple[_Port, _Port],
+        nodes: tuple[int, int],
         way: F64,
         width_m: float,
         signal: tuple[str, tuple[int, ...]],
@@ -227,8 +219,8 @@ class _Builder:
         edge = WalkEdge(
             sumo_id=sumo_id,
             kind=kind,
-            start=ports[0].node,
-            end=ports[1].node,
+            start=nodes[0],
+            end=nodes[1],
             points_W_m=way,
             width_m=width_m,
             tls_id=signal[0],

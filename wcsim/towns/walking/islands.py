@@ -31,22 +31,45 @@ class Islands:
     footways: frozenset[str]  # ids of ways, without a sign
     roads: frozenset[str]  # with vehicles on them
 
+    @classmethod
+    def by_links(cls, net: Net, net_path: Path) -> Islands:
+        """Islands of a net by the connections that SUMO's walkers use."""
+        return cls._of(net, net_path, *_linked(net))
+
+    @classmethod
+    def by_ground(cls, net: Net, net_path: Path, parts: list[BaseGeometry]) -> Islands:
+        """Islands of a net by its `walkable_parts`: a link that a carriageway covers is none for a wheelchair."""
+        return cls._of(net, net_path, _touching(net, parts), {number: part.area for number, part in enumerate(parts)})
+
+    @classmethod
+    def _of(cls, net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> Islands:
+        if not sizes_m2:
+            return cls(share=0.0, area_m2=0.0, footways=frozenset(), roads=frozenset())
+        main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part])
+        made_of = osm_ways_by_edge(net_path)
+        kept: set[str] = set()
+        stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
+        for edge in net.streets:
+            for way in made_of.get(edge.id, ()):
+                if part_of.get(edge.id, main) == main:
+                    kept.add(way)
+                else:
+                    quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
+                    stray[way] = stray.get(way, True) and quiet
+        loose = {way: quiet for way, quiet in stray.items() if way not in kept}
+        return cls(
+            share=sizes_m2[main] / max(1e-9, sum(sizes_m2.values())),
+            area_m2=sum(sizes_m2.values()),
+            footways=frozenset(way for way, quiet in loose.items() if quiet),
+            roads=frozenset(way for way, quiet in loose.items() if not quiet),
+        )
+
 
 def walkable_parts(net: Net, chair_ways: tuple[str, ...]) -> list[BaseGeometry]:
     """The connected parts of all pavements and crossings together."""
     surfaces = make_surfaces(on_land(net, fit_relief(net)), chair_ways)
     joined = buffered(buffered(shapely.union_all([surfaces.pavement, surfaces.crossing]), 0.05), -0.05)
     return polygons_of(joined)
-
-
-def islands_by_links(net: Net, net_path: Path) -> Islands:
-    """Islands of a net by the connections that SUMO's walkers use."""
-    return _islands(net, net_path, *_linked(net))
-
-
-def islands_by_ground(net: Net, net_path: Path, parts: list[BaseGeometry]) -> Islands:
-    """Islands of a net by its `walkable_parts`: a link that a carriageway covers is none for a wheelchair."""
-    return _islands(net, net_path, _touching(net, parts), {number: part.area for number, part in enumerate(parts)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,29 +96,6 @@ def largest_share(parts: list[BaseGeometry]) -> float:
     """Share of the walkable ground that its largest part holds, 0 to 1."""
     areas_m2 = [part.area for part in parts]
     return max(areas_m2) / sum(areas_m2) if areas_m2 else 0.0
-
-
-def _islands(net: Net, net_path: Path, part_of: dict[str, int], sizes_m2: dict[int, float]) -> Islands:
-    if not sizes_m2:
-        return Islands(share=0.0, area_m2=0.0, footways=frozenset(), roads=frozenset())
-    main = max(sorted(sizes_m2), key=lambda part: sizes_m2[part])
-    made_of = osm_ways_by_edge(net_path)
-    kept: set[str] = set()
-    stray: dict[str, bool] = {}  # way id -> True when only walkers and riders use it
-    for edge in net.streets:
-        for way in made_of.get(edge.id, ()):
-            if part_of.get(edge.id, main) == main:
-                kept.add(way)
-            else:
-                quiet = all(lane.kind in WALK_KINDS | {LaneKind.BIKE, LaneKind.CLOSED} for lane in edge.lanes)
-                stray[way] = stray.get(way, True) and quiet
-    loose = {way: quiet for way, quiet in stray.items() if way not in kept}
-    return Islands(
-        share=sizes_m2[main] / max(1e-9, sum(sizes_m2.values())),
-        area_m2=sum(sizes_m2.values()),
-        footways=frozenset(way for way, quiet in loose.items() if quiet),
-        roads=frozenset(way for way, quiet in loose.items() if not quiet),
-    )
 
 
 def _touching(net: Net, parts: list[BaseGeometry]) -> dict[str, int]:

@@ -210,10 +210,10 @@ def _resampled(points_m: F64, edges: I32) -> Route:
     owner = np.concatenate([np.repeat(edges[:-1], count), edges[-1:]]).astype(np.int32)
     fine_m = np.column_stack([np.interp(arc_m, corner_m, points_m[:, k]) for k in (0, 1)])
     through = _without_spurs(fine_m, arc_m)
-    if len(through) == len(fine_m):
-        return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
-    fine_m, owner = fine_m[through], owner[through]
-    return Route(points_W_m=fine_m, arc_m=arc_of(fine_m), edge_index=owner)
+    if len(through) < len(fine_m):
+        fine_m, owner = fine_m[through], owner[through]
+        arc_m = arc_of(fine_m)
+    return Route(points_W_m=fine_m, arc_m=arc_m, edge_index=owner)
 
 
 def _without_spurs(points_m: F64, arc_m: F64) -> list[int]:
