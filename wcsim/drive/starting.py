@@ -12,7 +12,7 @@ from wcsim.agents.evaluation.suite.drive import BlockOrder, Piece, in_scene, sea
 from wcsim.agents.evaluation.suite.list_file import TIGHT, Suite, open_suite, require_towns, shipped
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.policy_api import VISIBLE_BOUND, Policy, SeesTruth
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.constants import RECORDED
@@ -119,7 +119,7 @@ def _of_town(start: DriveStart) -> OpenPlace:
     return OpenPlace(
         start=start,
         town=town,
-        config=sensing(config, policy),
+        config=resolve(config, sensing(config, policy)),
         policy=policy,
         spec=spec,
         seed=start.seed,
@@ -140,7 +140,7 @@ def _of_suite(start: DriveStart, held: ExitStack) -> OpenPlace:
     if start.profile:
         episode = episode.model_copy(update={"profile": start.profile})
     tight = block.part == TIGHT
-    piece, config = Piece(index=start.block, block=block), sensing(config, policy)
+    piece, config = Piece(index=start.block, block=block), resolve(config, sensing(config, policy))
     if tight:
         order = in_scene(piece, config, work)
     else:

@@ -235,7 +235,7 @@ def _senses(driver: FilmDriver, seed: int, width: int) -> tuple[RunConfig, SeatS
     own = own.model_copy(update={"cameras": (*own.cameras, film)})
     policy = open_named(driver.policy, own, seed, driver.network or None)
     truth, visible = isinstance(policy, SeesTruth), policy.name == VISIBLE_BOUND
-    config = sensing(own, policy)
+    config = resolve(own, sensing(own, policy))
     return config, SeatSpec(profile=driver.profile, truth=truth, truth_visible=visible), policy
 
 

@@ -52,7 +52,7 @@ def test_senses_are_added_and_a_sensor_that_is_there_stays():
 def test_images_that_are_asked_for_are_given_to_who_is_no_network():
     plain = config()
     several = resolve(plain, ("env.window=3",))
-    assert [sensing(one, Numb(one)).env.window for one in (plain, several)] == [1, 3]
+    assert [resolve(one, sensing(one, Numb(one))).env.window for one in (plain, several)] == [1, 3]
 
 
 def test_dwa_asks_for_what_a_chair_has_and_who_does_not_ask_gets_nothing():

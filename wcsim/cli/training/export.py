@@ -13,7 +13,7 @@ import tyro
 
 from wcsim.agents.evaluation.suite.named_policy import config_for, open_named, sensing
 from wcsim.agents.export.export_folder import require_export_place
-from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation
+from wcsim.agents.policy_api import BASELINES, UPPER_BOUNDS, Observation, Policy
 from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_danger_file
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
@@ -74,12 +74,16 @@ def run(words: list[str]) -> int:
     from wcsim.agents.networks.onnx_form import check_onnx
 
     check_onnx()
-    config, seen, actions, by = _ride(options)
+    preset = "laptop" if is_danger(path) else "paper"  # for a folder outside of its run
+    own = config_for(options.policy, preset)
+    policy = open_named(options.policy, resolve(own, _delay(options.delay_ticks)), 0, options.network or None)
+    own = resolve(own, sensing(own, policy))
+    delay, seen, actions, by = _ride(options, own, policy)
     bar_ms = LIMIT_MS - RESERVE_MS
     facts = export_policy(
         path,
         options.onnx,
-        config,
+        resolve(own, delay),
         seen,
         math.inf if options.force else bar_ms,
         policy_name(options.policy).level,
@@ -152,25 +156,22 @@ def _costs(facts: ExportFacts, bar_ms: float) -> str:
     )
 
 
-def _ride(options: Options) -> tuple[RunConfig, Sequence[Observation], tuple[int, ...] | None, str]:
-    """The reference ride: its configuration and observations, and of a recording the actions and who chose them."""
+def _ride(
+    options: Options, own: RunConfig, policy: Policy
+) -> tuple[tuple[str, ...], Sequence[Observation], tuple[int, ...] | None, str]:
+    """The reference ride: its delay and observations, and of a recording the actions and who chose them."""
     from wcsim.agents.export.export_folder import require_shown
     from wcsim.agents.rounds.recorded_ride import header_of, recorded_ride, reference_ride
     from wcsim.bridge.replay.replayed import config_of
 
-    preset = "laptop" if is_danger(policy_path(options.policy)) else "paper"  # for a folder outside of its run
-    own, delay = config_for(options.policy, preset), _delay(options.delay_ticks)
-    policy = open_named(options.policy, resolve(own, delay), 0, options.network or None)
-    own = sensing(own, policy)
+    delay = _delay(options.delay_ticks)
     if options.ride is None:
-        config = resolve(own, delay)
-        return config, reference_ride(options.town, config, options.steps, policy), None, ""
+        return delay, reference_ride(options.town, resolve(own, delay), options.steps, policy), None, ""
     header = header_of(options.ride)
     require_shown(config_of(header), own, options.ride, options.policy)  # before its world is made again
     held = recorded_ride(options.ride, options.steps, options.seat)
-    config = resolve(own, delay or _delay(held.delay_ticks))
     by = "" if header.drive is None else header.drive.policy
-    return config, held.seen, held.actions, by
+    return delay or _delay(held.delay_ticks), held.seen, held.actions, by
 
 
 def _delay(ticks: int | None) -> tuple[str, ...]:

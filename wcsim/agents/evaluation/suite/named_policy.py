@@ -111,15 +111,15 @@ def _own_policy(name: str, config: RunConfig) -> Policy:
     return policy
 
 
-def sensing(config: RunConfig, policy: Policy) -> RunConfig:
-    """A configuration with the senses that a policy wants, and as many images in an observation as it needs.
+def sensing(config: RunConfig, policy: Policy) -> tuple[str, ...]:
+    """The settings of the senses that a policy wants, and of as many images in an observation as it needs.
 
     Those are what it was trained on, or more where `env.window` is: who is no network of wcsim's is told in settings.
     """
     from wcsim.agents.evaluation.open_policy import window_of  # torch is loaded here
 
     window = f"env.window={max(window_of(policy), config.env.frames)}"
-    return resolve(config, (window, *sense_settings(config, senses_of(policy))))
+    return (window, *sense_settings(config, senses_of(policy)))
 
 
 def config_for(policy: str, preset: str, settings: Sequence[str] = (), *, in_list: bool = False) -> RunConfig:

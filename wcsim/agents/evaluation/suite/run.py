@@ -19,7 +19,7 @@ from wcsim.agents.evaluation.suite.result_files import TOWNS
 from wcsim.agents.policy_api import Policy
 from wcsim.agents.runs.policy_file import policy_name
 from wcsim.agents.runs.run_folder import folder_parcel, policy_at, policy_parcel, require_travels, town_parcel
-from wcsim.config import RunConfig
+from wcsim.config import RunConfig, resolve
 from wcsim.config.suite import BlockFile
 from wcsim.core import seeding
 from wcsim.core.files import sha256, write_json
@@ -98,7 +98,7 @@ def require_usable(order: SuiteOrder, policies: Iterable[str]) -> None:
     for name in policies:
         config = config_for(name, order.preset, (*order.suite.file.settings, *order.settings), in_list=True)
         with ExitStack() as opened:
-            sensing(config, _open_in(opened, name, config, 0, order.network))
+            resolve(config, sensing(config, _open_in(opened, name, config, 0, order.network)))
 
 
 def _open_in(opened: ExitStack, name: str, config: RunConfig, seed: int, network: str) -> Policy:
@@ -205,7 +205,7 @@ def drive_piece(piece: Piece, watch: Watch | None = None) -> tuple[EpisodeRecord
     seeds = (seeding.derive(piece.block.seed, "driver", seat) for seat in range(len(piece.block.episodes)))
     with ExitStack() as opened, TemporaryDirectory(prefix="wcsim-suite-") as work:
         try:
-            config = sensing(config, _open_in(opened, piece.policy, config, 0, piece.network))
+            config = resolve(config, sensing(config, _open_in(opened, piece.policy, config, 0, piece.network)))
             drivers = [_open_in(opened, piece.policy, config, seed, piece.network) for seed in seeds]
         except WcsimError as error:
             return refused(piece, str(error))
