@@ -37,7 +37,7 @@ def top_names(tree: ast.Module) -> set[str]:
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom):
             found.add(node.module or "")
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module")):
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module", "check_installed")):
             found |= {str(word.value) for word in node.args if isinstance(word, ast.Constant)}
     return {name.partition(".")[0] for name in found if name}
 
