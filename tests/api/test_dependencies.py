@@ -20,6 +20,7 @@ OWN = {"wcsim", "benchmarks", "tests", "tools", "examples"}
 STARTED = {"ruff", "mypy", "import-linter", "pytest", "pytest-timeout", "pytest-xdist", "build", "hatchling"}
 STARTED |= {"mkdocs-material", "mkdocstrings-python"}
 """Tools of developers that commands start and nothing imports."""
+LOOKUPS = ("find_spec", "import_module", "check_installed")
 FOREIGN = {"minari"}
 """What an example converts data for; its test is skipped where it is not installed."""
 
@@ -37,7 +38,7 @@ def top_names(tree: ast.Module) -> set[str]:
             found |= {name.name for name in node.names}
         elif isinstance(node, ast.ImportFrom):
             found.add(node.module or "")
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("find_spec", "import_module", "check_installed")):
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(LOOKUPS):
             found |= {str(word.value) for word in node.args if isinstance(word, ast.Constant)}
     return {name.partition(".")[0] for name in found if name}
 

@@ -13,6 +13,7 @@ import numpy as np
 from wcsim.bridge import mirror
 from wcsim.bridge.mirror import _check_mirror
 from wcsim.bridge.reaction.articulated import Articulation
+from wcsim.bridge.sumo.actors import LONG_M
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
@@ -131,11 +132,15 @@ def mirror_loop(sumocfg: Path, radius_m: float = 400.0, **options) -> Iterator[M
 
 
 def ids_in_street(radius_m: float) -> set[str]:
-    """What libsumo itself says is in the street near the origin: riders and who is being teleported are not."""
+    """What libsumo itself says is in the street near the origin: riders and who is being teleported are not.
+
+    A long vehicle is near with any part of it.
+    """
     found = set()
     for name in libsumo.vehicle.getIDList():
         x, y = libsumo.vehicle.getPosition(name)
-        if np.hypot(x, y) <= radius_m:
+        length_m = libsumo.vehicle.getLength(name)
+        if np.hypot(x, y) <= radius_m + (length_m if length_m > LONG_M else 0.0):
             found.add(f"v:{name}")
     for name in libsumo.person.getIDList():
         x, y = libsumo.person.getPosition(name)

@@ -56,7 +56,7 @@ def test_a_street_corner_flows_as_in_plain_sumo(corner, tmp_path):
 
 
 def test_monaco_flows_as_in_plain_sumo(tmp_path):
-    compare(find_town("monaco"), 120.0, tmp_path)
+    compare(find_town("monaco"), 60.0, tmp_path)
 
 
 def test_another_seed_is_another_traffic(tmp_path):

@@ -103,7 +103,10 @@ def mcnemar(only_first: int, only_second: int) -> float:
     0.0215
     """
     pairs = only_first + only_second
-    ways = sum(math.comb(pairs, k) for k in range(min(only_first, only_second) + 1))
+    ways = term = 1
+    for k in range(min(only_first, only_second)):
+        term = term * (pairs - k) // (k + 1)
+        ways += term
     return min(1.0, 2 * ways / (1 << pairs))  # of whole numbers: no float holds the powers of two of a long list
 
 
