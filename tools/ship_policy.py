@@ -47,13 +47,12 @@ def ship(run: RunFolder, ride: Sequence[Observation], results: Sequence[Path], t
     policy = run.policy("final")
     told = card(run, [row for path in results for row in rows_of(path, run.path)])  # before what takes long
     with tempfile.TemporaryDirectory() as held:
-        export_policy(policy, Path(held) / "onnx", run.config, ride)
+        onnx = Path(held) / "onnx"
+        export_policy(policy, onnx, run.config, ride)
         with files.whole_folder(to) as target:
-            for name in (POLICY_JSON, WEIGHTS):
-                shutil.copyfile(policy / name, target / name)
-            shutil.copyfile(Path(held) / "onnx" / MODEL_FILE, target / "model.onnx")
-            for name in (MEANING, REFERENCE):
-                shutil.copyfile(Path(held) / "onnx" / name, target / name)
+            for source in (policy / POLICY_JSON, policy / WEIGHTS, onnx / MEANING, onnx / REFERENCE):
+                shutil.copyfile(source, target / source.name)
+            shutil.copyfile(onnx / MODEL_FILE, target / "model.onnx")
             if (to / "README.md").is_file():
                 shutil.copyfile(to / "README.md", target / "README.md")
             (target / "MODEL_CARD.md").write_text(told, encoding="utf-8")
