@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
@@ -57,13 +57,6 @@ def _require_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
-
-
-def _require_letters(words: Iterable[str]) -> None:
-    """Raise ConfigError for an argument that holds bytes which are no letters: no record of ours could name it."""
-    for word in words:
-        if holds_half_letters(word):
-            raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
 
 
 def told_cause(error: Exception) -> tuple[str, Exit]:
@@ -213,7 +206,8 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
     try:
         if own_process:
             _require_streams()
-        _require_letters(words)
+        for word in filter(holds_half_letters, words):  # no record of ours could name it
+            raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
         return work(words)
     except WcsimError as error:
         print(f"wcsim: {printable(str(error))}", file=sys.stderr)
