@@ -106,7 +106,7 @@ def run(words: list[str]) -> int:
 
 def _study(options: _StudyOptions) -> int:
     print(_LOADING, flush=True)
-    from wcsim.drive.recording.open_study import open_study, study_start
+    from wcsim.drive.recording.study_lead import open_study, study_start
     from wcsim.drive.runner import DriveOrder
 
     study = open_study(options.study, options.participant, options.out, options.policy, options.network)

@@ -116,7 +116,7 @@ SUBCOMMANDS = (
     _Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
     _Subcommand("snapshot", "pictures:snapshot", "look", "make a picture from a camera: colours, classes, depth"),
     _Subcommand("video", "pictures:video", "look", "make a video from a chair's camera, with a map"),
-    _Subcommand("watch", "recordings.watch", "look", "watch a training of several clients on a web page"),
+    _Subcommand("watch", "recordings.replay:watch", "look", "watch a training of several clients on a web page"),
     _Subcommand("log", "recordings.log", "look", "play, verify, compare or convert a recording"),
     _Subcommand("replay", "recordings.replay", "look", "drive an episode of a test again on a web page"),
     _Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
