@@ -125,7 +125,7 @@ SUBCOMMANDS = (
     _Subcommand("users", "recordings.users", "people", "record a simulated user, fit a user to recordings"),
     _Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
     _Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
-    _Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),
+    _Subcommand("cache", "doctor:cache", "machines", "show the cache of built streets, or clear it"),
     _Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
 
