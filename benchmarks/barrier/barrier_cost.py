@@ -29,7 +29,7 @@ from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.keys import make_keys
-from wcsim.server.transport.world_folder import RingFolder
+from wcsim.server.transport.world_folder import OwnFolder
 from wcsim.types import SeatSpec
 
 BLOCK_TICKS = 100
@@ -91,7 +91,7 @@ class _Bench:
 
     def __init__(self, config: RunConfig, clients: int, remote: bool, held: ExitStack) -> None:
         self._folder = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="wcsim-bench-")))
-        ring = RingFolder()
+        ring = OwnFolder()
         held.callback(ring.close)
         keys = str(self._folder / "keys") if remote else ""
         names = tuple(f"client-{number}" for number in range(clients))

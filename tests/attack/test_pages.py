@@ -20,7 +20,7 @@ from wcsim.agents.evaluation.suite.result_files import read_result
 from wcsim.agents.runs.metrics import COLUMNS, MetricsFile
 from wcsim.agents.runs.run_folder import create_run, make_manifest
 from wcsim.cli.main import main
-from wcsim.drive.playing.play_messages import FailedLine, film_about
+from wcsim.drive.playing.play_runner import FailedLine, film_about
 from wcsim.server.specs import RunInfo
 from wcsim.view.report.suite_page import write_demo_page
 

@@ -1,4 +1,4 @@
-"""`wcsim doctor`: does everything that wcsim needs work on this machine?"""
+"""`wcsim doctor`: does everything that wcsim needs work on this machine? `wcsim cache`: where streets are kept."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from pathlib import Path
 from rich.table import Column, Table
 from rich.text import Text
 
-from wcsim.cli.shared.common import OutFile, parse, write_json
+from wcsim.cli.shared.common import Flag, OutFile, parse, write_json
 from wcsim.cli.shared.consoles import stdout_console
 from wcsim.core.files import can_be_written
-from wcsim.errors import WcsimError
+from wcsim.core.reading import counted, escaped
+from wcsim.errors import ConfigError, WcsimError
 
 PACKAGES = (
     *("wcsim", "libsumo", "eclipse-sumo", "pybullet", "torch", "stable-baselines3", "gymnasium"),
@@ -155,3 +156,39 @@ def _ticks(town: str, seed: int) -> _Finding:
             return _Finding("tick rate", rate >= _REAL_TIME_TICKS_PER_S, says)
     except WcsimError as error:
         return _Finding("tick rate", False, str(error))
+
+
+@dataclass
+class CacheOptions:
+    """Show the cache of streets, checked nets, machine code and generated places."""
+
+    clear: Flag = False
+    """Delete everything in it; what is needed is built again. Running worlds continue."""
+    json: OutFile = None
+    """Write the result to this file."""
+
+
+def cache(words: list[str]) -> int:
+    """Print it, and clear the cache if requested."""
+    from wcsim.towns.cache.folder import cache_facts, clear_cache
+
+    options = parse(CacheOptions, words, "cache")
+    before = cache_facts()
+    left = clear_cache() if options.clear else before
+    checked = counted(before.verdicts, "checked net or scenario", "checked nets and scenarios")
+    kept = f"{counted(before.streets, 'street')}, {checked}, {counted(before.kernels, 'kernel')}"
+    kept += f", {counted(before.driven, 'generated place')} to drive in, {before.unfinished} unfinished"
+    print(f"{escaped(before.folder)}: {kept}, {before.size_bytes / 1e6:.1f} MB")
+    if options.clear:
+        print(f"removed {(before.size_bytes - left.size_bytes) / 1e6:.1f} MB")
+    else:
+        print("clear it: wcsim cache --clear")
+    result = {"folder": str(before.folder), "streets": before.streets, "verdicts": before.verdicts}
+    result |= {"kernels": before.kernels, "driven": before.driven, "unfinished": before.unfinished}
+    result |= {"size_bytes": before.size_bytes, "left_bytes": left.size_bytes}
+    write_json(options.json, result)
+    if options.clear and left.size_bytes:
+        raise ConfigError(
+            f"{escaped(left.folder)}: {left.size_bytes} bytes are left; expected files that you may remove"
+        )
+    return 0

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from wcsim.cli.recordings.film_page import PageOptions, serve_page
-from wcsim.cli.shared.common import Bounds, OutFile, OutFolder, SomeTown, parse, says
-from wcsim.cli.shared.run_config import require_driver, require_user
-from wcsim.core.files import check_new_file
+from wcsim.cli.shared.common import Bounds, OutFolder, SomeTown, Writes, parse, says
+from wcsim.cli.shared.run_config import require_policy, require_user
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
 
@@ -28,7 +28,7 @@ class _AssistedOptions(PageOptions):
     """Your own network as module:Class, for a run that was trained with it."""
     profile: str = ""
     """The simulated user, who drives when you select it on the page; by default that of the episode."""
-    record: OutFile = None
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE"), Writes(new=True)] = None
     """Record the drive in this new file; a further town or world is recorded in FILE-2, FILE-3."""
 
 
@@ -88,9 +88,7 @@ def run(words: list[str]) -> int:
     if says(words, "--study"):
         return _study(parse(_StudyOptions, words, "drive"))
     options: _AssistedOptions = parse(_EpisodeOptions if says(words, "--suite") else Options, words, "drive")
-    if options.record is not None:
-        check_new_file(options.record, "--record")
-    require_driver(options.policy, options.network)
+    require_policy(options.policy, options.network, alone=True)
     if options.profile:
         require_user(options.profile)
     if isinstance(options, Options):
@@ -108,7 +106,7 @@ def run(words: list[str]) -> int:
 
 def _study(options: _StudyOptions) -> int:
     print(_LOADING, flush=True)
-    from wcsim.drive.recording.open_study import open_study, study_start
+    from wcsim.drive.recording.study_lead import open_study, study_start
     from wcsim.drive.runner import DriveOrder
 
     study = open_study(options.study, options.participant, options.out, options.policy, options.network)

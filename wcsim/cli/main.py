@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
@@ -57,13 +57,6 @@ def _require_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a terminal may know few letters
-
-
-def _require_letters(words: Iterable[str]) -> None:
-    """Raise ConfigError for an argument that holds bytes which are no letters: no record of ours could name it."""
-    for word in words:
-        if holds_half_letters(word):
-            raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
 
 
 def told_cause(error: Exception) -> tuple[str, Exit]:
@@ -123,7 +116,7 @@ SUBCOMMANDS = (
     _Subcommand("look", "pictures:look", "look", "make a picture and a video of a town"),
     _Subcommand("snapshot", "pictures:snapshot", "look", "make a picture from a camera: colours, classes, depth"),
     _Subcommand("video", "pictures:video", "look", "make a video from a chair's camera, with a map"),
-    _Subcommand("watch", "recordings.watch", "look", "watch a training of several clients on a web page"),
+    _Subcommand("watch", "recordings.replay:watch", "look", "watch a training of several clients on a web page"),
     _Subcommand("log", "recordings.log", "look", "play, verify, compare or convert a recording"),
     _Subcommand("replay", "recordings.replay", "look", "drive an episode of a test again on a web page"),
     _Subcommand("town", "town.command", "towns", "import, make, list, check or pave a town, or run it"),
@@ -132,7 +125,7 @@ SUBCOMMANDS = (
     _Subcommand("users", "recordings.users", "people", "record a simulated user, fit a user to recordings"),
     _Subcommand("serve", "serve", "machines", "run a shared world that clients can join and leave"),
     _Subcommand("join", "training.join", "machines", "train a network in a world started by wcsim serve"),
-    _Subcommand("cache", "cache", "machines", "show the cache of built streets, or clear it"),
+    _Subcommand("cache", "doctor:cache", "machines", "show the cache of built streets, or clear it"),
     _Subcommand("doctor", "doctor", "machines", "check that all that wcsim needs works here"),
 )
 
@@ -213,7 +206,8 @@ def _run(work: Callable[[list[str]], int], words: list[str], own_process: bool) 
     try:
         if own_process:
             _require_streams()
-        _require_letters(words)
+        for word in filter(holds_half_letters, words):  # no record of ours could name it
+            raise ConfigError(f"argument '{escaped(word)}' is not valid UTF-8; rename that file, or set LANG=C.UTF-8")
         return work(words)
     except WcsimError as error:
         print(f"wcsim: {printable(str(error))}", file=sys.stderr)

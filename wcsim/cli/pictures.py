@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +19,7 @@ from wcsim.cli.shared.common import (
     result_file,
     tell_made,
 )
-from wcsim.cli.shared.run_config import require_driver, require_user
+from wcsim.cli.shared.run_config import require_policy, require_user
 from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
@@ -159,17 +159,18 @@ class _VideoOptions:
 
 def video(words: list[str]) -> int:
     """Film it."""
-    options = _with_user(parse(_VideoOptions, words, "video"))
+    options = parse(_VideoOptions, words, "video")
+    profile = options.profile or ("inattentive" if options.policy else "competent")
     if options.policy:
-        require_driver(options.policy, options.network)
+        require_policy(options.policy, options.network, alone=True)
     elif options.network:
         raise ConfigError("--network is for a run that was trained with it; expected --policy RUN, too")
-    require_user(options.profile)
+    require_user(profile)
     town = find_town(options.town)
     missing = missing_folder(options.out)
     from wcsim.view.filming import FilmDriver, FilmedDrive  # loads the simulators, which --help must not
 
-    driver = FilmDriver(policy=options.policy, network=options.network, profile=options.profile, settings=options.set)
+    driver = FilmDriver(policy=options.policy, network=options.network, profile=profile, settings=options.set)
     with (
         StageBar("filming") as bar,
         FilmedDrive(town, options.seed, options.width, driver, options.out) as film,
@@ -183,13 +184,8 @@ def video(words: list[str]) -> int:
             second = f"second {done * film.tick_s:.0f} of {options.start + options.seconds:g}"
             bar.show(done / (before + frames), second)
     tell_made(missing)
-    user = f"the user {options.profile}"
+    user = f"the user {profile}"
     who = f"{options.policy} assists {user}" if options.policy else user
     after = f" after {options.start:g} s" if before else ""
     print(f"{options.out}: {options.town}, seed {options.seed}, {options.seconds:g} s{after}, {who}")
     return 0
-
-
-def _with_user(options: _VideoOptions) -> _VideoOptions:
-    """The options with who drives where nobody is named."""
-    return replace(options, profile=options.profile or ("inattentive" if options.policy else "competent"))

@@ -21,8 +21,8 @@ from typing import Any
 
 from filelock import FileLock
 
-from wcsim.core.reading import escaped, is_folder, require_no_links
-from wcsim.errors import ConfigError, DiskFullError, PolicyError
+from wcsim.core.reading import is_folder, require_no_links
+from wcsim.errors import DiskFullError, PolicyError
 
 KERNELS = "kernels"  # the folder in the user's cache for machine code
 _SEAL = "seal"
@@ -244,18 +244,6 @@ def folder_bytes(folder: Path) -> int:
                 status = os.lstat(f"{place}/{name}")
                 total += status.st_size if stat.S_ISREG(status.st_mode) else 0
     return total
-
-
-def check_new_file(path: Path, option: str) -> Path:
-    """The same path. Raises ConfigError when something is there already, or nothing can be written there."""
-    if os.path.lexists(path):
-        raise ConfigError(f"{option} {escaped(path)} exists; expected the name of a new file")
-    folder = standing(path)
-    if not can_be_written(folder):
-        raise ConfigError(
-            f"{option} {escaped(path)}: {escaped(folder)} cannot be written to; choose another place with {option}"
-        )
-    return path
 
 
 def standing(path: Path) -> Path:

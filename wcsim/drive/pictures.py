@@ -447,10 +447,8 @@ def _packed(number: int, parts: Iterable[tuple[bytes, U8]]) -> bytes:
 
 
 def _jpeg(picture: U8) -> bytes:
-    """A picture (H, W, 3), RGB, as JPEG. Raises ConfigError when it is none."""
-    done, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    if not done:
-        raise ConfigError(f"a picture of shape {picture.shape} cannot be written as JPEG; expected (H, W, 3) uint8")
+    """A picture (H, W, 3), RGB, as JPEG."""
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
     return data.tobytes()
 
 

@@ -21,9 +21,8 @@ from wcsim.core.reading import counted
 from wcsim.drive import messages as m
 from wcsim.drive.driven import DriveRecord, DriverKind, EventKind, xy_of
 from wcsim.drive.pictures import Moment, PageLooks, StreetPictures, clamped, moment_of
-from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import RecorderStatus, SessionRecorder
-from wcsim.drive.recording.study_lead import StudyHands, StudyLead
+from wcsim.drive.recording.study_lead import OpenStudy, StudyHands, StudyLead
 from wcsim.drive.recording.study_plan import StepKind
 from wcsim.drive.session import ELSEWHERE, DriveSession
 from wcsim.drive.starting import DriveStart, check_offered, checked
@@ -186,7 +185,7 @@ class DriveOrder:
 
 @dataclass(slots=True, kw_only=True)
 class _DriveClock:
-    """Whether time goes, and how fast; when the next tick is due, and what ticks and pictures cost. Seconds."""
+    """Whether time goes, and how fast; when the next tick is due. Seconds."""
 
     paused: bool = False  # somebody stopped it
     pace: float = 1.0  # times real time, 0 as fast as it can
@@ -194,8 +193,6 @@ class _DriveClock:
     held_s: float = 0.0  # a crash is shown till then
     opened_s: float = 0.0
     ticked_s: float = 0.0  # 0 before the first tick
-    tick_s: float = 0.0  # of processor time, a mean, as the next
-    picture_s: float = 0.0
     gap_s: float = 0.0  # between ticks, a mean
 
     @property
@@ -208,16 +205,11 @@ class _DriveClock:
         self.due_s = self.opened_s = now_s
         self.held_s, self.paused = 0.0, False
 
-    def ticked(self, now_s: float, took_s: float, tick_s: float) -> None:
+    def ticked(self, now_s: float, tick_s: float) -> None:
         """A tick of the world's `tick_s` was driven, which began now."""
-        self.tick_s += _NEWEST * (took_s - self.tick_s)
         self.gap_s += _NEWEST * (now_s - self.ticked_s - self.gap_s) if self.ticked_s else 0.0
         self.ticked_s = now_s
         self.due_s = max(self.due_s + (tick_s / self.pace if self.pace else 0.0), now_s)
-
-    def drew(self, took_s: float) -> None:
-        """Pictures were drawn."""
-        self.picture_s += _NEWEST * (took_s - self.picture_s)
 
 
 class DriveRunner(PageRunner):
@@ -272,8 +264,7 @@ class DriveRunner(PageRunner):
             metrics = session.metrics
             told = (
                 f"{session.place.told}: {session.time_s / 60.0:.1f} min, {session.way_m:.0f} m, "
-                f"{counted(metrics.arrivals, 'arrival')}, {counted(metrics.crashes, 'crash')}; pictures took "
-                f"{100.0 * self._share():.0f} % of the CPU time"
+                f"{counted(metrics.arrivals, 'arrival')}, {counted(metrics.crashes, 'crash')}"
             )
             session.close()
             with suppress(BrokenPipeError, OSError):
@@ -288,9 +279,6 @@ class DriveRunner(PageRunner):
         if self._watch.silent(now_s):
             return "No page is driving. Time is paused."
         return "The driving page is in the background. Time is paused."
-
-    def _share(self) -> float:
-        return self.clock.picture_s / max(self.clock.picture_s + self.clock.tick_s, 1e-9)
 
     # --- one turn of the loop ---
 
@@ -326,11 +314,11 @@ class DriveRunner(PageRunner):
         return min(_IDLE_S, max(0.0, self.clock.next_s - self._now_s()))
 
     def _tick(self, now_s: float) -> None:
-        session, before = self._open_session(), time.process_time()
+        session = self._open_session()
         if session.ended:  # the crash has been shown, and another episode begins
             self._watch.forget_press()
         session.tick(self._watch.wish(now_s))
-        self.clock.ticked(now_s, time.process_time() - before, session.tick_s)
+        self.clock.ticked(now_s, session.tick_s)
         if session.crash:
             self.clock.held_s = now_s + _CRASH_S
         if session.ended:
@@ -347,11 +335,9 @@ class DriveRunner(PageRunner):
         session, pictures = self.session, self._pictures
         if session is None or pictures is None:
             return
-        before = time.process_time()
         jumped, self._drawn_episode = session.episode != self._drawn_episode, session.episode
         self._draw(moment_of(session, jumped=jumped), pictures, 0.0 if self.clock.paused else 1.0)
         self._unseen = False
-        self.clock.drew(time.process_time() - before)
 
     def _note(self, record: DriveRecord) -> None:
         notice = notice_of(record)

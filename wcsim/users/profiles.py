@@ -78,6 +78,11 @@ def profile(name: str) -> UserProfile:
     return UserProfile(name=name, **numbers | pairs)
 
 
+def find_profile(name: str) -> UserProfile:
+    """The profile called `name`, or that of a file "FILE.toml". Raises ConfigError as `profile` or `read_profile`."""
+    return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
+
+
 def is_of_file(name: str) -> bool:
     """Whether it names a file in the place of a profile: "recorded:FILE", or "FILE.toml"."""
     return name.startswith(RECORDED) or name.endswith(PROFILE_SUFFIX)

@@ -25,7 +25,7 @@ from wcsim.log.reader import is_log
 from wcsim.log.records import DriveTick
 from wcsim.types import F64, Joystick, Outline, Route, UserView
 from wcsim.users.hand import on_disc
-from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, profile_of_json, read_profile
+from wcsim.users.profiles import UserProfile, find_profile, profile_of_json
 from wcsim.users.route_line import Path
 from wcsim.users.user import ARRIVED_M
 
@@ -145,7 +145,7 @@ def find_user(name: str) -> UserProfile | JoystickRecording:
         return read_recording(FilePath(name.removeprefix(RECORDED)))
     if name.startswith("{"):
         return profile_of_json(name, "a user's profile as JSON")
-    return read_profile(FilePath(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
+    return find_profile(name)
 
 
 def require_driven_here(recording: JoystickRecording, town: str, town_sha256: Callable[[], str]) -> None:

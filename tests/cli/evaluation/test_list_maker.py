@@ -1,26 +1,11 @@
-"""What is said while a list is made."""
+"""Names of lists that are made."""
 
 from __future__ import annotations
 
 import pytest
 
-from wcsim.cli.evaluation.judged_suite import PartTimes, make_list
+from wcsim.cli.evaluation.judged_suite import make_list
 from wcsim.errors import ConfigError
-
-
-def test_each_part_says_how_long_it_still_takes():
-    now_s, lines = [0.0], []
-    times = PartTimes(lines.append, clock=lambda: now_s[0])
-    for at_s, text, share in (
-        (50.0, "2 blocks are drawn", 0.0), (80.0, "ways: 1 of 2", 0.5), (100.0, "ways: 2 of 2", 1.0),
-        (110.0, "attempts: 1 of 4", 0.25), (120.0, "attempts: 2 of 4", 0.5), (130.0, "found", 0.0),
-    ):  # fmt: skip
-        now_s[0] = at_s
-        times.say(text, share)
-    assert lines == [
-        "2 blocks are drawn", "ways: 1 of 2, about 30 s left", "ways: 2 of 2",
-        "attempts: 1 of 4, about 30 s left", "attempts: 2 of 4, about 20 s left", "found",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

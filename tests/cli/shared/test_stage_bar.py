@@ -28,6 +28,18 @@ def test_what_was_done_before_takes_no_time_now(capsys):
     assert capsys.readouterr().err.splitlines() == ["a line, about 30 s left", "a word of others", "the last"]
 
 
+def test_where_less_is_done_than_before_another_part_begins():
+    now_s = [0.0]
+    with StageBar("making", clock=lambda: now_s[0]) as bar:
+        for at_s, share, left in ((10.0, 0.0, ""), (40.0, 0.5, "about 30 s left"), (50.0, 1.0, ""), (60.0, 0.25, "")):
+            now_s[0] = at_s
+            bar.show(share, "")
+            assert bar.left == left
+        now_s[0] = 80.0
+        bar.show(0.625, "")
+        assert bar.left == "about 20 s left"
+
+
 def test_a_row_fits_into_80_characters(monkeypatch, capsys):
     made = Console
     monkeypatch.setattr(

@@ -85,6 +85,6 @@ def test_a_fault_of_ours_comes_with_its_traceback(monkeypatch: pytest.MonkeyPatc
     def broken(_words: list[str]) -> int:
         raise KeyError("ours")
 
-    monkeypatch.setattr("wcsim.cli.cache.run", broken)
+    monkeypatch.setattr("wcsim.cli.doctor.cache", broken)
     with pytest.raises(KeyError):
         cli.main(["cache"])

@@ -27,8 +27,8 @@ def test_a_town_is_made_checked_found_by_name_and_made_again_by_its_own_command(
     made = wcsim("town", "make", "mine", "--seed", "9", *SMALL, "--split", "test", "--json", "made.json")
     assert made.code == 0, made.err
     told = json.loads(Path("made.json").read_text())
-    assert told["faults"] == [] and told["crossings"] > 5 and told["cpu"]["own_s"] > 0.0
-    assert "CPU time in s" in made.out and "drawing the streets" in made.err
+    assert told["faults"] == [] and told["crossings"] > 5
+    assert "drawing the streets" in made.err
     place = folder / "scenarios" / "sumo" / "mine"
     town = open_town(place)
     assert (town.name, town.split) == ("mine", "test")

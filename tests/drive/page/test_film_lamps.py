@@ -10,7 +10,7 @@ from tests.drive.page.stage import PageAlone
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT, film_of
 from wcsim.drive.playing.film_states import FilmAbout
-from wcsim.drive.playing.play_messages import Player, film_about, film_state
+from wcsim.drive.playing.play_runner import Player, film_about, film_state
 
 pytestmark = [
     pytest.mark.browser,

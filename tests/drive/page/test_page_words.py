@@ -12,7 +12,7 @@ from tests.drive.page.stage import ABOUT, KPIS, PageAlone, Stage
 from tests.drive.page.test_page import CHROMIUM
 from tests.drive.playing.films import ABOUT as FILM
 from tests.drive.playing.films import chair, frame
-from wcsim.drive.playing.play_messages import Player, film_about, film_state
+from wcsim.drive.playing.play_runner import Player, film_about, film_state
 from wcsim.drive.playing.tick_film import TickFilm
 
 pytestmark = [

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from wcsim.drive.playing.play_messages import FASTEST, SLOWEST, Player
+from wcsim.drive.playing.play_runner import FASTEST, SLOWEST, Player
 
 SPAN = range(1000)
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.drive.playing.films import ABOUT, chair, film_of, frame
 from wcsim.drive.messages import spoken
-from wcsim.drive.playing.play_messages import CRASH_TICKS, Player, film_state
+from wcsim.drive.playing.play_runner import CRASH_TICKS, Player, film_state
 from wcsim.drive.playing.tick_film import MOST_MARKS, TickFilm
 from wcsim.errors import ProtocolError
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from wcsim.core.files import numbered_names
-from wcsim.drive.recording.open_study import OpenStudy
 from wcsim.drive.recording.session_recorder import SessionRecorder
-from wcsim.drive.recording.study_lead import StudyHands, StudyLead
+from wcsim.drive.recording.study_lead import OpenStudy, StudyHands, StudyLead
 from wcsim.drive.recording.study_plan import StepKind
 from wcsim.drive.session import DriveSession, Wish
 from wcsim.drive.starting import DriveStart

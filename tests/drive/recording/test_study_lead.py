@@ -13,7 +13,7 @@ from wcsim.bridge.replay.replayed import verify
 from wcsim.config import parse_json
 from wcsim.config.study import StudyFile
 from wcsim.drive.recording import study_lead
-from wcsim.drive.recording.open_study import OpenStudy, _shipped_studies, open_study, participant_rows
+from wcsim.drive.recording.study_lead import OpenStudy, _shipped_studies, open_study, participant_rows
 from wcsim.drive.recording.study_plan import StepKind, read_rows, table_columns
 from wcsim.errors import ConfigError, DiskFullError, PolicyError, TownError, WcsimError
 from wcsim.log.drive import read_drive

@@ -11,7 +11,7 @@ import pytest
 from tests.drive.recording.studies import STUDY, write_study
 from tests.drive.serving.served import FakePage, served
 from wcsim.cli.main import main
-from wcsim.drive.recording.open_study import open_study, participant_rows
+from wcsim.drive.recording.study_lead import open_study, participant_rows
 
 pytestmark = pytest.mark.timeout(900)
 WITHOUT = STUDY[STUDY.index("[practice]") : STUDY.index("[[blocks]]")]

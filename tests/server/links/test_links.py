@@ -320,8 +320,8 @@ def test_work_between_send_and_receive_is_done_while_the_master_ticks(tmp_path):
 
 KILLED = """
 import os, signal
-from wcsim.server.transport.world_folder import RingFolder
-folder = RingFolder().path
+from wcsim.server.transport.world_folder import OwnFolder
+folder = OwnFolder().path
 (folder / "seat-0").write_bytes(bytes(1000))
 print(folder, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)

@@ -37,7 +37,7 @@ from wcsim.cli.shared.common import (
 )
 from wcsim.cli.shared.consoles import say, stderr_console, stdout_console
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.stage_bar import StageBar, told_left
+from wcsim.cli.shared.stage_bar import StageBar
 from wcsim.config.suite import MOST_NAME, MOST_SET, name_pattern
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, InterruptedRunError
@@ -124,34 +124,18 @@ def make_list(words: list[str]) -> int:
             work=Path(work),
         )
         towns = asked_towns(options.make_suite, order.work / TOWNS)
-        file = make_suite(order, towns, PartTimes(say).say)
+        with StageBar("making the list") as bar:
+
+            def tell(text: str, share: float) -> None:
+                bar.show(share, "")
+                bar.say(text)
+
+            file = make_suite(order, towns, tell)
     write_list(file, options.suite_file)
     suite, many = suite_of(file), len(file.blocks)
     counted = f"{suite.episodes} episode{'s' * (suite.episodes != 1)} in {many} block{'s' * (many != 1)}"
     stdout_console().print(f"{options.suite_file}: {counted}, {suite.sha256[:12]}", markup=False)
     return 0
-
-
-class PartTimes:
-    """Lines on a work of several parts; those on a part that goes on say how long that part still takes.
-
-    Args:
-        put: Prints a line.
-        clock: Seconds.
-    """
-
-    def __init__(self, put: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
-        self._put, self._clock = put, clock
-        self._share, self._began_s, self._said_s = 0.0, clock(), clock()
-
-    def say(self, text: str, share: float) -> None:
-        """A line, and the share of its part that is done; a part begins where the line before was said."""
-        now_s = self._clock()
-        if share <= self._share or self._share == 0.0:
-            self._began_s = self._said_s
-        self._share, self._said_s = share, now_s
-        left = told_left(now_s - self._began_s, share)
-        self._put(f"{text}, {left}" if left else text)
 
 
 _TOLD_EVERY_S = 20.0
@@ -399,6 +383,7 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
     from wcsim.agents.evaluation.suite.result_files import ASKED, EPISODES, RESULT, result_of
 
     file = order.suite.file
+    asked = {"preset": order.preset, "network": order.network, "out": str(order.out)}
     result = result_of(
         records,
         suite=file.suite,
@@ -406,15 +391,12 @@ def keep_result(order: SuiteOrder, name: str, records: Mapping[str, Sequence[Epi
         list_sha256=order.suite.sha256,
         changed=order.settings,
         list_name=name,
-        preset=order.preset,
-        network=order.network,
-        out=str(order.out),
+        **asked,
     )
     episodes = {policy: [record.to_json() for record in found] for policy, found in records.items()}
-    asked = {"suite": name, "preset": order.preset, "network": order.network, "out": str(order.out)}
 
     with ExitStack() as held:  # all of it first: a full disk leaves what an earlier test wrote as it was
-        for output, said in ((RESULT, result.to_json()), (EPISODES, episodes), (ASKED, asked)):
+        for output, said in ((RESULT, result.to_json()), (EPISODES, episodes), (ASKED, {"suite": name, **asked})):
             part = held.enter_context(result_file(order.out / output))
             part.write_text(json_text(order.out / output, said), encoding="utf-8")
     return result

@@ -147,32 +147,21 @@ def checked_town(name: str, options: Options) -> Town:
     validate_net(town.net)
     if options.allow_train_town:
         return town
-    digest = streets_hash(town)
-    _refuse_school(town, digest)
+    digest, other = streets_hash(town), "Choose another --town, or add --allow-train-town"
+    # Nobody has said so of a scenario that was made elsewhere; but it may be a copy of such a town.
+    known = (town,) if town.declared else list_towns()
+    schools = (school for school in known if school.declared and school.split == "train")
+    school = next((school for school in schools if streets_hash(school) == digest), None)
+    if school is not None:
+        copied = f": it has the streets of {school.name}, which was not imported with --split test"
+        raise TownError(
+            f"{town.name} is a training town{'' if town.declared else copied}; expected a town of split test (wcsim "
+            f"town list), or a scenario of your own. {other}"
+        )
     for policy in options.policies:
         if policy_name(policy).is_network and digest in _schools(policy):
-            raise TownError(
-                f"{policy} was trained in {town.name}; expected a town it has never seen. "
-                "Choose another --town, or add --allow-train-town"
-            )
+            raise TownError(f"{policy} was trained in {town.name}; expected a town it has never seen. {other}")
     return town
-
-
-def _refuse_school(town: Town, digest: str) -> None:
-    """Raise TownError for a town that is for training.
-
-    Nobody has said so of a scenario that was made elsewhere; but it may be a copy of such a town.
-    """
-    known = (town,) if town.declared else list_towns()
-    schools = (other for other in known if other.declared and other.split == "train")
-    found = next((other for other in schools if streets_hash(other) == digest), None)
-    if found is not None:
-        of_it = f": it has the streets of {found.name}, which was not imported with --split test"
-        same = "" if town.declared else of_it
-        raise TownError(
-            f"{town.name} is a training town{same}; expected a town of split test (wcsim town list), or a scenario of "
-            "your own. Choose another --town, or add --allow-train-town"
-        )
 
 
 def _schools(policy: str) -> set[str]:

@@ -1,4 +1,4 @@
-"""`wcsim replay RESULT`: an episode of a test, driven again on a page."""
+"""`wcsim replay RESULT`: an episode of a test, driven again on a page; `wcsim watch RUN`: a running training, live."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 import tyro
 
 from wcsim.agents.runs.policy_file import policy_name
+from wcsim.agents.runs.run_folder import MANIFEST, read_json
 from wcsim.cli.recordings.film_page import PageOptions, Seat, serve_page
 from wcsim.cli.shared.common import Bounds, parse
 from wcsim.cli.shared.run_config import require_policy
-from wcsim.core.reading import escaped, is_file
+from wcsim.core.reading import escaped, is_file, is_folder
 from wcsim.errors import ConfigError
 
 if TYPE_CHECKING:  # loads the simulators, which --help must not
@@ -56,8 +57,7 @@ def episode_start(options: Options) -> PlayStart:
             f"{escaped(options.result)}: is no finished test; expected the folder of a wcsim test --suite: play a "
             "recording with wcsim log play"
         )
-    from wcsim.drive.playing.play_messages import FailedLine
-    from wcsim.drive.playing.play_runner import PlayStart
+    from wcsim.drive.playing.play_runner import FailedLine, PlayStart
     from wcsim.drive.playing.sources.episode_source import failed_episodes
     from wcsim.drive.playing.sources.source_process import FilmSource
 
@@ -82,3 +82,43 @@ def _told(failure: FailedEpisode) -> str:
     record = failure.record
     words = (failure.reason, f"with {record.partner}" if record.partner else "", failure.whose)
     return f"{' '.join(word for word in words if word)}, {record.town}"
+
+
+@dataclass(kw_only=True)
+class WatchOptions(PageOptions):
+    """Watch a run live in your browser: its street, chairs, joysticks and KPIs.
+
+    For runs with a journal: `wcsim train-clients`, `wcsim serve --run`. Does not change the run. docs/watching.md
+    """
+
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """The run folder; the run may start later."""
+    seat: Seat = None
+    """The chair to follow first."""
+    hook: str = ""
+    """Your own step hook, module:Class, that the run was started with; its code runs only when you name it."""
+
+
+def watch(words: list[str]) -> int:
+    """Serve the page until Ctrl-C."""
+    options = parse(WatchOptions, words, "watch")
+    if not is_folder(options.run):
+        raise ConfigError(f"{escaped(options.run)}: is not there; expected the folder of a wcsim train-clients run")
+    from wcsim.bridge.replay.replayed import worlds_of
+    from wcsim.log.reader import part_files, read_header
+    from wcsim.log.writer import JOURNAL
+
+    if part_files(options.run / JOURNAL):  # what cannot be watched is refused before a page is served for it
+        worlds_of(read_header(options.run / JOURNAL), options.hook)
+    # One of several clients that has only not begun yet is waited for.
+    elif is_file(options.run / MANIFEST) and "clients" not in read_json(options.run, MANIFEST):
+        raise ConfigError(
+            f"{escaped(options.run)}: this run has no journal and cannot be watched; expected a run of wcsim "
+            "train-clients NETWORK (one client is enough), or of wcsim serve --run"
+        )
+    from wcsim.drive.playing.play_runner import PlayStart  # the simulators are loaded here, not for --help
+    from wcsim.drive.playing.sources.source_process import FilmSource
+
+    source = FilmSource(kind="run", path=options.run.absolute(), hook=options.hook, gives_way=True)
+    seat = -1 if options.seat is None else options.seat
+    return serve_page(PlayStart(source=source, seat=seat), options)

@@ -25,14 +25,12 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.consoles import stdout_console
-from wcsim.cli.shared.run_config import require_user
 from wcsim.config import resolve
 from wcsim.core.constants import RECORDED
-from wcsim.core.files import check_new_file
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError
 from wcsim.towns.scenario.town import find_town
-from wcsim.users.profiles import PROFILE_SUFFIX, UserProfile, profile, profile_text, read_profile
+from wcsim.users.profiles import UserProfile, find_profile, profile, profile_text
 
 if TYPE_CHECKING:  # loads what --help must not
     from wcsim.log.drive import DriveRecording
@@ -55,7 +53,7 @@ class _RecordOptions:
 
     town: TownWord
     """A town's name, its folder, or a .sumocfg file."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE"), Writes(new=True)]
     """New file for the recording."""
     profile: str = "competent"
     """Profile of the simulated user, or FILE.toml. One user is drawn and stays the same after a crash."""
@@ -71,7 +69,6 @@ class _RecordOptions:
 
 def _record(options: _RecordOptions) -> int:
     """Drive and record."""
-    check_new_file(options.out, "--out")
     base = _profile(options.profile)
     config = resolve("quick", (*SMALL_CAMERA, *options.set))
     town = find_town(options.town)
@@ -94,8 +91,7 @@ def _record(options: _RecordOptions) -> int:
 def _profile(name: str) -> UserProfile:
     if name.startswith(RECORDED):
         raise ConfigError(f"--profile {escaped(name, 80)} is a recording; expected a profile, or FILE.toml")
-    require_user(name)
-    return read_profile(Path(name)) if name.endswith(PROFILE_SUFFIX) else profile(name)
+    return find_profile(name)
 
 
 _ROUNDS = 3  # of making intents by the last fit, and fitting to them
@@ -107,7 +103,7 @@ class _FitOptions:
 
     drives: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
     """Recorded drives of one person."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml"), Writes(".toml")]
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.toml"), Writes(".toml", new=True)]  # it may be edited by now
     """New profile file, for --profile of test and video, or env.profile."""
     base: str = "competent"
     """Profile that supplies parameters which a drive does not show."""
@@ -119,15 +115,15 @@ class _FitOptions:
 
 def _fit(options: _FitOptions) -> int:
     """Fit, print, write."""
-    check_new_file(options.out, "--out")  # a profile may have been changed by hand since
     base = profile(options.base)
     if not options.drives:
         raise ConfigError("users fit got no file; expected one or more recorded drives")
     from wcsim.log.drive import read_drive
+    from wcsim.users.fitting.fit_user import fit_user, is_told
 
     drives = [read_drive(path) for path in options.drives]
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
-    fit = _fitted(drives, base) if known else _reconstructed(drives, base)
+    fit = fit_user(drives, base) if known else _reconstructed(drives, base)
     fit = replace(fit, profile=replace(fit.profile, name=_base_name(options.out)))
     head = f"fitted to {fit.seconds:.0f} s of driving; values without an interval are those of {base.name}\n"
     text = profile_text(fit.profile, _notes(fit), head + "\n".join(fit.warnings))
@@ -136,8 +132,6 @@ def _fit(options: _FitOptions) -> int:
     _print(fit)
     print(f"wrote {options.out}; try it: {_trial(options.out)}")
     if options.json is not None:
-        from wcsim.users.fitting.fit_user import is_told
-
         told = {name: asdict(item) | {"told": is_told(name, item)} for name, item in fit.estimates.items()}
         write_json(options.json, {"seconds": fit.seconds, "estimates": told, "warnings": list(fit.warnings)})
     return 0
@@ -151,12 +145,6 @@ def _trial(out: Path) -> str:
 def _base_name(path: Path) -> str:
     """What a profile is called that is written to a file."""
     return "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in path.stem)[:64] or "user"
-
-
-def _fitted(drives: list[DriveRecording], base: UserProfile) -> UserFit:
-    from wcsim.users.fitting.fit_user import fit_user
-
-    return fit_user(drives, base)
 
 
 def _reconstructed(drives: list[DriveRecording], base: UserProfile) -> UserFit:

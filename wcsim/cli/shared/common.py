@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -89,6 +90,7 @@ class Writes(OptionNote):
     """A file that can be written before the work begins, with its ending; missing folders are made later."""
 
     suffix: str = ""
+    new: bool = False  # nothing is there yet
 
     def check(self, option: str, value: Any) -> None:
         """See `OptionNote`."""
@@ -96,6 +98,8 @@ class Writes(OptionNote):
             raise ConfigError(f"{option} {value}: expected a file name that ends in {self.suffix}")
         if is_folder(value):
             raise ConfigError(f"{option} {value} is a folder; expected the name of a file")
+        if self.new and os.path.lexists(value):
+            raise ConfigError(f"{option} {escaped(value)} exists; expected the name of a new file")
         check_folder(option, value.parent)
 
 

@@ -17,6 +17,7 @@ from wcsim.cli.shared.common import check_folder
 from wcsim.config import CONFIG_FILE, RunConfig, resolve
 from wcsim.config.load import sets_key
 from wcsim.core import reading, seeding
+from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import find_class
 from wcsim.core.reading import counted, escaped
 from wcsim.errors import ConfigError, PolicyError
@@ -25,55 +26,37 @@ from wcsim.supervisor.rewards import find_reward_term
 from wcsim.towns.scenario.overrides import Override, settings_of
 from wcsim.towns.scenario.stage import scenario_overrides
 from wcsim.towns.scenario.town import Town, streets_hash
-from wcsim.users.profiles import HELD_OUT, PROFILE_SUFFIX, is_of_file, profile, read_profile
+from wcsim.users.profiles import HELD_OUT, find_profile
 
 
-def require_policy(name: str, network: str) -> None:
+def require_policy(name: str, network: str, *, alone: bool = False, bare_for: str = "") -> None:
     """Refuse what names no policy, and one with a network of somebody's own that was not named.
 
     Args:
         name: The policy; one that is module:Class is imported.
         network: The own network that was named, "" for none.
+        alone: It is the command's only policy, and also has to use the network that was named.
+        bare_for: What uses its network alone, which no veto may stand before; "" where the policy drives.
 
     Raises:
-        PolicyError: There is no such policy or class, or its network was not named.
+        PolicyError: There is no such policy, class or network, its network was not named, or another one was.
     """
-    named = policy_name(name)
+    named, used = policy_name(name), ""
+    if bare_for and named.veto:
+        raise PolicyError(
+            f"{escaped(name)}: {bare_for} uses the network alone; expected {escaped(named.inner)}, without {VETO}"
+        )
     if named.kind == "class":
         find_class(named.inner, "policy")
     elif named.is_network:
-        used = _network_of(name)
+        path = policy_path(name)
+        used = (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
         if is_own(used):
             require_named(escaped(name), used, network)
-
-
-def require_driver(name: str, network: str) -> None:
-    """The same for a command with a single policy, which also has to use the network that was named.
-
-    Raises:
-        PolicyError: As `require_policy`, or there is no such network, or another one.
-    """
-    require_policy(name, network)
-    if not network:
-        return
-    check_network(network)
-    if not policy_name(name).is_network or _network_of(name) != network:
-        raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
-
-
-def require_without_veto(name: str, does: str) -> None:
-    """Refuse a policy behind a veto, where only its network is used. Raises PolicyError."""
-    named = policy_name(name)
-    if named.veto:
-        raise PolicyError(
-            f"{escaped(name)}: {does} uses the network alone; expected {escaped(named.inner)}, without {VETO}"
-        )
-
-
-def _network_of(name: str) -> str:
-    """What a run's policy looks at pictures with. Raises PolicyError when there is no such run."""
-    path = policy_path(name)
-    return (read_danger_file if is_danger(path) else read_policy_file)(path).net.network
+    if alone and network:
+        check_network(network)
+        if used != network:
+            raise PolicyError(f"--network {escaped(network, 80)}: {escaped(name)} does not use it; leave it out")
 
 
 QUICK = "quick"
@@ -213,11 +196,8 @@ def require_user(name: str) -> None:
     Raises:
         ConfigError: There is no such profile, or no such file.
     """
-    if not is_of_file(name):
-        profile(name)
-        return
-    if name.endswith(PROFILE_SUFFIX):
-        read_profile(Path(name))
+    if not name.startswith(RECORDED):
+        find_profile(name)
         return
     from wcsim.users.recorded import find_user
 

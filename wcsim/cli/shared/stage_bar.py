@@ -30,7 +30,12 @@ def told_left(spent_s: float, share: float) -> str:
 
 
 class StageBar:
-    """A stage of a command and how far it has come; a context manager."""
+    """A stage of a command and how far it has come; a context manager. Where less is done than before, another begins.
+
+    Args:
+        name: Of the stage.
+        clock: Seconds.
+    """
 
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self.console = stderr_console()
@@ -51,8 +56,8 @@ class StageBar:
 
     def show(self, share: float, says: str, name: str | None = None) -> None:
         """A share of the work (0 to 1) is done; `says` is what goes on, in 30 characters or so."""
-        if self._first is None:
-            self._first = share
+        if self._first is None or share < self._share:
+            self._first, self._began_s = share, self._clock()
         self._share = share
         self._bar.update(self._task, completed=share, says=says, left=self.left, description=name)
 

@@ -8,7 +8,6 @@ import shlex
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -17,7 +16,7 @@ import tyro
 
 from wcsim.cli.shared.common import Bounds, Flag, OutFile, OutFolder, TownWord, check_folder, fresh_folders, words_of
 from wcsim.cli.shared.consoles import say
-from wcsim.cli.town.town_check import StageClock, checked, told_report, try_town
+from wcsim.cli.town.town_check import checked, told_report, try_town
 from wcsim.core.reading import counted
 from wcsim.errors import ConfigError
 from wcsim.towns.checks.cures import FASTEST_MPS
@@ -35,7 +34,6 @@ if TYPE_CHECKING:  # loads what builds streets, which --help must not
 
 
 _LAND, _SIDE = tyro.conf.create_mutex_group(required=False), tyro.conf.create_mutex_group(required=False)
-Stage = Callable[[str], None]  # what begins now, in words
 
 
 @dataclass(kw_only=True)
@@ -109,22 +107,21 @@ def run(options: AdoptOptions | ImportOptions) -> int:
     out = options.out or Path("scenarios/sumo") / options.name
     check_folder("--out", out)
     result = options.json and options.json.resolve()  # this folder itself may be built anew
-    clock = StageClock(say)
     with fresh_folders(out.parent):
         if isinstance(options, AdoptOptions):
-            report, more = _adopt(options, out, clock.begin), dict[str, Any]()
+            report, more = _adopt(options, out), dict[str, Any]()
         else:
-            report, more = _build(options, out, clock.begin)
-    return told_report(report, started_s, result, clock, **more)
+            report, more = _build(options, out)
+    return told_report(report, started_s, result, **more)
 
 
-def _adopt(options: AdoptOptions, out: Path, stage: Stage) -> TownReport:
+def _adopt(options: AdoptOptions, out: Path) -> TownReport:
     if options.allow_outside:
         print(f"note: files outside of the folder of {options.sumocfg} are copied too; check {out} before you share it")
     named = options.name, out, options.split, options.source
     town = adopt_scenario(options.sumocfg, *named, outside=options.allow_outside, cycle_paths=options.cycle_paths)
     try:
-        report = checked(town, told=stage)
+        report = checked(town, told=say)
     except BaseException:  # what cannot be read is no town
         shutil.rmtree(town.folder, ignore_errors=True)
         raise
@@ -132,7 +129,7 @@ def _adopt(options: AdoptOptions, out: Path, stage: Stage) -> TownReport:
     return report
 
 
-def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport, dict[str, Any]]:
+def _build(options: ImportOptions, out: Path) -> tuple[TownReport, dict[str, Any]]:
     """The check of a town that was built, and what else the result file says of it."""
     if options.osm is None and not options.bbox:
         raise ConfigError(
@@ -148,10 +145,10 @@ def _build(options: ImportOptions, out: Path, stage: Stage) -> tuple[TownReport,
 
     with tempfile.TemporaryDirectory(prefix="wcsim-osm-") as folder:
         osm = options.osm or download(_bbox(options.bbox), Path(folder), options.url)
-        made = import_town(_order(options, osm, box, out), _built, stage)
+        made = import_town(_order(options, osm, box, out), _built, say)
     print(f"wrote {made.town.folder}; open it with: sumo-gui -c {shlex.quote(str(made.town.sumocfg))}")
     print(f"traffic drives on the {made.side}")
-    report = checked(made.town, made.walkable_share, stage)
+    report = checked(made.town, made.walkable_share, say)
     more = {"left_out": asdict(made.left_out), **made.counts}
     return replace(report, notes=(*made.notes, *report.notes)), more
 
@@ -258,10 +255,9 @@ def make(options: TownMakeOptions) -> int:
 
     from wcsim.towns.making.maker import make_town  # loads what builds streets, which --help must not
 
-    clock = StageClock(say)
-    town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=clock.begin)
+    town = make_town(out, options.seed, wishes, name=options.name, overwrite=options.replace, stage=say)
     print(f"wrote {town.folder}; open it with: sumo-gui -c {shlex.quote(str(town.sumocfg))}")
-    return told_report(checked(town, told=clock.begin), started_s, result, clock)
+    return told_report(checked(town, told=say), started_s, result)
 
 
 TOLD = 5

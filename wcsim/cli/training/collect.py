@@ -22,7 +22,7 @@ from wcsim.cli.shared.common import (
     write_json,
 )
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_known, require_policy, require_users, require_without_veto
+from wcsim.cli.shared.run_config import require_known, require_policy, require_users
 from wcsim.cli.training.train import checked_town
 from wcsim.config import resolve
 from wcsim.core.reading import counted
@@ -61,8 +61,7 @@ def run(words: list[str]) -> int:
     own = {"learn": {"network": options.network}} if options.network else None
     config = resolve(options.preset, options.config, options.set, own)
     if options.policy:
-        require_without_veto(options.policy, "collecting")
-        require_policy(options.policy, config.learn.network)
+        require_policy(options.policy, config.learn.network, bare_for="collecting")
     require_known(options.network)
     require_users(config, (options.set, options.config))
     machines = replace(machines_of(options.cluster, options.worlds, "--worlds"), say=_say)

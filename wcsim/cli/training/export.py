@@ -18,7 +18,7 @@ from wcsim.agents.runs.policy_file import SHIPPED, is_danger, policy_name, read_
 from wcsim.agents.runs.run_folder import policy_path
 from wcsim.cli.shared.common import Bounds, OutFile, check_folder, parse, write_json
 from wcsim.cli.shared.exit_codes import Exit
-from wcsim.cli.shared.run_config import require_driver, require_without_veto
+from wcsim.cli.shared.run_config import require_policy
 from wcsim.config import RunConfig, resolve
 from wcsim.core.reading import counted, escaped, is_folder
 from wcsim.errors import ConfigError, PolicyError, meant
@@ -68,7 +68,7 @@ def run(words: list[str]) -> int:
             f"--ride {escaped(options.ride)}: not found; expected a recorded drive, a journal, or the folder of a run"
         )
     path = _network(options.policy)
-    require_driver(options.policy, options.network)
+    require_policy(options.policy, options.network, alone=True, bare_for="an export")
     from wcsim.agents.export.onnx_export import export_policy  # torch is loaded here
     from wcsim.agents.networks.costs import LIMIT_MS, RESERVE_MS
     from wcsim.agents.networks.onnx_form import check_onnx
@@ -100,7 +100,6 @@ def run(words: list[str]) -> int:
 
 def _network(name: str) -> Path:
     """The folder of a network that may be exported. Raises PolicyError, also for what drives and has none."""
-    require_without_veto(name, "an export")
     named = policy_name(name)
     if not named.is_network:
         raise PolicyError(

@@ -12,10 +12,11 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Collection, Container, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,7 @@ from types import FrameType
 import msgspec
 
 from wcsim.bridge.replay.player import SeatWorld
+from wcsim.core.closing import Closing
 from wcsim.errors import (
     AccessError,
     ConfigError,
@@ -35,13 +37,12 @@ from wcsim.errors import (
     TownError,
     WcsimError,
 )
-from wcsim.log.records import Ended, Input
+from wcsim.log.records import Ended
 from wcsim.server.host.epoch_cap import EPOCH_OVER, EpochCap
 from wcsim.server.host.recovery import MakesWorld, Opened, open_server, street_world
 from wcsim.server.host.status import Reporter
-from wcsim.server.host.world_host import WorldHost
+from wcsim.server.host.world_host import Keep, WorldHost
 from wcsim.server.launch.awake_clock import AwakeClock
-from wcsim.server.launch.lifeline import Lifelines
 from wcsim.server.launch.states import WorldExit
 from wcsim.server.launch.stop_signals import die_with_parent
 from wcsim.server.protocol import messages as m
@@ -137,6 +138,71 @@ def at_the_door(join: m.Join, remote: bool, key: str | None) -> m.Join:
     return msgspec.structs.replace(join, pid=0)
 
 
+class Lifelines(Closing):
+    """Watches the processes of local clients, and the pipe to whoever started this one; a context manager.
+
+    The kernel says at once when one has ended, whatever it was doing.
+    """
+
+    def __init__(self, pipe: int = -1) -> None:
+        """Watch the writing end of a pipe for the end of its reader; -1 for none."""
+        self._epoll = select.epoll()
+        self._pipe = pipe
+        self._pidfds: dict[int, int] = {}  # by process
+        self._sessions: dict[int, set[bytes]] = {}  # by process
+        if pipe >= 0:
+            self._epoll.register(pipe, 0)  # its error is always told
+
+    def fileno(self) -> int:
+        """A descriptor that can be read when there is news."""
+        return self._epoll.fileno()
+
+    def watch(self, pid: int, session: bytes) -> bool:
+        """Watch the process of a session; False when it is not there any more."""
+        if pid not in self._pidfds:
+            try:
+                number = os.pidfd_open(pid)
+            except (OSError, OverflowError):
+                return False
+            self._pidfds[pid], self._sessions[pid] = number, set()
+            self._epoll.register(number, select.EPOLLIN)
+        self._sessions[pid].add(session)
+        return True
+
+    def news(self) -> tuple[list[bytes], bool]:
+        """Sessions whose processes have ended since the last call, and whether the reader of the pipe is gone."""
+        lost: list[bytes] = []
+        alone = False
+        for number, _ in self._epoll.poll(0):
+            if number == self._pipe:
+                alone = True
+                continue
+            pid = next(pid for pid, mine in self._pidfds.items() if mine == number)
+            lost.extend(sorted(self._sessions[pid]))
+            self._forget(pid)
+        return lost, alone
+
+    def keep(self, sessions: Collection[bytes]) -> None:
+        """Forget all sessions but these."""
+        for pid, mine in list(self._sessions.items()):
+            mine.intersection_update(sessions)
+            if not mine:
+                self._forget(pid)
+
+    def close(self) -> None:
+        """Watch nothing any more."""
+        for pid in list(self._pidfds):
+            self._forget(pid)
+        self._epoll.close()
+
+    def _forget(self, pid: int) -> None:
+        number = self._pidfds.pop(pid)
+        del self._sessions[pid]
+        with contextlib.suppress(OSError):
+            self._epoll.unregister(number)
+        os.close(number)
+
+
 _WAIT_MS = 50
 _CLOCK_S = 0.1
 
@@ -151,7 +217,8 @@ class _ServerLoop:
         self._order, self._core = order, opened.core
         self._ring = RingSink(Path(order.ring), order.rules.capacity, order.config.cameras)
         self._doors, self._lifelines, self._reporter = doors, lifelines, reporter
-        keep = _forget if opened.journal is None else opened.journal.append
+        # A world without a run folder keeps no journal.
+        keep: Keep = (lambda record: None) if opened.journal is None else opened.journal.append
         self._hub = WorldHost(opened.core, opened.world, self._post, keep, self._ring, reporter.loading)
         self._clock = AwakeClock(time.monotonic())
         self._peers = PeerLimits()
@@ -341,11 +408,6 @@ def _prepared(
     held.callback(opened.world.close)
     reporter.listening = doors.listening
     return opened, _ServerLoop(order, opened, doors, lifelines, reporter)
-
-
-def _forget(record: Input) -> None:
-    """A world without a run folder keeps no journal."""
-    del record
 
 
 class _Ends:

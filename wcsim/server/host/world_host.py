@@ -11,14 +11,12 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 import msgspec
 
 from wcsim.bridge.replay.player import SeatWorld
 from wcsim.errors import PhysicsError, WcsimError
 from wcsim.log.records import Admitted, Dismissed, EpochBegun, Input, Respawned, ticked
-from wcsim.physics.buffers import ImageSink
 from wcsim.physics.sensors.camera import copied
 from wcsim.server.protocol import messages as m
 from wcsim.server.protocol.events import (
@@ -37,22 +35,13 @@ from wcsim.server.protocol.events import (
     Stepped,
 )
 from wcsim.server.protocol.server_core import ServerCore
+from wcsim.server.transport.shared_images import RingSink
 from wcsim.types import Snapshot
 
 log = logging.getLogger("wcsim.server.host.world_host")
 
 Post = Callable[[Peer, m.Reply], None]
 Keep = Callable[[Input], None]
-
-
-class _SlottedSink(ImageSink, Protocol):
-    """Where pictures go: two slots a seat in turn, so that the frame before stands while the next is drawn."""
-
-    def turn(self, tick: int) -> None:
-        """The next pictures are of this tick."""
-
-    def slot(self, tick: int) -> int:
-        """Where those of a tick are."""
 
 
 class WorldHost:
@@ -64,7 +53,7 @@ class WorldHost:
         world: SeatWorld,
         post: Post,
         keep: Keep = lambda record: None,
-        sink: _SlottedSink | None = None,
+        sink: RingSink | None = None,
         loading: Callable[[], object] = lambda: None,
     ) -> None:
         """Host a world.

@@ -36,7 +36,7 @@ from wcsim.server.protocol.events import Rules
 from wcsim.server.specs import SeatRequest, WorldOrder, WorldSpec, WorldStatus, of_line, to_line
 from wcsim.server.transport.keys import client_keys, is_ipv6, server_public
 from wcsim.server.transport.shared_images import RingView
-from wcsim.server.transport.world_folder import RingFolder, endpoint_in, remove_stale_rings
+from wcsim.server.transport.world_folder import OwnFolder, endpoint_in, remove_stale
 from wcsim.types import ClientSnapshot, SeatSpec
 
 _POLL_MS = 200
@@ -223,8 +223,8 @@ class _WorldChild:
 
         Its first tick waits for all seats.
         """
-        remove_stale_rings()
-        place = RingFolder()
+        remove_stale()
+        place = OwnFolder()
         self.endpoint = endpoint_in(place.path)
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
@@ -338,7 +338,7 @@ def _ready(line: bytes) -> bool:
         raise m.error_of(msgspec.json.decode(line, type=m.Failure)) from None
 
 
-def _end(process: subprocess.Popen[bytes], pipe: int, place: RingFolder) -> None:
+def _end(process: subprocess.Popen[bytes], pipe: int, place: OwnFolder) -> None:
     process.terminate()
     try:
         process.wait(_END_TIMEOUT_S)

@@ -1,8 +1,8 @@
 """The folder of a running world: its socket, its shared memory, the orders of its processes; gone when they are.
 
-It lies in memory where the machine has such a place. A folder belongs to whoever holds the lock of a file in it. The
-kernel takes a lock back when its holder ends, and shows it to processes that cannot see each other's numbers, as in
-containers that share the place.
+It lies in memory where the machine has such a place. A worker's temporary files lie in a folder of the same kind
+elsewhere. A folder belongs to whoever holds the lock of a file in it. The kernel takes a lock back when its holder
+ends, and shows it to processes that cannot see each other's numbers, as in containers that share the place.
 """
 
 from __future__ import annotations
@@ -22,26 +22,24 @@ from wcsim.errors import DiskFullError
 _PREFIX = "wcsim-ring-"
 LOCK = ".lock"
 _SHARED = Path("/dev/shm")  # noqa: S108 - the folder made in it is new, and its owner's alone
-_NAME = re.compile(re.escape(_PREFIX) + r"(\d+)-\w+")  # the process number is for people to read
+_NUMBERED = re.compile(r"(\d+)-\w+")  # behind the prefix; the process number is for people to read
 
 
-class RingFolder:
+class OwnFolder:
     """A new folder that only its user can enter; `close` removes it."""
 
-    def __init__(self, home: Path | None = None) -> None:
+    def __init__(self, home: Path | None = None, prefix: str = _PREFIX) -> None:
         """Make a folder; it appears under its name with its lock held. Raises DiskFullError when there is no room."""
         home = _home() if home is None else home
         try:
-            new = Path(tempfile.mkdtemp(prefix=f".{_PREFIX}", dir=home))
+            new = Path(tempfile.mkdtemp(prefix=f".{prefix}", dir=home))
             self._lock = os.open(new / LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             with contextlib.suppress(OSError):  # a file system without locks
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            number = new.name.removeprefix(f".{_PREFIX}")
-            self.path = new.rename(new.with_name(f"{_PREFIX}{os.getpid()}-{number}"))
+            number = new.name.removeprefix(f".{prefix}")
+            self.path = new.rename(new.with_name(f"{prefix}{os.getpid()}-{number}"))
         except OSError as error:
-            raise DiskFullError(
-                f"{home}: a folder for pictures cannot be created ({error.strerror}); make room"
-            ) from None
+            raise DiskFullError(f"{home}: a folder cannot be created ({error.strerror}); make room") from None
 
     def close(self) -> None:
         """Remove the folder; whoever still reads pictures of it keeps them. A second call does nothing."""
@@ -51,11 +49,11 @@ class RingFolder:
             self._lock = -1
 
 
-def remove_stale_rings(home: Path | None = None) -> int:
+def remove_stale(home: Path | None = None, prefix: str = _PREFIX) -> int:
     """Remove this user's folders whose owners have ended; returns how many."""
     removed = 0
-    for folder in (_home() if home is None else home).glob(f"{_PREFIX}*"):
-        if _NAME.fullmatch(folder.name) and _mine(folder):
+    for folder in (_home() if home is None else home).glob(f"{prefix}*"):
+        if _NUMBERED.fullmatch(folder.name.removeprefix(prefix)) and _mine(folder):
             removed += _removed_if_stale(folder)
     return removed
 
@@ -108,10 +106,10 @@ def _mine(folder: Path) -> bool:
 
 
 @contextmanager
-def workplace() -> Iterator[Path]:
+def workplace(home: Path | None = None, prefix: str = _PREFIX) -> Iterator[Path]:
     """A new folder that only its user can enter, while open; those of owners that were killed go first."""
-    remove_stale_rings()
-    folder = RingFolder()
+    remove_stale(home, prefix)
+    folder = OwnFolder(home, prefix)
     try:
         yield folder.path
     finally:

@@ -25,7 +25,7 @@ import zstandard
 
 from wcsim.core.files import alone
 from wcsim.core.reading import escaped, unzstd
-from wcsim.errors import ConfigError, WcsimError, WorkersError
+from wcsim.errors import ConfigError, DiskFullError, WcsimError, WorkersError
 from wcsim.server.workers.machines import Parcel, Work, WorkEnd, work_folder
 from wcsim.towns.cache.folder import cache_folder
 
@@ -117,12 +117,12 @@ def do_work(worker: str, work: Work, parcels: tuple[SentParcel, ...], fetch: Fet
             places, fetched = _received(parcels, fetch or _from_ray, leaving.enter_context(work_folder()))
             fetch_s = time.monotonic() - began_s
             data = work.call(work.piece, lambda address: places.get(address, address))
+        except (OSError, MemoryError, DiskFullError) as error:  # of this machine: another one may have room
+            _say(f"{key} is lost: {error}")
+            return end(lost=f"{type(error).__name__}: {error}")
         except WcsimError as error:
             _say(f"{key} failed: {error}")
             return end(error=error)
-        except (OSError, MemoryError) as error:  # of this machine: another one may have room
-            _say(f"{key} is lost: {error}")
-            return end(lost=f"{type(error).__name__}: {error}")
         except Exception as error:
             _say(f"{key} failed: {traceback.format_exc()}")
             told = f"{type(error).__name__}: {error}"[:300]

@@ -6,15 +6,12 @@ with the next on the machine.
 
 from __future__ import annotations
 
-import os
-import re
-import shutil
 import signal
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,6 +20,7 @@ from typing import Any, Final, Protocol
 
 from wcsim.core.files import WORK_PREFIX
 from wcsim.server.launch.stop_signals import die_with_parent, unheard_by_children
+from wcsim.server.transport.world_folder import workplace
 
 At = Callable[[str], str]
 """Where that which the machine that sends calls by this address lies on the machine that works."""
@@ -95,45 +93,18 @@ class Workers(Protocol):
         """End all at once."""
 
 
-_NAMED: Final = re.compile(rf"{WORK_PREFIX}(\d+)-(\d+)-(\d+)-")  # namespace of its number, number, birth
-
-
 @contextmanager
 def work_folder() -> Iterator[Path]:
-    """A folder that is there while this is open; those of processes that were killed go first. Raises OSError.
+    """A folder that is there while this is open; those of processes that were killed go first. Raises DiskFullError.
 
     Meanwhile it is this process's place for temporary files, so that what a killed worker leaves is found again.
     """
-    _sweep()
-    own = f"{WORK_PREFIX}{_namespace()}-{os.getpid()}-{_born(os.getpid())}-"
-    with tempfile.TemporaryDirectory(prefix=own, ignore_cleanup_errors=True) as folder:
-        before, tempfile.tempdir = tempfile.tempdir, folder
+    with workplace(Path(tempfile.gettempdir()), WORK_PREFIX) as folder:
+        before, tempfile.tempdir = tempfile.tempdir, str(folder)
         try:
-            yield Path(folder)
+            yield folder
         finally:
             tempfile.tempdir = before
-
-
-def _sweep() -> None:
-    """Remove what processes have left that are gone."""
-    for folder in Path(tempfile.gettempdir()).glob(f"{WORK_PREFIX}*"):
-        named = _NAMED.match(folder.name)
-        if named is not None and int(named[1]) == _namespace() and named[3] != _born(int(named[2])):
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _namespace() -> int:
-    """In which numbers of processes mean what they do here: containers may share a folder; 0 where it is unknown."""
-    with suppress(OSError):
-        return Path("/proc/self/ns/pid").stat().st_ino
-    return 0
-
-
-def _born(pid: int) -> str:
-    """When a process began, in ticks of the machine's clock, so that its number is no other's; "0" for none."""
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[19]
-    return "0"
 
 
 class _ProcessWorkers:

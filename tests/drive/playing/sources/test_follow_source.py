@@ -14,9 +14,8 @@ from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, Film
 from wcsim.drive.playing.sources import follow_source
 from wcsim.drive.playing.sources.follow_source import follow_film
 from wcsim.errors import ConfigError, JournalError
-from wcsim.log.reader import inputs_of_part, put_aside, read_header
+from wcsim.log.reader import LogTail, inputs_of_part, put_aside, read_header
 from wcsim.log.records import Ended, EpochBegun, Ticked, changed
-from wcsim.log.tail import LogTail
 from wcsim.log.writer import LogWriter
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 

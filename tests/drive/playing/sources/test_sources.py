@@ -24,9 +24,8 @@ from wcsim.core.files import numbered_names
 from wcsim.drive.driven import DriverKind, happened_in
 from wcsim.drive.playing.film_states import FilmAbout, FilmFrame, FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.episode_source import episode_film, failed_episodes
-from wcsim.drive.playing.sources.replay_source import replay_film
+from wcsim.drive.playing.sources.replay_source import replay_film, state_film
 from wcsim.drive.playing.sources.source_process import FilmSource
-from wcsim.drive.playing.sources.state_source import state_film
 from wcsim.drive.playing.tick_film import TickFilm
 from wcsim.drive.recording.session_recorder import SessionRecorder
 from wcsim.drive.session import DriveSession, Wish

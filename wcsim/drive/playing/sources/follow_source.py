@@ -17,8 +17,8 @@ from wcsim.bridge.replay.replayed import worlds_of
 from wcsim.bridge.world import World
 from wcsim.drive.playing.film_states import FilmLine, FilmNames, Said
 from wcsim.drive.playing.sources.replay_source import RecordScene, replay_about
+from wcsim.log.reader import LogTail
 from wcsim.log.records import Ended, EpochBegun, Header, Input, Ticked
-from wcsim.log.tail import LogTail
 from wcsim.log.writer import JOURNAL
 from wcsim.server.host.epoch_cap import EPOCH_OVER
 

@@ -76,15 +76,10 @@ def _film(source: FilmSource, say: Callable[[Said], object], pipe: Connection) -
 
         episode_film(source, say)
         return
+    from wcsim.drive.playing.sources.replay_source import replay_film, state_film
     from wcsim.log.reader import read_header
 
-    if read_header(source.path).kind == "trace":
-        from wcsim.drive.playing.sources.state_source import state_film
-
-        film = state_film(source.path, source.epoch, source.town)
-    else:
-        from wcsim.drive.playing.sources.replay_source import replay_film
-
-        film = replay_film(source.path, source.epoch, source.hook)
-    for said in film:
+    is_trace = read_header(source.path).kind == "trace"
+    places, again = (source.path, source.epoch, source.town), (source.path, source.epoch, source.hook)
+    for said in state_film(*places) if is_trace else replay_film(*again):
         say(said)
