@@ -11,7 +11,7 @@ from wcsim.agents.evaluation.suite.records import CRASHED, TIMED_OUT, EpisodeRec
 from wcsim.agents.evaluation.suite.rows import ResultRow, row_of
 from wcsim.agents.policy_api import Policy, SeesTruth, tell_delay
 from wcsim.config import RunConfig
-from wcsim.supervisor.kpi import KpiMeter
+from wcsim.supervisor.kpi import KpiStep, crash_of, sums_of
 from wcsim.types import Events, Joystick, Truth
 
 
@@ -25,18 +25,18 @@ def driven(
         seen, info = env.reset(seed=seed) if number == 0 else env.reset()
         tell_delay(policy, info.get("drawn"))
         policy.reset()
-        meter, ended = KpiMeter(tick_s, RunConfig().reward), {"status": TIMED_OUT}
+        steps, ended = [], {"status": TIMED_OUT}
         for _ in range(max_steps):
             truth = info.get("truth")  # of the moment that the agent answers to
             if isinstance(policy, SeesTruth):
                 policy.see(truth)
             seen, _, terminated, truncated, info = env.step(policy.act(seen))
-            meter.add(info, truth is None or not truth.danger)
+            steps.append(KpiStep.of(info, truth is None or not truth.danger))
             if info["events"].crashed:
-                ended = {"status": CRASHED, **meter.crash(info)}
+                ended = {"status": CRASHED, **crash_of(info["events"], (), steps, tick_s, RunConfig().reward)}
             if terminated or truncated:
                 break
-        sums = meter.sums()
+        sums = sums_of(steps, tick_s)
         place = {"block": number, "seat": 0, "part": "", "town": "", "profile": ""}
         records.append(EpisodeRecord(**place, time_s=sums["steps"] * tick_s, **ended, **sums))
     return row_of(policy.name, "", records, ())

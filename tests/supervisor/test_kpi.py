@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from tests.support.plants import CALM
 from wcsim.config import RewardConfig
-from wcsim.supervisor.kpi import KpiMeter, KpiTotals
+from wcsim.supervisor import kpi
+from wcsim.supervisor.kpi import KpiStep, KpiTotals
 from wcsim.types import Contact, Joystick
 
 REST = Joystick(0.0, 0.0)
@@ -21,19 +22,16 @@ AHEAD = Joystick(0.0, 0.8)
 HIT = Contact(kind="car", part="body", impulse_Ns=200.0, cause="other", actor_id="car-1")
 
 
-def step(distance=0.0, free=True, speed_mps=1.0, asked=REST, given=REST, **events) -> tuple[dict[str, Any], bool]:
+def step(distance=0.0, free=True, speed_mps=1.0, asked=REST, given=REST, **events) -> KpiStep:
     info = {
         "events": replace(CALM, **events), "joystick_distance": distance, "asked": asked, "given": given,
         "speed_mps": speed_mps,
     }  # fmt: skip
-    return info, free
+    return KpiStep.of(info, free)
 
 
 def sums_of(*steps, tick_s=0.1) -> dict[str, Any]:
-    meter = KpiMeter(tick_s, RewardConfig())
-    for one in steps:
-        meter.add(*one)
-    return meter.sums()
+    return kpi.sums_of(steps, tick_s)
 
 
 def test_a_small_test_by_hand():
@@ -141,14 +139,11 @@ def test_freezes_are_those_that_a_plain_count_finds(stretches):
     assert sums_of(*[frozen(1)[0] if cold else step() for cold in plan])["freezes"] == expected
 
 
-def crash_after(*speeds_mps: float, **events: Any) -> tuple[KpiMeter, str]:
-    """A meter of these ticks and of one in which a car hits the chair and throws it."""
-    meter = KpiMeter(0.1, RewardConfig())
-    for speed in speeds_mps:
-        meter.add(*step(speed_mps=speed, **{"on_carriageway": True, **events}))
-    last = step(speed_mps=3.2, on_carriageway=True, crashed=True, crash_reason="collision")[0] | {"contacts": (HIT,)}
-    meter.add(last, True)
-    return meter, str(meter.crash(last)["fault"])
+def crash_after(*speeds_mps: float, **events: Any) -> tuple[list[KpiStep], str]:
+    """These ticks and one in which a car hits the chair and throws it, and whose fault that is."""
+    steps = [step(speed_mps=speed, **{"on_carriageway": True, **events}) for speed in speeds_mps]
+    steps.append(step(speed_mps=3.2, on_carriageway=True, crashed=True, crash_reason="collision"))
+    return steps, str(kpi.crash_of(steps[-1].events, (HIT,), steps, 0.1, RewardConfig())["fault"])
 
 
 @pytest.mark.parametrize(("still_ticks", "whose"), [(0, "other"), (8, "other"), (10, "own"), (50, "own")])
@@ -162,7 +157,7 @@ def test_who_came_onto_it_at_red_is_at_fault_and_who_stood_on_a_pavement_is_not(
 
 
 def test_a_crash_says_nothing_of_how_smooth_the_drive_was():
-    assert crash_after(1.0, 1.1, 1.2)[0].sums()["accel_sq_sum"] == pytest.approx(2.0)
+    assert sums_of(*crash_after(1.0, 1.1, 1.2)[0])["accel_sq_sum"] == pytest.approx(2.0)
     assert sums_of(*(step(speed_mps=speed) for speed in (1.0, 1.1, 1.2)))["accel_sq_sum"] == pytest.approx(2.0)
 
 

@@ -7,15 +7,14 @@ moves and nothing is in the way, and whether it gets anywhere: routes, crossings
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from wcsim.config import RewardConfig
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, fault, hardest
-from wcsim.types import F64, Bool
+from wcsim.types import F64, Bool, Contact, Events, Joystick
 
 MAX_FOLLOW_DISTANCE = 0.1768  # Table 1, sqrt(0.125^2 + 0.125^2)
 FOLLOWED = MAX_FOLLOW_DISTANCE + DISTANCE_TOLERANCE  # up to which a stick counts as followed
@@ -27,6 +26,13 @@ DROP = "drop"  # the crash reason of a fall off a kerb
 _STOOD_S: Final = 1.0  # a chair that stands so long on a carriageway stands where it should not
 _PATH_S: Final = 1.0  # a point of the path every so often
 _STRETCHES: Final = frozenset({"warnings", "interventions", "overrules"})  # of ticks, counted where they begin
+_EVENTS: Final = {  # of a record, and what a step counts for
+    "goals": "arrived",
+    "given_up": "gave_up",
+    "red_entries": "entered_red",
+    "crossings": "crossed",
+    "helps": "help_asked",
+}
 
 
 class KpiTotals(NamedTuple):
@@ -90,99 +96,96 @@ class KpiTotals(NamedTuple):
         return self._replace(ended=self.ended + (self.steps > 0), ended_steps=self.ended_steps + self.steps, steps=0)
 
 
-class KpiMeter:
-    """Counts the steps that a policy drove in one episode; 49 bytes a step.
+class KpiStep(NamedTuple):
+    """What the record of an episode is made of, of one step that a policy drove."""
 
-    Args:
-        tick_s: Of a step.
-        reward: What counts as a collision.
-    """
+    distance: float  # of the joysticks
+    asked: Joystick
+    given: Joystick
+    speed_mps: float
+    free: bool  # whether the moment that was answered was free of danger
+    events: Events
+    at_m: tuple[float, float] | None  # W; None where it is not told
 
-    def __init__(self, tick_s: float, reward: RewardConfig) -> None:
-        self._tick_s, self._reward = tick_s, reward
-        self._numbers = array("d")  # distance, asked x and y, given x and y, speed of each step
-        self._free = array("b")
-        self._counts = {"goals": 0, "given_up": 0, "red_entries": 0, "crossings": 0, "helps": 0}
-        self._standing = 0  # steps on a carriageway
-        self._every = max(1, round(_PATH_S / tick_s))
-        self._stood_s, self._in_red, self._crashed = 0.0, False, False
-        self._path: list[tuple[float, float]] = []
-        self._at = (0.0, 0.0)
-
-    def add(self, info: Mapping[str, Any], free: bool) -> None:
-        """One step, as an environment's `info` tells it; whether the moment that was answered was free of danger."""
-        events, asked, given, speed_mps = info["events"], info["asked"], info["given"], float(info["speed_mps"])
-        self._numbers.extend((float(info["joystick_distance"]), asked.x, asked.y, given.x, given.y, speed_mps))
-        self._free.append(free)
-        happened = (events.arrived, events.gave_up, events.entered_red, events.crossed, events.help_asked)
-        for name, is_so in zip(self._counts, happened, strict=True):
-            self._counts[name] += is_so
-        standing = events.on_carriageway and abs(speed_mps) < STANDS_MPS
-        self._standing += standing
-        if not events.crashed:  # how a chair came into a crash is not told by what that did to it
-            self._stood_s = self._stood_s + self._tick_s if standing else 0.0
-            self._in_red = events.on_carriageway and (self._in_red or events.entered_red)
-        self._crashed = events.crashed
-        self._walk(info)
-
-    def crash(self, info: Mapping[str, Any]) -> dict[str, Any]:
-        """Reason, fault, partner and words of the crash that `info` tells of, under their names in a record.
-
-        The other's fault is the chair's own where it had stood on a carriageway or had come onto it at red.
-        """
-        events, contacts = info["events"], info.get("contacts", ())
-        whose = str(fault(events.crash_reason, contacts, self._reward))
-        if whose == "other" and (self._stood_s >= _STOOD_S - 1e-9 or self._in_red):
-            whose = "own"
-        hit = hardest(events.crash_reason, contacts, self._reward)
-        partner = "" if hit is None else hit.kind
-        return {"reason": events.crash_reason, "fault": whose, "partner": partner, "crash": events.crash}
-
-    def sums(self) -> dict[str, Any]:
-        """The sums of all steps under their names in a record."""
-        numbers = np.array(self._numbers, np.float64).reshape(-1, 6)
-        distance, asked, given, speed_mps = numbers[:, 0], numbers[:, 1:3], numbers[:, 3:5], numbers[:, 5]
-        free = np.array(self._free, np.bool_)
-        within, moving = distance <= FOLLOWED, free & (_out(asked) > PUSHES)
-        blocked = free & (asked[:, 1] > PUSHES) & (given[:, 1] < _BLOCKED_SHARE * asked[:, 1])
-        driven = len(numbers) - self._crashed  # how smooth it was is not told by a crash
-        accelerations = np.diff(speed_mps[:driven]) / self._tick_s
-        return {
-            "steps": len(numbers),
-            "m": round(float(np.sum(np.abs(speed_mps) * self._tick_s)), 6),
-            "distance_sum": round(float(distance.sum()), 9),
-            "within": int(within.sum()),
-            "free_steps": int(free.sum()),
-            "free_sum": round(float(distance[free].sum()), 9),
-            "blocked_steps": int(blocked.sum()),
-            "moving_steps": int(moving.sum()),
-            "moving_sum": round(float(distance[moving].sum()), 9),
-            "moving_within": int((moving & within).sum()),
-            "freezes": self._freezes(speed_mps, asked, given),
-            "road_s": round(self._standing * self._tick_s, 6),
-            "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),
-            "stick_travel": round(_travel(given), 6),
-            "asked_travel": round(_travel(asked), 6),
-            "path_m": tuple(self._path if len(numbers) % self._every == 0 else [*self._path, self._at]),
-            **self._counts,
-        }
-
-    def _walk(self, info: Mapping[str, Any]) -> None:
+    @classmethod
+    def of(cls, info: Mapping[str, Any], free: bool) -> KpiStep:
+        """One step, as an environment's `info` tells it."""
         state = info.get("state")
-        if state is None:
-            return
-        x_m, y_m = (round(float(value), 2) for value in state.p_WB_m[:2])
-        self._at = (x_m, y_m)
-        if len(self._free) % self._every == 0:
-            self._path.append(self._at)
+        at_m = None if state is None else (round(float(state.p_WB_m[0]), 2), round(float(state.p_WB_m[1]), 2))
+        distance, speed_mps = float(info["joystick_distance"]), float(info["speed_mps"])
+        return cls(distance, info["asked"], info["given"], speed_mps, free, info["events"], at_m)
 
-    def _freezes(self, speed_mps: F64, asked: F64, given: F64) -> int:
-        """Stretches of FREEZE_S and more in which only the agent keeps the chair from going."""
-        frozen: Bool = (np.abs(speed_mps) < STANDS_MPS) & (_out(asked) > PUSHES) & (_out(given) < PUSHES)
-        edges = np.flatnonzero(np.diff(np.r_[False, frozen, False]))
-        lasted_s = (edges[1::2] - edges[::2]) * self._tick_s
-        # A hair less: so many ticks may be a little under the bound.
-        return int(np.count_nonzero(lasted_s >= FREEZE_S - 1e-6))
+    @property
+    def stands_on_road(self) -> bool:
+        """Whether the chair stands on a carriageway."""
+        return self.events.on_carriageway and abs(self.speed_mps) < STANDS_MPS
+
+
+def crash_of(
+    events: Events, contacts: Sequence[Contact], steps: Sequence[KpiStep], tick_s: float, config: RewardConfig
+) -> dict[str, Any]:
+    """Reason, fault, partner and words of a crash, which these steps led to, under their names in a record.
+
+    The other's fault is the chair's own where it had stood on a carriageway or had come onto it at red.
+    """
+    whose = str(fault(events.crash_reason, contacts, config))
+    stood_s, in_red = 0.0, False
+    for step in steps:
+        if step.events.crashed:  # how a chair came into a crash is not told by what that did to it
+            break
+        stood_s = stood_s + tick_s if step.stands_on_road else 0.0
+        in_red = step.events.on_carriageway and (in_red or step.events.entered_red)
+    if whose == "other" and (stood_s >= _STOOD_S - 1e-9 or in_red):
+        whose = "own"
+    hit = hardest(events.crash_reason, contacts, config)
+    partner = "" if hit is None else hit.kind
+    return {"reason": events.crash_reason, "fault": whose, "partner": partner, "crash": events.crash}
+
+
+def sums_of(steps: Sequence[KpiStep], tick_s: float) -> dict[str, Any]:
+    """The sums of an episode's steps under their names in a record."""
+    rows = [(each.distance, each.asked.x, each.asked.y, each.given.x, each.given.y, each.speed_mps) for each in steps]
+    numbers = np.array(rows, np.float64).reshape(-1, 6)
+    distance, asked, given, speed_mps = numbers[:, 0], numbers[:, 1:3], numbers[:, 3:5], numbers[:, 5]
+    free = np.array([each.free for each in steps], np.bool_)
+    within, moving = distance <= FOLLOWED, free & (_out(asked) > PUSHES)
+    blocked = free & (asked[:, 1] > PUSHES) & (given[:, 1] < _BLOCKED_SHARE * asked[:, 1])
+    driven = len(steps) - bool(steps and steps[-1].events.crashed)  # how smooth it was is not told by a crash
+    accelerations = np.diff(speed_mps[:driven]) / tick_s
+    return {
+        "steps": len(steps),
+        "m": round(float(np.sum(np.abs(speed_mps) * tick_s)), 6),
+        "distance_sum": round(float(distance.sum()), 9),
+        "within": int(within.sum()),
+        "free_steps": int(free.sum()),
+        "free_sum": round(float(distance[free].sum()), 9),
+        "blocked_steps": int(blocked.sum()),
+        "moving_steps": int(moving.sum()),
+        "moving_sum": round(float(distance[moving].sum()), 9),
+        "moving_within": int((moving & within).sum()),
+        "freezes": _freezes(speed_mps, asked, given, tick_s),
+        "road_s": round(sum(each.stands_on_road for each in steps) * tick_s, 6),
+        "accel_sq_sum": round(float(np.sum(accelerations**2)), 6),
+        "stick_travel": round(_travel(given), 6),
+        "asked_travel": round(_travel(asked), 6),
+        "path_m": _path(steps, max(1, round(_PATH_S / tick_s))),
+        **{name: sum(getattr(each.events, event) for each in steps) for name, event in _EVENTS.items()},
+    }
+
+
+def _path(steps: Sequence[KpiStep], every: int) -> tuple[tuple[float, float], ...]:
+    """Where the chair was after every so many steps, and at the end."""
+    kept = [*steps[every - 1 :: every], *steps[len(steps) - bool(len(steps) % every) :]]
+    return tuple(each.at_m for each in kept if each.at_m is not None)
+
+
+def _freezes(speed_mps: F64, asked: F64, given: F64, tick_s: float) -> int:
+    """Stretches of FREEZE_S and more in which only the agent keeps the chair from going."""
+    frozen: Bool = (np.abs(speed_mps) < STANDS_MPS) & (_out(asked) > PUSHES) & (_out(given) < PUSHES)
+    edges = np.flatnonzero(np.diff(np.r_[False, frozen, False]))
+    lasted_s = (edges[1::2] - edges[::2]) * tick_s
+    # A hair less: so many ticks may be a little under the bound.
+    return int(np.count_nonzero(lasted_s >= FREEZE_S - 1e-6))
 
 
 def _out(sticks: F64) -> F64:

@@ -23,10 +23,7 @@ _STARTERS: Final = ("subprocess", "os", "context", "ray", "")
 # Where an idea stands that has more than one form: the file that goes with it, or the class in it.
 IDEAS: Final[dict[str, tuple[str, ...]]] = {
     "formats": ("wcsim/log/records.py",),
-    "meters": (
-        "wcsim/supervisor/kpi.py:KpiMeter",
-        "wcsim/supervisor/kpi.py:KpiTotals",
-    ),
+    "meters": ("wcsim/supervisor/kpi.py:KpiTotals",),
     "learners": (
         "wcsim/agents/learning/seqdqn.py",
         "wcsim/agents/danger/learner.py",

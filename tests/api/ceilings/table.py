@@ -48,7 +48,7 @@ ROWS: Final = (
     Row(name="docs: words written by hand", first=74_035, ceiling=30_000, count=measures.words_of_docs),
     Row(name="ideas: recording formats", first=5, ceiling=1, count=lambda: measures.forms("formats")),
     Row(name="ideas: tick loops", first=14, ceiling=3, count=measures.tick_loops),
-    Row(name="ideas: meters", first=4, ceiling=2, count=lambda: measures.forms("meters")),
+    Row(name="ideas: meters", first=4, ceiling=1, count=lambda: measures.forms("meters")),
     Row(name="ideas: learners", first=4, ceiling=2, count=lambda: measures.forms("learners")),
     Row(name="ideas: functions returning a RunConfig", first=40, ceiling=6, count=measures.rewriters),
     Row(name="ideas: files that start a process", first=16, ceiling=13, count=measures.process_starters),

@@ -10,8 +10,7 @@ import pytest
 from tests.support.plants import CALM
 from tests.view.report.results import PATH_M, SCRIPT, crashed, record, write_result
 from wcsim.agents.evaluation.suite.result_files import read_result
-from wcsim.config import RewardConfig
-from wcsim.supervisor.kpi import KpiMeter
+from wcsim.supervisor.kpi import KpiStep, sums_of
 from wcsim.types import Joystick
 from wcsim.view.report.failures import _last_speed_mps, chosen, failures_of, judged, where_typed
 
@@ -76,13 +75,13 @@ def test_the_speed_of_the_last_second_comes_from_the_way():
 
 @pytest.mark.parametrize("steps", [11, 14, 120, 121, 123, 129])
 def test_a_steady_speed_is_told_however_long_the_episode(steps):
-    meter = KpiMeter(0.1, RewardConfig())
+    driven = []
     for step in range(1, steps + 1):
         state = SimpleNamespace(p_WB_m=(0.15 * step, 0.0, 0.0))
         at_rest = Joystick(0.0, 0.0)
         told = {"events": CALM, "joystick_distance": 0.0, "asked": at_rest, "given": at_rest, "speed_mps": 1.5}
-        meter.add({**told, "state": state}, True)
-    path_m = meter.sums()["path_m"]
+        driven.append(KpiStep.of({**told, "state": state}, True))
+    path_m = sums_of(driven, 0.1)["path_m"]
     assert _last_speed_mps(kept(path_m, 0.1 * steps)) == pytest.approx(1.5, abs=0.2 if steps in (11, 121) else 0.06)
 
 

@@ -33,7 +33,7 @@ from wcsim.core.constants import RECORDED
 from wcsim.core.plugins import described
 from wcsim.errors import PolicyError, TownError, WcsimError
 from wcsim.supervisor.actions import ActionSet, action_set
-from wcsim.supervisor.kpi import KpiMeter
+from wcsim.supervisor.kpi import KpiStep, crash_of, sums_of
 from wcsim.supervisor.rewards import DISTANCE_TOLERANCE
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.scene_folders.build import build_scene, scene_config, scene_digest
@@ -143,7 +143,7 @@ class _Seat:
         self._piece, self._config, self._world = piece, config, world
         self._episode = piece.block.episodes[number]
         self._policy = policy
-        self._meter = KpiMeter(config.world.tick_s, config.reward)
+        self._steps: list[KpiStep] = []  # from the handover on
         self._alarms = Alarms(config.world.tick_s)
         self._step = 0  # of the episode
         self._done_m = self._before_m = 0.0
@@ -175,12 +175,13 @@ class _Seat:
             self._before_m += step.info["progress_m"]
         else:
             self._done_m += step.info["progress_m"]
-            self._meter.add(step.info, self._free)
+            self._steps.append(KpiStep.of(step.info, self._free))
         if self.watch is not None:
             self.watch.see(self.number, step, self._world, self._policy)
         events = client.events
         if events.crashed:
-            self._end(CRASHED, **self._meter.crash(step.info))
+            tick_s, reward = self._config.world.tick_s, self._config.reward
+            self._end(CRASHED, **crash_of(events, client.contacts, self._steps, tick_s, reward))
         elif events.arrived and self._episode.goal_m is not None:  # one that draws its goals goes on to the next
             self._end(FINISHED)
         elif events.gave_up and self._episode.goal_m is not None:
@@ -199,7 +200,8 @@ class _Seat:
             self._alarms.alone_s[driven] = crash_alone_s(self._world, self.number, self._actions, tick_s)
 
     def _end(self, status: str, reason: str = "", **more: Any) -> None:
-        sums, tick_s = self._meter.sums(), self._config.world.tick_s
+        tick_s = self._config.world.tick_s
+        sums = sums_of(self._steps, tick_s)
         crash, own = sums["steps"] if status == CRASHED else None, more.get("fault") == "own"
         warned, to_warn, false = self._alarms.warnings(crash if own else None, None if own else crash)
         (plant,) = (client.plant for client in self._world.snapshot.clients if client.seat == self.number)
