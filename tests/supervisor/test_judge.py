@@ -8,10 +8,10 @@ import pytest
 from tests.supervisor.test_observation import sensors
 from tests.support.plants import CALM
 from tests.users.kinematics import plant
+from wcsim.agents.envs.episode_view import Chair, EpisodeStep
 from wcsim.config import EnvConfig, RunConfig
 from wcsim.errors import ConfigError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import judge
 from wcsim.supervisor.observation import observation_of
 from wcsim.types import ClientSnapshot, Joystick
 
@@ -32,21 +32,29 @@ def snapshot(crashed=False, truncated=False, user=FORWARD) -> ClientSnapshot:
     )
 
 
+def judged(after: ClientSnapshot, action: int, asked: Joystick) -> EpisodeStep:
+    """The step of a chair whose user asked for this, and whose agent answered so."""
+    chair = Chair(CONFIG)
+    chair.now = snapshot(user=asked)
+    chair.command(action)
+    return chair.take(after)
+
+
 def test_the_action_is_compared_with_the_stick_it_answered():
     asked = Joystick(0.1, 0.9)
     followed = ACTIONS.nearest((asked.x, asked.y))
-    got = judge(snapshot(user=Joystick(-1.0, 0.0)), followed, asked, ACTIONS.points, CONFIG)
-    assert got.reward.total == 1.0
+    got = judged(snapshot(user=Joystick(-1.0, 0.0)), followed, asked)
+    assert got.reward == 1.0
     np.testing.assert_array_equal(got.observation["joystick"], np.float32([-1.0, 0.0]))
 
 
 def test_the_penalty_grows_with_the_distance():
     stop = ACTIONS.nearest((0.0, 0.0))
-    got = judge(snapshot(), stop, Joystick(0.0, 1.0), ACTIONS.points, CONFIG)
-    assert got.reward.total == pytest.approx(-2 * (1.0 - 0.1768) / (2 - 0.1768))
+    got = judged(snapshot(), stop, Joystick(0.0, 1.0))
+    assert got.reward == pytest.approx(-2 * (1.0 - 0.1768) / (2 - 0.1768))
     corner = ACTIONS.nearest((-1.0, -1.0))
-    far = judge(snapshot(), corner, Joystick(0.7071, 0.7071), ACTIONS.points, CONFIG)
-    assert far.reward.joystick == -2.0 and not far.terminated
+    far = judged(snapshot(), corner, Joystick(0.7071, 0.7071))
+    assert far.info["reward_terms"].joystick == -2.0 and not far.terminated
 
 
 @pytest.mark.parametrize(
@@ -59,9 +67,9 @@ def test_the_penalty_grows_with_the_distance():
     ],
 )
 def test_how_an_episode_ends(crashed, truncated, expected):
-    got = judge(snapshot(crashed, truncated), 0, Joystick(0.0, 0.0), ACTIONS.points, CONFIG)
+    got = judged(snapshot(crashed, truncated), 0, Joystick(0.0, 0.0))
     assert (got.terminated, got.truncated) == expected
-    assert got.reward.crash == (-100.0 if crashed else 0.0)
+    assert got.info["reward_terms"].crash == (-100.0 if crashed else 0.0)
 
 
 def test_the_configuration_chooses_form_classes_and_camera():

@@ -21,9 +21,8 @@ from wcsim.config import RunConfig
 from wcsim.core.reading import escaped_value
 from wcsim.errors import BadActionError, ConfigMismatchError, PolicyError, ProtocolError
 from wcsim.supervisor.actions import action_set
-from wcsim.supervisor.judge import judge
 from wcsim.supervisor.observation import Observation, observation_of
-from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm
+from wcsim.supervisor.rewards import DISTANCE_TOLERANCE, RewardTerm, joystick_distance, reward
 from wcsim.types import ClientSnapshot, Command, Drawn, Joystick, RewardTerms
 
 IMAGE_KEYS = (CLASS_KEY, DEPTH_KEY, RGB_KEY)  # of the compact forms
@@ -186,16 +185,18 @@ class Chair:
         before = self.now
         if before is None:
             raise ProtocolError("nothing was commanded; expected command() before take()")
-        self.now = after
-        action, asked = self._action, before.user
-        judged = judge(after, action, asked, self._actions.points, self._config)
-        terms = judged.reward
+        self.now, asked, events, config = after, before.user, after.events, self._config.reward
+        taken = self._actions.points[self._action]
+        distance = joystick_distance(np.array([asked.x, asked.y]), taken, config)
+        terms = reward(distance, after.sensors.imu, after.plant, events, config)
         if self._terms:
             terms = replace(terms, extra=sum(term.reward(before, after) for term in self._terms))
-        self._seen = self._window.add(judged.observation)
-        given = Joystick(*self._actions.points[action].tolist())
-        info = self._info(after, terms, self._actions.distance(action, (asked.x, asked.y)), (asked, given))
-        return EpisodeStep(self._seen, float(terms.total), judged.terminated, judged.truncated, info)
+        self._seen = self._window.add(observation_of(after, self._config))
+        sticks = asked, Joystick(*taken.tolist())
+        info = self._info(after, terms, self._actions.distance(self._action, (asked.x, asked.y)), sticks)
+        # An episode that crashed has ended: nothing is left that could be cut off.
+        truncated = events.truncated and not events.crashed
+        return EpisodeStep(self._seen, float(terms.total), events.crashed, truncated, info)
 
     def cut(self) -> EpisodeStep:
         """The end of an episode whose world began again: the last observation once more, truncated, worth nothing.
