@@ -207,7 +207,6 @@ def told_report(
     table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
     table.add_row("classes in the demand", ", ".join(report.classes))
     table.add_row("trips without a route", str(report.unroutable))
-    table.add_row("ground errors (missing, or wrong height)", str(report.mesh_faults))
     table.add_row("traffic drives on the", "left" if report.lefthand else "right")
     console = stdout_console()
     console.print(table)
