@@ -36,7 +36,6 @@ from wcsim.towns.importing.folder_texts import (
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
 from wcsim.towns.osm.clean import (
     LeftOut,
-    NetWays,
     count_inside,
     cut_bridges,
     filter_osm,
@@ -206,7 +205,8 @@ class _BuiltNet:
     net: Net
     share: float
     bridges: tuple[str, ...] = ()  # what they are called that were left out, for they pass over other streets
-    ways: NetWays = field(default_factory=NetWays)
+    drawn: frozenset[str] = frozenset()  # the ways of the map that it has, by their ids without a sign
+    walked: frozenset[str] = frozenset()  # of these, those with lanes for walkers
 
 
 def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
@@ -219,23 +219,16 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
         SumoError: netconvert failed.
     """
     filter_osm(root)
-    before = _ids(root)
     bridges = cut_bridges(root, order.keep_service)
-    cut = before - _ids(root)
     built = _hanging_together(order, root, folder)
     walkable = {edge.id for edge in built.net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
     drawn = osm_ways_by_edge(folder / f"{order.name}.net.xml")
-    ways = NetWays(
-        given=_ids(root),
-        bridges=cut,
+    return replace(
+        built,
+        bridges=bridges,
         drawn=frozenset(way for made_of in drawn.values() for way in made_of),
         walked=frozenset(way for edge, made_of in drawn.items() if edge in walkable for way in made_of),
     )
-    return replace(built, bridges=bridges, ways=ways)
-
-
-def _ids(root: Element) -> frozenset[str]:
-    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way"))
 
 
 def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
@@ -365,7 +358,7 @@ def _build(
     dem = make_dem(order.relief, extract.box, order.seed)
     built = _build_net(order, extract.root, work)
     net_path = work / f"{name}.net.xml"
-    left_out = LeftOut.of(mapped, built.ways)
+    left_out = LeftOut.of(mapped, built.drawn, built.walked)
     stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:
