@@ -18,21 +18,9 @@ from xml.etree.ElementTree import Element
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError, check_installed
-from wcsim.towns.importing.demand import (
-    Way,
-    build_ways,
-    check_rates,
-    vtypes_text,
-    without_ways,
-    write_demand,
-)
+from wcsim.towns.importing.demand import Way, build_ways, check_rates, vtypes_text, without_ways, write_demand
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
-from wcsim.towns.importing.folder_texts import (
-    check_place,
-    check_words,
-    town_toml_text,
-    write_scenario,
-)
+from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
 from wcsim.towns.osm.clean import (
     LeftOut,
@@ -48,12 +36,7 @@ from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files,
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
-from wcsim.towns.walking.islands import (
-    Islands,
-    largest_share,
-    osm_ways_by_edge,
-    walkable_parts,
-)
+from wcsim.towns.walking.islands import Islands, largest_share, osm_ways_by_edge, walkable_parts
 
 log = logging.getLogger("wcsim.towns")
 
@@ -333,8 +316,6 @@ def _check(order: ImportOrder) -> None:
     if order.bbox is not None:
         order.bbox.check()
     check_rates(order.per_hour)
-    if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
-        raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.relief.dem is not None or order.relief.hill_m:
         check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
     check_place(order.out, overwrite=order.overwrite)
