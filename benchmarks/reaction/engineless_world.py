@@ -147,7 +147,7 @@ def _options(town: Town, street: Street, config: WorldConfig, seed: int) -> Sumo
     return SumoOptions(
         sumocfg=town.sumocfg,
         origin_m=town.file.origin_m,
-        settings=Settings(step_s=config.tick_s, seed=seed, jam_teleport_s=config.jam_teleport_s),
+        settings=Settings(world=config, seed=seed),
         z_origin_m=street.net_origin_m[2],
     )
 

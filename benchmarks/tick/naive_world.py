@@ -18,7 +18,7 @@ from wcsim.bridge.sumo.open_scenario import open_scenario
 from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import sumo_seed, warmup_s
 from wcsim.config import RunConfig
-from wcsim.towns.scenario.overrides import forced, settings_of
+from wcsim.towns.scenario.overrides import Settings, forced
 from wcsim.towns.scenario.town import open_town
 from wcsim.towns.street import load_street
 from wcsim.towns.walking.routes import Router
@@ -35,7 +35,7 @@ class NaiveWorld:
         street = load_street(town)
         self.origin_m = town.file.origin_m
         self._held = ExitStack()
-        settings = settings_of(config, sumo_seed(seed))
+        settings = Settings(world=config.world, seed=sumo_seed(seed))
         scenario = open_scenario(town, settings, RunPlace(), self._held)
         words = ["sumo", "--configuration-file", str(scenario.sumocfg)]
         for name, value in forced(settings, scenario.author_scale):

@@ -15,6 +15,7 @@ from wcsim.bridge.mirror import _check_mirror
 from wcsim.bridge.reaction.articulated import Articulation
 from wcsim.bridge.sumo.actors import LONG_M
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
+from wcsim.config import WorldConfig
 from wcsim.physics.engine import Engine
 from wcsim.physics.kinematic_bodies import BodyPool
 from wcsim.towns.scenario.overrides import Settings
@@ -126,7 +127,7 @@ class MirrorLoop:
 @contextmanager
 def mirror_loop(sumocfg: Path, radius_m: float = 400.0, **options) -> Iterator[MirrorLoop]:
     """A session and an engine, closed at the end. Steps are few and long: empty space needs no fine ones."""
-    wanted = SumoOptions(sumocfg=sumocfg, origin_m=(0.0, 0.0), settings=Settings(step_s=0.1, seed=1, **options))
+    wanted = SumoOptions(sumocfg=sumocfg, origin_m=(0.0, 0.0), settings=Settings(world=WorldConfig(**options), seed=1))
     with SumoSession(wanted) as sumo, Engine(1 / 100) as engine:
         yield MirrorLoop(sumo=sumo, engine=engine, pool=BodyPool(engine), radius_m=radius_m, substeps=10)
 

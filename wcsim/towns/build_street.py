@@ -28,30 +28,26 @@ from wcsim.towns.ground.surfaces import Surfaces, covered, make_surfaces
 from wcsim.towns.ground.tiles import Packed, pack_tiles
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.sumo.additional import read_items
-from wcsim.towns.sumo.net import Net, read_net
+from wcsim.towns.sumo.net import read_net
 from wcsim.towns.walking.graph import build_walk_graph, free_space
 from wcsim.types import F64, ClassId, Relief
 
 if TYPE_CHECKING:
     from wcsim.towns.scenario.town import Town
 
-_AREAS_S, _TILES_S = 0.1, 0.03  # that a km of lane costs; roughly, as six towns did
-_GROUND_S = 0.6  # that a square km of tiles costs
 
-
-def build_street(town: Town, at: Callable[[str, float], object] = lambda part, left_s: None) -> Packed:
+def build_street(town: Town, at: Callable[[str], object] = lambda part: None) -> Packed:
     """Make the street of a town from its net and polygons, without any cache; `unpack_street` opens it.
 
     Args:
         town: The town.
-        at: Called with each part that begins, and about how much work is left from there on, in s of an idle core.
+        at: Called with each part that begins.
 
     Raises:
         TownError: The town cannot be used.
     """
     whole = read_net(town.net, town.file.origin_m)
-    areas_s, tiles_s = _work_s(whole)
-    at("roads and pavements", areas_s + tiles_s)
+    at("roads and pavements")
     additional = with_included(town.additional, town.border)
     items = read_items(additional, town.file.origin_m, whole)
     relief = fit_relief(whole)
@@ -59,12 +55,12 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
     surfaces = covered(make_surfaces(net, town.file.chair_ways, unmarked_crossings(items, net)), items)
     if surfaces.low.is_empty and surfaces.pavement.is_empty:
         raise TownError(f"{town.net}: no lane covers any ground; expected shapes with a length: build it again")
-    at("ground and kerbs", 0.45 * areas_s + tiles_s)
+    at("ground and kerbs")
     kerbing = make_kerbing(surfaces, town.file.kerb_height_m, town.file.lowered_kerb_m, items)
     ground = build_ground(surfaces, kerbing, relief)
     walls = kerb_walls(ground)
     placed = author_things(items, surfaces.hull)
-    at("walkways and objects", 0.3 * areas_s + tiles_s)
+    at("walkways and objects")
     walkable = shapely.union_all([surfaces.pavement, surfaces.crossing])
     buildings, overhead = make_buildings(items, shapely.union_all([surfaces.low, surfaces.pavement]), surfaces.hull)
     blocks = shapely.union_all([building.outline for building in buildings])
@@ -80,16 +76,8 @@ def build_street(town: Town, at: Callable[[str, float], object] = lambda part, l
     paint = lane_marks(net, surfaces, town.file.chair_ways, relief)
     mesh = replace(build_mesh(ground, walls, large, pieces, relief), paint=paint)
     grid = GridMaker(ground, [*(b.outline for b in buildings), *collect_footprints(things)], relief)
-    tiles = pack_tiles(mesh, grid, lambda share: at("tiles", share * tiles_s))
-    return pack_street(tiles, walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
-
-
-def _work_s(net: Net) -> tuple[float, float]:
-    """About how long an idle core works on the areas of a net, and on its tiles."""
-    km = sum(lane.length_m for lane in net.every_lane) / 1e3
-    low, high = net.corners_m()
-    wide_m, high_m = (high - low).tolist()
-    return _AREAS_S * km, _TILES_S * km + _GROUND_S * wide_m * high_m / 1e6
+    at("tiles")
+    return pack_street(pack_tiles(mesh, grid), walk, relief, heads, (*town.file.origin_m, net.z_origin_m))
 
 
 def _block(building: Building, ground_m: float, relief: Relief) -> Solid:

@@ -42,8 +42,8 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
     Args:
         town: The town.
         say: Called every few seconds while a street is built, from a thread of its own, with a line: which part, and
-            about how long it takes yet. By default a warning is logged: Python shows those on standard error
-            where no logging was set up, as by the user of an environment.
+            for how long already. By default a warning is logged: Python shows those on standard error where no
+            logging was set up, as by the user of an environment.
 
     Raises:
         TownError: The town cannot be used.
@@ -59,27 +59,22 @@ def load_street(town: Town, say: Callable[[str], object] | None = None) -> Stree
 
 
 @contextmanager
-def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str, float], object]]:
-    """Report the progress of a street while it is built, from what the builder reports of its parts."""
-    over, began_s, marks = Event(), time.monotonic(), [("net", 0.0, time.process_time())]
+def _progress(town: Town, say: Callable[[str], object]) -> Iterator[Callable[[str], object]]:
+    """Report the part of a street that is being built, as the builder names it."""
+    over, began_s, parts = Event(), time.monotonic(), ["net"]
     once = "" if town.passing else " (once, then cached)"
 
     def report() -> None:
         more = once
         while not over.wait(_EVERY_S):
-            part, left_s, cpu_s = marks[-1]
-            work_s = max(mark[1] for mark in marks)
-            done_s = max(0.01, work_s - left_s + time.process_time() - cpu_s)
-            takes_s = (work_s - done_s) / done_s * (time.monotonic() - began_s)
-            about = f", about {takes_s:.0f} s left" if takes_s >= 1.0 else ", almost done"
             with suppress(OSError):  # who listened is gone
-                say(f"street of {town.name}{more}: {part}{about}")
+                say(f"street of {town.name}{more}: {parts[-1]}, after {time.monotonic() - began_s:.0f} s")
             more = ""
 
     reporter = Thread(target=report, daemon=True)
     reporter.start()
     try:
-        yield lambda part, left_s: marks.append((part, left_s, time.process_time()))
+        yield parts.append
     finally:
         over.set()
         reporter.join()

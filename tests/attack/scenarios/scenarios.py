@@ -30,7 +30,7 @@ from wcsim.towns.scenario.town import open_town
 from wcsim.towns.scene_folders.build import build_scene, find_scene
 from wcsim.towns.sumo.xml_io import read_bytes
 
-SETTINGS = Settings(step_s=0.1, seed=5)
+SETTINGS = Settings(seed=5)
 SOUND_EVERY = 40  # one of so many is a sound scenario, which must be taken
 STEPS = 25
 LIMIT_S = 60.0

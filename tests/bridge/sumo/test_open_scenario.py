@@ -13,10 +13,10 @@ from wcsim.bridge.sumo.run_place import RunPlace
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_process
 from wcsim.bridge.world import World
 from wcsim.errors import TownError
-from wcsim.towns.scenario.overrides import settings_of
+from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import Town, find_town, open_town
 
-SETTINGS = settings_of(quick_config(), 1)
+SETTINGS = Settings(world=quick_config().world, seed=1)
 
 
 @pytest.fixture

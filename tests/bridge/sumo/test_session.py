@@ -7,6 +7,7 @@ import pytest
 
 from wcsim.bridge.reaction.commands import LET_GO, ActorCommand
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession, world_in_this_process
+from wcsim.config import WorldConfig
 from wcsim.errors import SumoError, WorldInUseError
 from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.town import find_town
@@ -20,7 +21,7 @@ def options(corner, **changes) -> SumoOptions:
     plain = {
         "sumocfg": town.sumocfg,
         "origin_m": town.file.origin_m,
-        "settings": Settings(step_s=0.1, seed=1, jam_teleport_s=300.0),
+        "settings": Settings(world=WorldConfig(jam_teleport_s=300.0), seed=1),
     }
     return SumoOptions(**{**plain, **changes})
 

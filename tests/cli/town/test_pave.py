@@ -27,7 +27,7 @@ def test_a_scenario_without_pavements_is_cured_by_what_is_printed(wcsim: Run, fo
     paved = wcsim(*words[1:], "--json", "paved.json")
     assert paved.code == 1 and "fault: the demand has no pedestrians" in paved.out, paved.err
     assert "24 streets got a pavement; " in paved.out and "10 signal programs" in paved.out
-    later = printed(checked.out, "then, for the paved copy, create walkers")
+    later = printed(paved.out, "create walkers")
     told = json.loads(Path("paved.json").read_text())
     assert told["walkable_largest_share"] > 0.95 and told["paved"]["streets"] == 24
     ours = find_town(told["paved"]["sumocfg"])

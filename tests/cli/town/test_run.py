@@ -100,7 +100,7 @@ def test_a_net_without_pavements_runs_traffic_and_refuses_chairs(corner, tmp_pat
     sumocfg = two_streets(corner, tmp_path, "passenger")
     words = ["town", "run", str(sumocfg), "--seconds", "2"]
     assert main([*words, "--chairs", "0", "--out", str(tmp_path / "none")]) == 0
-    assert "randomTrips.py" in capsys.readouterr().out  # nobody walks, and how to change that
+    assert "wcsim town pave" in capsys.readouterr().out  # nobody walks, and how to change that
     assert main([*words, "--chairs", "1", "--out", str(tmp_path / "one"), *QUICK]) == 2
     said = capsys.readouterr().err
     assert "no pavement" in said and f"wcsim town pave {sumocfg}" in said and "--chairs 0" in said

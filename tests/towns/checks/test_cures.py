@@ -131,32 +131,18 @@ def test_parts_are_joined_in_the_netedit_that_is_printed(theirs: Town, tmp_path:
     assert code == 0 and "netedit" in said
 
 
-def test_a_larger_area_is_taken_of_the_towns_own_extract_while_that_has_more(tmp_path: Path) -> None:
-    """Of an extract that was cut to its box nothing is left outside, and a download is what helps."""
+def test_a_larger_area_is_downloaded(tmp_path: Path) -> None:
     town = open_town(write_unpaved(tmp_path / "it's theirs"))
     words = "wcsim town import --name u --split test --osm osm/u.osm.xml.gz --out . --bbox=25.0,60.0,25.01,60.01"
     town = replace(town, file=town.file.model_copy(update={"rebuild": f"{words} --righthand --seed 7"}))
-    (town.folder / "osm").mkdir()
-    nodes = "".join(f'<node id="{n}" lon="{25.005 + 0.004 * n}" lat="60.005"/>' for n in range(4))
-    for refs, more in (((0, 1, 2), False), ((2, 3), True)):
-        way = "".join(f'<nd ref="{ref}"/>' for ref in refs)
-        text = f'<osm>{nodes}<way id="1">{way}<tag k="highway" v="primary"/></way></osm>'
-        (town.folder / "osm" / "u.osm.xml.gz").write_bytes(text.encode())
-        (fault,) = faults_of(town, read_net(town.net), replace(FINE, walkable_largest_share=0.5))
-        place, _, command = printed(fault, "take a larger area").partition(" && ")
-        options = parse(ImportOptions, shlex.split(command)[3:], "town import")
-        west, south, east, north = (float(part) for part in options.bbox.split(","))
-        assert shlex.split(place) == ["cd", str(town.folder)] and options.osm == (
-            Path("osm/u.osm.xml.gz") if more else None
-        )
-        assert (
-            west < 25.0
-            and south < 60.0
-            and east > 25.01
-            and north > 60.01
-            and (options.seed, options.replace) == (7, True)
-        )
-        assert ("from the internet" in fault) is not more and "this discards your changes" in fault
+    (fault,) = faults_of(town, read_net(town.net), replace(FINE, walkable_largest_share=0.5))
+    place, _, command = printed(fault, "take a larger area from the internet").partition(" && ")
+    options = parse(ImportOptions, shlex.split(command)[3:], "town import")
+    west, south, east, north = (float(part) for part in options.bbox.split(","))
+    assert west < 25.0 and south < 60.0 and east > 25.01 and north > 60.01
+    assert shlex.split(place) == ["cd", str(town.folder)]
+    assert (options.osm, options.seed, options.replace) == (None, 7, True)
+    assert "this discards your changes" in fault
 
 
 @pytest.mark.parametrize(
@@ -175,22 +161,6 @@ def test_walkers_come_in_the_scenarios_first_hour_at_most(theirs: Town) -> None:
     assert "-b 50300 -e 53900 " in Cures(named(theirs, '"50900"', '"900000"')).walkers()
     with pytest.raises(TownError, match="is not a time"):
         Cures(named(theirs, '"900000"', '"${HOME}"')).walkers()
-
-
-def test_walkers_for_a_paved_copy_are_told_of_scenarios_by_any_path(
-    theirs: Town, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    beside = open_town(Path("..") / theirs.folder.name / "u.sumocfg")
-    assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in Cures(beside).walkers(paved=True).replace("'", "")
-    absolute = named(theirs, "u.net.xml", str(theirs.net))
-    (tmp_path / "link").symlink_to(theirs.folder)
-    for folder in (Path("..") / theirs.folder.name, absolute.folder):
-        told = Cures(open_town(folder / "u.sumocfg")).walkers(paved=True).replace("'", "")
-        assert f"-n {tmp_path}/here/it-s-theirs-paved/u.net.xml " in told
-    told = Cures(open_town(tmp_path / "link" / "u.sumocfg")).walkers(paved=True)
-    assert told == "add pedestrians as the copy's check says"
 
 
 def test_a_scenario_of_fast_streets_is_told_how_fast_they_are(tmp_path: Path) -> None:

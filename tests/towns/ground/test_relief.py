@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import shapely
 
+from tests.towns.ground.rays import mesh_faults
 from tests.towns.made.nets import PAVED, WAYS, assert_sound, edge, generated, hilly, lane, street, write_net
 from wcsim.towns.build_street import build_street
 from wcsim.towns.cache.street_cache import unpack_street
-from wcsim.towns.checks.check import _mesh_faults
 from wcsim.towns.ground.relief import fit_relief, on_land
 from wcsim.towns.ground.surfaces import make_surfaces
 from wcsim.towns.scenario.town import Town
@@ -70,7 +70,7 @@ def test_the_relief_is_cut_as_it_says() -> None:
 
 def test_hilly_ground_is_sound_and_the_grid_agrees_with_the_mesh(hill: Net, hill_street: Street) -> None:
     assert_sound(hill, fit_relief(hill))
-    assert _mesh_faults(hill_street, rays=3000) <= 1
+    assert mesh_faults(hill_street) <= 1
     z_m = hill_street.mesh.vertices_W_m[:, 2]
     assert hill_street.net_origin_m[2] == hill.z_origin_m and abs(hill.z_origin_m - 62.0) < 6.0
     assert z_m.min() > -12.0 and np.ptp(z_m) > 8.0

@@ -8,9 +8,10 @@ import pytest
 import shapely
 
 from tests.support.yardstick import multiple
+from tests.towns.ground.rays import mesh_faults
 from wcsim.towns import build_street, street
 from wcsim.towns.cache import street_cache
-from wcsim.towns.checks.check import _demand_classes, _mesh_faults, check_town
+from wcsim.towns.checks.check import _demand_classes, check_town
 from wcsim.towns.ground.tiles import RASTER_M, TILE_M, Packed
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.street import load_street
@@ -41,7 +42,7 @@ def test_chunks_own_their_vertices(manhattan: Street) -> None:
 
 @pytest.mark.parametrize("name", ["corner", "manhattan"])
 def test_grid_agrees_with_mesh(name: str, request: pytest.FixtureRequest) -> None:
-    assert _mesh_faults(request.getfixturevalue(name), rays=3000) <= 1  # a ray may run along an edge
+    assert mesh_faults(request.getfixturevalue(name)) <= 1  # a ray may run along an edge
 
 
 def test_nothing_solid_stands_on_road_or_crossing(manhattan: Street) -> None:

@@ -130,7 +130,7 @@ def test_what_cannot_be_adopted_is_said_and_leaves_nothing(corner_town: Town, tm
         "absolute": "by a path that a copy cannot follow",
         "missing": "names a file that does not exist",
         "in the way": "already exists",
-        "name": "expected 1 to 64 letters",
+        "name": "expected letters, digits",
         "no such file": "there is no such file",
     }
     with pytest.raises(TownError, match=says[fault]):

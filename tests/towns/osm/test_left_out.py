@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import pytest
@@ -8,7 +7,6 @@ import pytest
 from wcsim.towns.osm.clean import (
     TOLD_LOST,
     LeftOut,
-    NetWays,
     _MapWay,
     count_inside,
     ways_inside,
@@ -35,12 +33,12 @@ _ON_FOOT = {
     "highway=pedestrian area=yes": "an open area",
     "highway=footway area=yes": "an area",
     "highway=path access=private": "closed to the public",
-    "highway=footway": "part of a junction, or left out by netconvert",
-    "highway=cycleway foot=designated": "closed to pedestrians in the net",
-    "highway=path": "not connected to the rest in the box",
-    "highway=pedestrian": "a bridge over another street",
-    "highway=cycleway": "",
-    "highway=path foot=no": "",
+    "highway=footway": "",
+    "highway=cycleway foot=designated": "",
+    "highway=path": "",
+    "highway=pedestrian": "",
+    "highway=cycleway": None,
+    "highway=path foot=no": None,
 }
 
 
@@ -54,38 +52,35 @@ def test_what_the_net_does_not_have_is_told_by_length_and_name() -> None:
     lengths_m = {way.id: way.inside_m for way in ways}
     assert lengths_m["10"] == pytest.approx(222.6, rel=0.01) and lengths_m["11"] == pytest.approx(445.3, rel=0.01)
     both = frozenset(("10", "11"))
-    found = LeftOut.of(ways, NetWays(given=both, drawn=both, walked=frozenset(("10",))))
+    found = LeftOut.of(ways, both, frozenset(("10",)))
     assert found.names == () and found.streets_left_out_m == 0.0
     assert found.footways_left_out_m == found.footways_m == lengths_m["11"]
     (told,) = found.notes
-    assert "445 of 445 m of footways" in told and ": 11 Path (445 m, closed to pedestrians in the net)" in told
-    (street, _) = LeftOut.of(ways, NetWays()).notes
+    assert "445 of 445 m of footways" in told and ": 11 Path (445 m)" in told
+    (street, _) = LeftOut.of(ways, frozenset(), frozenset()).notes
     assert "0.22 km of 0.22 km of streets" in street and "(Long Street);" in street
-    assert LeftOut.of(ways, NetWays(drawn=both, walked=both)).notes == LeftOut().notes == ()
+    assert LeftOut.of(ways, both, both).notes == LeftOut().notes == ()
 
 
 def test_each_lost_way_on_foot_is_named_with_why_and_all_add_up() -> None:
     text = ""
     for number, tags in enumerate(_ON_FOOT):
         told = "".join('<tag k="{}" v="{}"/>'.format(*tag.split("=")) for tag in tags.split())
-        refs = (5, 7) if tags == "highway=path" else (2, 6)
-        text += f'<way id="-{100 + number}"><nd ref="{refs[0]}"/><nd ref="{refs[1]}"/>{told}</way>'
+        text += f'<way id="-{100 + number}"><nd ref="2"/><nd ref="6"/>{told}</way>'
     tags = '<tag k="type" v="multipolygon"/><tag k="highway" v="pedestrian"/>'
     text += f'<relation id="7"><member type="way" ref="13" role="outer"/>{tags}</relation>'
     ways = inside(text)
-    ids = frozenset(str(100 + number) for number in range(len(_ON_FOOT)))
-    made = NetWays(given=ids - {"108"}, bridges=frozenset(("108",)), drawn=frozenset(("10", "106")))
-    found = LeftOut.of(ways, made)
+    found = LeftOut.of(ways, frozenset(("10", "106")), frozenset())
     whys = [*_ON_FOOT.values()]
     assert {way.id: way.why for way in found.footways} == {
-        "11": "cut by the edge of the box",
+        "11": "",
         "relation 7": "an open area",
-        **{str(100 + number): why for number, why in enumerate(whys) if why},
+        **{str(100 + number): why for number, why in enumerate(whys) if why is not None},
     }
     assert sum(way.inside_m for way in found.footways) == pytest.approx(found.footways_m)
     (told,) = found.notes
     assert told.count("(") == TOLD_LOST + 1 and ", and 1 more (" in told
-    some = LeftOut.of(ways, replace(made, drawn=frozenset(("10", "11")), walked=frozenset(("11",))))
+    some = LeftOut.of(ways, frozenset(("10", "11")), frozenset(("11",)))
     kept_m = next(way.inside_m for way in ways if way.id == "11")
     assert kept_m + some.footways_left_out_m == pytest.approx(some.footways_m)
 

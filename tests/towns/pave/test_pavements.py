@@ -16,11 +16,10 @@ from wcsim.cli.shared.common import parse
 from wcsim.cli.town.import_ import PaveOptions
 from wcsim.errors import TownError
 from wcsim.towns.pave.elements import _padded, _SignalLinks, _VehicleLink
-from wcsim.towns.pave.pavements import Paved, _edited, pave_town
+from wcsim.towns.pave.pavements import Paved, pave_town
 from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.net import read_net
 from wcsim.towns.sumo.tools import run_tool
-from wcsim.towns.sumo.xml_io import parse_root
 
 OWN_PROGRAM = 'type="actuated" programID="mine" offset="17"'
 POSITIONS = ("pos", "startPos", "endPos")
@@ -239,16 +238,6 @@ def test_who_drives_one_of_several_routes_departs_from_the_lane_that_was_meant(t
     options = ["-c", str(told.sumocfg), "--end", str(BEGIN_S + 50.0), "--no-step-log", "--xml-validation", "never"]
     run = run_tool("sumo", options, tmp_path)
     assert run.returncode == 0 and "Error" not in run.output, run.output
-
-
-def test_a_file_keeps_every_byte_that_is_not_changed() -> None:
-    head = '<?xml version="1.0" encoding="ISO-8859-1"?>\n<!-- \xe4 > -->\n'
-    text = head + '<a b=\'1\'>\n  <c lane = "\xe4_0" d=">"/></a>\n'
-    data = text.encode("iso-8859-1")
-    assert [element.tag for element in parse_root(data, "x").iter()] == ["a", "c"]
-    assert _edited(data, {1: {"lane": "\xe4_1"}}, "x") == text.replace("\xe4_0", "\xe4_1").encode("iso-8859-1")
-    with pytest.raises(TownError, match="attribute e cannot be changed"):
-        _edited(data, {0: {"e": "2"}}, "x")
 
 
 def test_streets_that_are_too_fast_are_counted_and_paved_by_what_is_printed(theirs: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import Town, find_town, open_town
 
-SETTINGS = Settings(step_s=0.1, seed=5)
+SETTINGS = Settings(seed=5)
 EVIL = '<routes><vType id="t"><param key="device.ssm.file" value="/anywhere/x"/></vType></routes>'
 HIDDEN = {
     "EBCDIC": ('<?xml version="1.0" encoding="ebcdic-cp-us"?>' + EVIL).encode("cp037"),

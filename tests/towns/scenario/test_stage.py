@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.towns.made import hostile
+from wcsim.config import WorldConfig
 from wcsim.errors import ConfigError, TownError
 from wcsim.towns.scenario.options import Treatment, sumo_options
 from wcsim.towns.scenario.overrides import Settings
@@ -14,7 +15,7 @@ from wcsim.towns.scenario.town import Town, open_town
 from wcsim.towns.sumo.tools import run_tool
 from wcsim.towns.sumo.xml_io import read_root
 
-SETTINGS = Settings(step_s=0.1, seed=5)
+SETTINGS = Settings(seed=5)
 UNUSUAL = ("pedestrian.jupedsim.wkt", "pedestrian.jupedsim.py")  # need another model of pedestrians
 
 
@@ -188,7 +189,7 @@ def test_overrides_name_only_what_differs(corner_town: Town, tmp_path: Path) -> 
     assert "step-length" not in rows and "time-to-teleport" not in rows and "scale" not in rows
     assert (rows["seed"].author, rows["seed"].wcsim) == ("9", "5")
     assert "flows" in rows["end"].why
-    settings = Settings(step_s=0.05, seed=5, demand_scale=0.5, jam_teleport_s=-1.0)
+    settings = Settings(world=WorldConfig(tick_s=0.05, demand_scale=0.5, jam_teleport_s=-1.0), seed=5)
     rows = {row.option: row for row in stage_scenario(town, settings, tmp_path / "two").overrides}
     assert rows["scale"].wcsim == "1.0" and rows["time-to-teleport"].author == "77"
     text = (tmp_path / "two" / "a.sumocfg").read_text()
@@ -203,7 +204,7 @@ def test_shorter_steps_than_the_authors_are_told_and_drivers_may_decide_as_befor
     town = open_town(hostile.scenario(corner_town, tmp_path / "theirs"))
     (row,) = (row for row in stage_scenario(town, SETTINGS, tmp_path / "a").overrides if row.option == "step-length")
     assert row.author == "1 (default)" and "faster" in row.why and "world.action_step_s" in row.why
-    staged = stage_scenario(town, Settings(step_s=0.1, seed=5, action_step_s=1.0), tmp_path / "b")
+    staged = stage_scenario(town, Settings(world=WorldConfig(action_step_s=1.0), seed=5), tmp_path / "b")
     rows = {row.option: row for row in staged.overrides}
     assert rows["default.action-step-length"].wcsim == "1.0" and "faster" not in rows["step-length"].why
     assert '<default.action-step-length value="1.0"' in staged.sumocfg.read_text()
@@ -217,7 +218,7 @@ def test_shorter_steps_than_the_authors_are_told_and_drivers_may_decide_as_befor
 def test_the_digest_follows_the_files_and_not_the_seed_or_place(corner_town: Town, tmp_path: Path) -> None:
     sumocfg = hostile.scenario(corner_town, tmp_path / "theirs")
     first = stage_scenario(open_town(sumocfg), SETTINGS, tmp_path / "run").digest
-    assert stage_scenario(open_town(sumocfg), Settings(step_s=0.1, seed=6), tmp_path / "run2").digest == first
+    assert stage_scenario(open_town(sumocfg), Settings(seed=6), tmp_path / "run2").digest == first
     copy = hostile.scenario(corner_town, tmp_path / "copy")
     assert stage_scenario(open_town(copy), SETTINGS, tmp_path / "run3").digest == first
     other = hostile.scenario(corner_town, tmp_path / "theirs", "", '<poi id="x" x="1" y="2"/>')

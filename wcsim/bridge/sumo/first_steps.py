@@ -11,13 +11,14 @@ import sys
 from pathlib import Path
 
 from wcsim.bridge.sumo.session import SumoOptions, SumoSession
+from wcsim.config import WorldConfig
 from wcsim.errors import WcsimError
 from wcsim.towns.scenario.overrides import Settings
 
 
 def main() -> int:
     """Run the scenario that the command line names."""
-    settings = Settings(step_s=float(sys.argv[2]), seed=1)
+    settings = Settings(world=WorldConfig(tick_s=float(sys.argv[2])), seed=1)
     options = SumoOptions(sumocfg=Path(sys.argv[1]), origin_m=(0.0, 0.0), settings=settings)
     try:
         with SumoSession(options) as session:

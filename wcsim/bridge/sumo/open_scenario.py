@@ -64,7 +64,7 @@ def _try_scenario(town: Town, settings: Settings, digest: str) -> None:
         # One seed for all, as the verdict is on the files and kept for every seed.
         staged = stage_scenario(town, replace(settings, seed=1), Path(work))
         try:
-            run = _trial(staged.sumocfg, settings.step_s)
+            run = _trial(staged.sumocfg, settings.world.tick_s)
         except SumoError as error:
             raise TownError(
                 f"{town.sumocfg}: SUMO could not run its first {_TRIAL_STEPS} steps ({error}); reduce the load: "
@@ -95,7 +95,7 @@ def _trial(sumocfg: Path, step_s: float) -> ToolRun:
 def _culprit(town: Town, staged: Scenario, settings: Settings) -> Path:
     """The file with which the scenario begins to fail, in the order in which SUMO reads them; or the .sumocfg."""
     files = (*town.additional, *town.routes)
-    end_s = staged.begin_s + _TRIAL_STEPS * settings.step_s
+    end_s = staged.begin_s + _TRIAL_STEPS * settings.world.tick_s
 
     def fails(count: int) -> bool:
         words = ["-c", str(_with_fewer(staged.sumocfg, count)), "--end", repr(end_s)]

@@ -30,7 +30,7 @@ from wcsim.core import seeding
 from wcsim.core.closing import Closing
 from wcsim.core.native_output import missing_library
 from wcsim.errors import SumoError, WorldInUseError
-from wcsim.towns.scenario.overrides import JUMPING, Settings, forced, settings_of
+from wcsim.towns.scenario.overrides import JUMPING, Settings, forced
 from wcsim.towns.scenario.stage import Scenario
 from wcsim.towns.scenario.town import Town
 from wcsim.types import F64, ActorState, SignalState
@@ -104,7 +104,7 @@ class SumoSession(Closing):
         self._open = True
         self.pilot = VehicleControl(libsumo, options.origin_m)
         self.buttons = SignalControl(libsumo)
-        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.step_s)
+        self._reader = ActorReader(libsumo, (*options.origin_m, options.z_origin_m), options.settings.world.tick_s)
         self._guarded(lambda: libsumo.start(options.arguments()))
         try:
             self._hook = open_hook(options.hook, libsumo)
@@ -217,7 +217,7 @@ def open_session(
 
     Raises TownError for a scenario that cannot be run, WorldInUseError while another session lives in this process.
     """
-    settings = settings_of(config, sumo_seed(seed))
+    settings = Settings(world=config.world, seed=sumo_seed(seed))
     scenario = open_scenario(town, settings, place, held)
     options = SumoOptions(
         sumocfg=scenario.sumocfg,

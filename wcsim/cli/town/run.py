@@ -181,6 +181,4 @@ def _no_persons(town: Town) -> str:
     if net.lanes(LaneKind.WALKINGAREA):
         return f"{told}; {Cures(town).walkers()}"
     told = f"{told}, and the net has no walking areas"
-    if net.slowest_mps is None:  # there will be no paved copy
-        return f"{told}; {Cures(town).pave()}"
-    return f"{told}; first {Cures(town).pave()}\nthen, for the paved copy, {Cures(town).walkers(paved=True)}"
+    return f"{told}; {Cures(town).pave()}"

@@ -19,7 +19,7 @@ from wcsim.core.reading import counted, listed
 from wcsim.errors import SumoError, TownError
 from wcsim.towns.checks.cures import Cures
 from wcsim.towns.scenario.options import read_configuration
-from wcsim.towns.scenario.overrides import settings_of
+from wcsim.towns.scenario.overrides import Settings
 from wcsim.towns.scenario.stage import stage_scenario
 from wcsim.towns.scenario.town import Town, find_town
 from wcsim.towns.sumo.tools import Limits, run_tool
@@ -71,7 +71,7 @@ def checked(town: Town, share: float | None = None, told: Callable[[str], None] 
 def _collisions_note(town: Town) -> tuple[str, ...]:
     """Who collides in the first COLLIDING_S of a town's traffic, by SUMO itself, or that this takes too long."""
     with tempfile.TemporaryDirectory(prefix="wcsim-trial-", ignore_cleanup_errors=True) as work:
-        staged = stage_scenario(town, settings_of(resolve("quick"), 1), Path(work))
+        staged = stage_scenario(town, Settings(world=resolve("quick").world, seed=1), Path(work))
         seed = read_configuration(town.sumocfg).value("seed")
         found = Path(work) / "collisions.xml"
         words = ["-c", str(staged.sumocfg), "--end", f"{staged.begin_s + COLLIDING_S:.12g}"]
@@ -101,7 +101,7 @@ def try_town(town: Town) -> None:
     from wcsim.bridge.sumo.run_place import RunPlace
 
     with ExitStack() as held:
-        open_scenario(town, settings_of(resolve("quick"), 1), RunPlace(), held)
+        open_scenario(town, Settings(world=resolve("quick").world, seed=1), RunPlace(), held)
 
 
 def told_report(report: TownReport, began_s: float, json: Path | None, **more: Any) -> int:
@@ -119,7 +119,6 @@ def told_report(report: TownReport, began_s: float, json: Path | None, **more: A
     table.add_row("walkable area in the largest connected part", f"{report.walkable_largest_share:.3f}")
     table.add_row("classes in the demand", ", ".join(report.classes))
     table.add_row("trips without a route", str(report.unroutable))
-    table.add_row("ground errors (missing, or wrong height)", str(report.mesh_faults))
     table.add_row("traffic drives on the", "left" if report.lefthand else "right")
     console = stdout_console()
     console.print(table)

@@ -6,7 +6,7 @@ import re
 import shutil
 import stat
 import time
-from collections.abc import Iterator
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +19,16 @@ from wcsim.errors import DiskFullError
 MOST_VERDICTS: Final = 4000  # of a kind, then the newer half stays: generated scenes leave one each
 WRITTEN_S = 3600.0  # a file that is being written is not older
 _KEY = "[0-9a-f]{32}"
-_STREET = re.compile(rf"street-{_KEY}\.npz")
-_VERDICT = re.compile(rf"(scenario|net)-{_KEY}\.ok")
-_KERNEL = re.compile(r"[\w.-]+\.(nbi|nbc|lock)")  # machine code, with the list of it and the lock for each kernel
-# Folders: generated scenes of the driving page, and generated towns of suites; see `bridge/replay/replayed.py` and
-# `drive/starting.py`.
-_DRIVEN = {"drive-scenes": re.compile(r"[a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8}"), "drive-towns": re.compile(r"made-\d+")}
-_LOCK = re.compile(rf"street-{_KEY}\.lock")
-_BEGUN = re.compile(rf"\.(street|scenario|net)-{_KEY}\.(npz|ok)\.\d+-\w+\.tmp")  # see `files.whole_file`
+# What wcsim writes there, by its place: files and folders. Generated scenes of the driving page and generated towns of
+# suites are driven in, see `bridge/replay/replayed.py` and `drive/starting.py`; what is begun, see `files.whole_file`.
+_KINDS = {
+    "streets": re.compile(rf"street-{_KEY}\.npz"),
+    "verdicts": re.compile(rf"(scenario|net)-{_KEY}\.ok"),
+    "kernels": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.nbi"),
+    "code": re.compile(rf"{KERNELS}/[^/]+/[\w.-]+\.(nbc|lock)"),  # of the kernels
+    "driven": re.compile(r"drive-scenes/([a-z][a-z-]*-\d+-[0-9a-f]{16}|\.\w{8})|drive-towns/made-\d+"),
+    "unfinished": re.compile(rf"street-{_KEY}\.lock|\.(street|scenario|net)-{_KEY}\.(npz|ok)\.\d+-\w+\.tmp"),
+}
 
 
 def cache_folder() -> Path:
@@ -67,15 +69,16 @@ class _CacheFacts:
 
 def cache_facts() -> _CacheFacts:
     """Look through the cache; a folder that is not there or cannot be read is empty."""
-    found, driven, begun = _files(), _driven(), _begun()
+    found = _made()
+    number = Counter(kind for kind, _ in found.values())
     return _CacheFacts(
         folder=cache_folder(),
-        streets=sum(_STREET.fullmatch(path.name) is not None for path in found),
-        verdicts=sum(_VERDICT.fullmatch(path.name) is not None for path in found),
-        kernels=sum(path.suffix == ".nbi" for path in found),
-        driven=len(driven),
-        unfinished=len(begun) + sum(_LOCK.fullmatch(path.name) is not None for path in found),
-        size_bytes=sum(found.values()) + sum(map(folder_bytes, (*driven, *begun))),
+        streets=number["streets"],
+        verdicts=number["verdicts"],
+        kernels=number["kernels"],
+        driven=number["driven"],
+        unfinished=number["unfinished"],
+        size_bytes=sum(size_bytes for _, size_bytes in found.values()),
     )
 
 
@@ -86,55 +89,23 @@ def clear_cache() -> _CacheFacts:
     another name until it is whole, and is left alone, as is every file that wcsim has not named. Who drives in a
     generated scene or town drives on, and has to begin anew for another place in it.
     """
-    for folder in (*_driven(), *_begun()):
-        shutil.rmtree(folder, ignore_errors=True)
-    for path in _files():
+    for path in _made():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
         with suppress(OSError):  # of another user, or gone already
             path.unlink()
     return cache_facts()
 
 
-def _files() -> dict[Path, int]:
-    """The regular files that wcsim made, with their sizes."""
-    found: dict[Path, int] = {}
-    for path, kinds in _places():
-        known = any(kind.fullmatch(path.name) for kind in kinds)
+def _made() -> dict[Path, tuple[str, int]]:
+    """The files and folders that wcsim made, with their kind and size; what is being written is left out."""
+    folder, found = cache_folder(), dict[Path, tuple[str, int]]()
+    for path in sorted(path for depth in ("*", "*/*", f"{KERNELS}/*/*") for path in folder.glob(depth)):
+        name = path.relative_to(folder).as_posix()
+        kind = next((kind for kind, form in _KINDS.items() if form.fullmatch(name)), None)
         with suppress(OSError):
             status = path.lstat()
-            being_written = _LOCK.fullmatch(path.name) and time.time() - status.st_mtime < WRITTEN_S
-            if known and stat.S_ISREG(status.st_mode) and not being_written:
-                found[path] = status.st_size
+            begun = kind == "unfinished" or path.name.startswith(".")
+            if kind and not stat.S_ISLNK(status.st_mode) and not (begun and time.time() - status.st_mtime < WRITTEN_S):
+                found[path] = kind, folder_bytes(path) if stat.S_ISDIR(status.st_mode) else status.st_size
     return found
-
-
-def _begun() -> list[Path]:
-    """The folders in which files were written by who died meanwhile."""
-    return [path for path in _entries(cache_folder()) if _BEGUN.fullmatch(path.name) and _is_left(path)]
-
-
-def _driven() -> list[Path]:
-    """The folders of scenes and towns that were generated to be driven in."""
-    places = [(path, form) for name, form in _DRIVEN.items() for path in _entries(cache_folder() / name)]
-    return [path for path, form in places if form.fullmatch(path.name) and _is_left(path)]
-
-
-def _is_left(folder: Path) -> bool:
-    """Whether it is a finished folder; the name of an unfinished one begins with a dot."""
-    with suppress(OSError):
-        status = folder.lstat()
-        made = not folder.name.startswith(".") or time.time() - status.st_mtime > WRITTEN_S
-        return made and stat.S_ISDIR(status.st_mode)
-    return False
-
-
-def _entries(folder: Path) -> list[Path]:
-    with suppress(OSError):
-        return sorted(folder.iterdir())
-    return []
-
-
-def _places() -> Iterator[tuple[Path, tuple[re.Pattern[str], ...]]]:
-    """All that lies where files of wcsim may, with the forms that their names have there."""
-    folder = cache_folder()
-    yield from ((path, (_STREET, _VERDICT, _LOCK)) for path in _entries(folder))
-    yield from ((path, (_KERNEL,)) for path in sorted(folder.glob(f"{KERNELS}/*/*")))

@@ -13,19 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, ElementTree
 
-import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
 from wcsim.config import RunConfig
-from wcsim.core.seeding import generator
-from wcsim.errors import SumoError, TownError
-from wcsim.towns.checks.cures import FOR_ROUTES, Cures
+from wcsim.errors import SumoError
+from wcsim.towns.checks.cures import FOR_ROUTES, PAVED_LATER, Cures
 from wcsim.towns.checks.validate import validate_net
 from wcsim.towns.ground.plane_geometry import length_of
 from wcsim.towns.ground.relief import fit_relief, on_land, steepest_grade
 from wcsim.towns.ground.surfaces import ground_of
-from wcsim.towns.ground.tiles import CELL_M
 from wcsim.towns.scenario.files import FilteredFiles, with_included
 from wcsim.towns.scenario.stage import files_of
 from wcsim.towns.scenario.town import Town, find_changes, polygons_among
@@ -35,29 +32,20 @@ from wcsim.towns.sumo.net import WALK_KINDS, Edge, LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, run_tool
 from wcsim.towns.sumo.xml_io import read_root
 from wcsim.towns.walking.islands import CutOff, cut_off, largest_share, walkable_parts
-from wcsim.types import F64, ClassId, Street
 
 _ENOUGH_SHARE = 0.95
 _WALKER = "pedestrian"
-LARGEST_M = 200_000.0  # across; a net that is larger was projected wrongly
 STEEPEST = 0.25
 AROUND_M = 100.0  # of the streets: what lies farther outside belongs to something else
 _BUILT_UP = ("building", "tree", "tree_row")
 _TOLD_PARTS = 5  # of those that are cut off
-_PROJECT = "build the net again from the same files, with netconvert's option --proj.utm"
 LEAST_M2 = 3.0  # of one pair: less comes of rounded corners
 APART_M = 2.0  # ways with more between their heights pass over each other
 
 
 def faults_of(town: Town, net: Net, found: TownReport) -> tuple[str, ...]:
     """The faults of a town; none when all is well."""
-    lines = [*_ways(town, net, found), *_demand(town, net, found), *_projection_faults(town, net)]
-    if found.mesh_faults > RAYS // 1000:
-        lines.append(
-            f"{found.mesh_faults} of {RAYS} vertical rays missed the ground; build the street "
-            "again: wcsim cache --clear"
-        )
-    lines += _foreign_polygons(town, net)
+    lines = [*_ways(town, net, found), *_demand(town, net, found), *_foreign_polygons(town, net)]
     grade = steepest_grade(net)
     if grade > STEEPEST:
         lines.append(
@@ -78,20 +66,6 @@ def _find_notes(town: Town, net: Net, over: tuple[Overlap, ...] = ()) -> tuple[s
     if _polygons(town) is None and not _built_up(town, net):
         notes.append("there are no buildings or trees: the town has no .poly.xml")
     return tuple(notes)
-
-
-def _projection_faults(town: Town, net: Net) -> tuple[str, ...]:
-    """Nets whose coordinates are no metres."""
-    low_m, high_m = net.corners_m()
-    size_m = high_m - low_m
-    size = f"{town.net.name} is {size_m[0]:.4g} x {size_m[1]:.4g} m"
-    if size_m.max() > LARGEST_M:
-        return (f"{size}, so its projection is wrong; {_PROJECT}",)
-    drawn_m = sum(float(np.hypot(*np.diff(lane.points_m, axis=0).T).sum()) for lane in net.every_lane)
-    noted_m = sum(lane.length_m for lane in net.every_lane if lane.kind is not LaneKind.WALKINGAREA)
-    if size_m.max() < 2.0 or noted_m > 20.0 * drawn_m:
-        return (f"{size}, so its coordinates are in degrees or another unit; {_PROJECT}",)
-    return ()
 
 
 def _foreign_polygons(town: Town, net: Net) -> list[str]:
@@ -125,9 +99,7 @@ def _ways(town: Town, net: Net, found: TownReport) -> list[str]:
     imported = "town import" in town.file.rebuild
 
     def paving() -> str:
-        return (
-            Cures(town).larger() if imported else f"{'first ' * _walkers_later(town, net, found)}{Cures(town).pave()}"
-        )
+        return Cures(town).larger() if imported else Cures(town).pave()
 
     if not found.walkingareas:
         paved = net.paved_streets
@@ -149,11 +121,10 @@ def _lacks_crossings(net: Net, found: TownReport) -> bool:
     return not found.crossings and bool(net.lanes(LaneKind.MOTOR))
 
 
-def _walkers_later(town: Town, net: Net, found: TownReport) -> bool:
-    """Whether there are no walkers, and adding them needs a paved copy of the scenario first."""
+def _is_unpaved(town: Town, net: Net, found: TownReport) -> bool:
+    """Whether walkers need a paved copy of the scenario first, and there can be one."""
     unpaved = not found.walkingareas or _lacks_crossings(net, found)
-    can_be = "town import" not in town.file.rebuild and net.slowest_mps is not None
-    return unpaved and can_be and _WALKER not in found.classes
+    return unpaved and "town import" not in town.file.rebuild and net.slowest_mps is not None
 
 
 def _parts(cut_off: tuple[CutOff, ...]) -> str:
@@ -166,8 +137,7 @@ def _parts(cut_off: tuple[CutOff, ...]) -> str:
 def _demand(town: Town, net: Net, found: TownReport) -> list[str]:
     lines = []
     if _WALKER not in found.classes and (found.walkingareas or net.slowest_mps is not None):
-        later = _walkers_later(town, net, found)
-        cure = f"{'then, for the paved copy, ' * later}{Cures(town).walkers(paved=later)}"
+        cure = PAVED_LATER if _is_unpaved(town, net, found) else Cures(town).walkers()
         words = shlex.split(town.file.rebuild)
         if "--traffic" in words[:-1] and words[words.index("--traffic") + 1] == "0":
             words[words.index("--traffic") + 1] = "1"
@@ -190,15 +160,8 @@ def _overlap(town: Town, over: tuple[Overlap, ...]) -> str:
     )
 
 
-RAYS = 4000
 _CHECKED_S = 600.0  # of the demand, from its begin
-_SPOT_M = 0.002
-_DRAWS = 50  # a net of a single street fills a small part of its surroundings
-_ROUNDS = 5  # in which they are drawn: each reads all of the ground's rasters
-_HEIGHT_SLACK_M = 0.011  # the grid holds whole centimetres
 _DEFAULT_CLASSES = {"DEFAULT_VEHTYPE": "passenger", "DEFAULT_PEDTYPE": "pedestrian", "DEFAULT_BIKETYPE": "bicycle"}
-_STREET = (ClassId.ROAD, ClassId.RAIL_TRACK, ClassId.SIDEWALK, ClassId.CROSSWALK)
-_GROUND = (*_STREET, ClassId.TERRAIN, ClassId.GROUND, ClassId.PARKING)
 _NO_WAY = re.compile(
     r"vehicle '([^']+)' has no valid route|person '([^']+)' because|found for person '([^']+)'"
     r"|within the route [a-z ]*'([^']+)' is not known"
@@ -216,7 +179,6 @@ class TownReport:
     walk_km: float  # length of the ways that wheelchairs can use
     classes: tuple[str, ...]  # SUMO vehicle classes in the demand, sorted
     unroutable: int  # trips of the first ten minutes that have no way
-    mesh_faults: int  # of RAYS rays straight down that did not meet the ground that the grid says
     lefthand: bool
     overlaps: tuple[Overlap, ...] = ()  # streets on the pavements of others
     cut_off: tuple[CutOff, ...] = ()  # walkable parts beside the largest, largest first
@@ -227,12 +189,10 @@ class TownReport:
 def check_town(town: Town, share: float | None = None) -> TownReport:
     """Check a town; `share` is the walkable share when it is known already.
 
-    Raises TownError when the town cannot be read at all, or its net is not in metres.
+    Raises TownError when the town cannot be read at all, or its net is not in metres: see `validate_net`.
     """
     files_of(town, RunConfig())  # missing files are reported before SUMO opens a large net
     net = read_net(town.net, town.file.origin_m)
-    if wrong := _projection_faults(town, net):
-        raise TownError(f"{town.net}: {wrong[0]}")
     validate_net(town.net, border=town.border)
     street = load_street(town)
     parts = walkable_parts(net, town.file.chair_ways) if share is None else []
@@ -244,7 +204,6 @@ def check_town(town: Town, share: float | None = None) -> TownReport:
         walk_km=sum(length_of(edge.points_W_m) for edge in street.walk.edges) / 1e3,
         classes=_demand_classes(town),
         unroutable=_unroutable_trips(town),
-        mesh_faults=_mesh_faults(street),
         lefthand=net.lefthand,
         overlaps=_find_overlaps(on_land(net, fit_relief(net))),
         cut_off=cut_off(net, parts),
@@ -305,43 +264,6 @@ def _needed_of(path: Path) -> Iterator[Element]:
             yield from _needed_of(path.parent / element.get("href", ""))
         elif element.tag in FOR_ROUTES:
             yield element
-
-
-def _mesh_faults(street: Street, rays: int = RAYS) -> int:
-    """How many rays straight down, on road and pavement, meet no face with the class and height of the grid."""
-    grid, mesh = street.grid, street.mesh
-    xy_m = _places(street, rays)
-    faces = np.flatnonzero(np.isin(mesh.face_class, _GROUND))
-    corners = mesh.vertices_W_m[mesh.faces[faces]].astype(np.float64)  # (F, 3, 3)
-    tree = shapely.STRtree(shapely.polygons(corners[:, :, :2]))
-    spots = shapely.box(*(xy_m - _SPOT_M).T, *(xy_m + _SPOT_M).T)  # on a border both sides are right
-    ray, face = tree.query(spots, predicate="intersects")
-    good = mesh.face_class[faces[face]] == grid.class_at(xy_m[ray])
-    good &= np.abs(_height_on(corners[face], xy_m[ray]) - grid.height_at(xy_m[ray])) <= _HEIGHT_SLACK_M
-    return len(xy_m) - len(np.unique(ray[good]))
-
-
-def _places(street: Street, count: int) -> F64:
-    """Middles (n, 2) of decimetre cells of road and pavement, up to `count` of them, drawn from all over the town."""
-    corners = street.mesh.vertices_W_m[:, :2].astype(np.float64)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    rng, found, number = generator(0, "rays"), [np.zeros((0, 2))], 0
-    for _ in range(_ROUNDS):
-        drawn = np.concatenate([rng.uniform(low, high, (count, 2)) for _ in range(_DRAWS // _ROUNDS)])
-        xy_m = np.floor(drawn / CELL_M) * CELL_M + 0.5 * CELL_M
-        found.append(xy_m[np.isin(street.grid.class_at(xy_m), _STREET)])
-        number += len(found[-1])
-        if number >= count:
-            break
-    return np.concatenate(found)[:count]
-
-
-def _height_on(corners: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
-    """Height (n,) of planes through triangles (n, 3, 3) at points (n, 2)."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    offset = xy_m - corners[:, 0, :2]
-    height: np.ndarray = corners[:, 0, 2] - (normal[:, :2] * offset).sum(axis=1) / normal[:, 2]
-    return height
 
 
 def _members(element: Element) -> tuple[str, ...]:

@@ -6,15 +6,13 @@ What is to be done by hand stands before the command, which goes on to the end o
 from __future__ import annotations
 
 import math
-import os
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from wcsim.errors import TownError
-from wcsim.towns.osm.read import MARGIN_M, Box, holds_more
+from wcsim.towns.osm.read import Box
 from wcsim.towns.scenario.files import with_included
 from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town, own_work
@@ -31,6 +29,7 @@ FOR_ROUTES = frozenset(
 )  # fmt: skip
 """Elements of additional files that a demand needs to be routed."""
 DEADLY = "calibrator"  # duarouter 1.28 dies of one that has flows
+PAVED_LATER = "the check of the paved copy says how to add them"
 _WIDER = 0.3  # of a box's size, on each of its sides
 FASTEST_MPS = 13.9  # 50 km/h: faster streets get no pavement by default
 
@@ -42,7 +41,6 @@ class Cures:
         self._town = town
         self._sumocfg, self._net = _path(town.sumocfg), _path(town.net)
         self._outside = " --allow-outside" if town.border is None else ""
-        self._copy = Path(f"{town.name}-paved")  # seen from the folder in which the command is typed
 
     def pave(self) -> str:
         """The command that adds pavements and crossings to a scenario, or why there is none."""
@@ -50,7 +48,7 @@ class Cures:
         slowest_mps = net.slowest_mps
         if slowest_mps is None:
             return "no street is open to cars, so no pavement can be added; choose another scenario"
-        command = self.pave_into(self._copy, max(FASTEST_MPS, slowest_mps))
+        command = self.pave_into(Path(f"{self._town.name}-paved"), max(FASTEST_MPS, slowest_mps))
         return f"{'add crossings and walking areas' if net.paved_streets else 'add pavements and crossings'}: {command}"
 
     def pave_into(self, out: Path, fastest_mps: float) -> str:
@@ -66,28 +64,19 @@ class Cures:
         """The command that opens a town's net to be changed by hand."""
         return f"{_tool('netedit')} -s {self._net}"
 
-    def walkers(self, *, paved: bool = False) -> str:
+    def walkers(self) -> str:
         """The command that makes walkers for the scenario's own time, for an hour of it at most.
-
-        With `paved` it makes them for the copy that the command of `pave` leaves.
 
         Raises:
             TownError: the scenario's begin or end is no time.
         """
-        town = self._town
-        sumocfg, net = town.sumocfg, town.net
         begin_s, end_s = self.own_time()
-        if paved:
-            own, *files = (Path(os.path.normpath(p.absolute())) for p in (town.folder, sumocfg, net))
-            if town.border is None or not all(path.is_relative_to(own) for path in files):
-                return "add pedestrians as the copy's check says"  # its folders are named by what it shares with others
-            sumocfg, net = (self._copy.absolute() / path.relative_to(own) for path in files)
         tool = shlex.join([sys.executable, str(sumo_home() / "tools" / "randomTrips.py")])
         return (
-            f"create walkers.rou.xml with this command, and name it in {_path(sumocfg)}, within <input>, "
-            f'in the value of <route-files value="..."/>: {tool} -n {_path(net)} '
+            f"create walkers.rou.xml with this command, and name it in {self._sumocfg}, within <input>, "
+            f'in the value of <route-files value="..."/>: {tool} -n {self._net} '
             f"--pedestrians --prefix walker -b {begin_s:.12g} -e {min(end_s, begin_s + _HOUR_S):.12g} "
-            f"-r {_path(sumocfg.with_name('walkers.rou.xml'))} -o {_path(sumocfg.with_name('walkers.trips.xml'))}"
+            f"-r {self._beside('walkers.rou.xml')} -o {self._beside('walkers.trips.xml')}"
         )
 
     def own_time(self) -> tuple[float, float]:
@@ -109,23 +98,16 @@ class Cures:
         return f"{task}{lost}: cd {shlex.quote(str(folder.resolve()))} && {rebuild}{' --replace' * bool(work)}"
 
     def larger(self) -> str:
-        """The command that imports a town with more around it: of its extract while that holds more, or downloaded."""
-        words, folder = shlex.split(self._town.file.rebuild), self._town.folder
-        by_hand = f"join the parts: {self.netedit()}"
-        at = next((number for number, word in enumerate(words) if word.startswith("--bbox=")), None)
-        if at is None or "--osm" not in words[:-1]:  # written by hand
-            return by_hand
-        osm = words.index("--osm")
-        extract = (folder / words[osm + 1]).resolve()
+        """The command that downloads and imports a town with more around it: its own extract was cut to its box."""
+        words = shlex.split(self._town.file.rebuild)
         try:
-            box = Box.of(words[at].removeprefix("--bbox="))
-            more = extract.is_relative_to(folder.resolve()) and holds_more(extract, box)
-        except (ValueError, TownError):  # a town.toml may say anything
-            return by_hand
-        words[at] = box.grown(MARGIN_M if more else _WIDER * max(box.size_m)).option
-        if not more:
-            del words[osm : osm + 2]
-        return self.again(f"take a larger area{'' if more else ' from the internet'}", shlex.join(words))
+            at = next(number for number, word in enumerate(words) if word.startswith("--bbox="))
+            box, osm = Box.of(words[at].removeprefix("--bbox=")), words.index("--osm")
+        except (StopIteration, ValueError):  # a town.toml may say anything
+            return f"join the parts: {self.netedit()}"
+        words[at] = box.grown(_WIDER * max(box.size_m)).option
+        del words[osm : osm + 2]
+        return self.again("take a larger area from the internet", shlex.join(words))
 
     def grade(self) -> str:
         """The command that flattens a town's steepest streets."""

@@ -38,8 +38,8 @@ Packed = Mapping[str, np.ndarray]
 T = TypeVar("T")
 
 
-def pack_tiles(mesh: StreetMesh, grid: GridMaker, left: Callable[[float], object]) -> dict[str, np.ndarray]:
-    """All tiles of a street as named arrays; the rasters are compressed. `left` hears which share is to be done yet."""
+def pack_tiles(mesh: StreetMesh, grid: GridMaker) -> dict[str, np.ndarray]:
+    """All tiles of a street as named arrays; the rasters are compressed."""
     west, south, east, north = grid.bounds()
     first = np.floor(np.array([west, south]) / TILE_M).astype(int)
     last = np.floor(np.array([east, north]) / TILE_M - 1e-9).astype(int)
@@ -55,18 +55,17 @@ def pack_tiles(mesh: StreetMesh, grid: GridMaker, left: Callable[[float], object
         arrays |= {_name(key, name): getattr(paint, name) for name in _PAINT}
         spans.append(_span(key, part))
     arrays["tile_spans"] = np.array(spans)
-    return arrays | _packed_rasters(grid, left)
+    return arrays | _packed_rasters(grid)
 
 
-def _packed_rasters(grid: GridMaker, left: Callable[[float], object]) -> dict[str, np.ndarray]:
+def _packed_rasters(grid: GridMaker) -> dict[str, np.ndarray]:
     west, south, east, north = grid.bounds()
     columns = range(math.floor(west / RASTER_M), math.floor(east / RASTER_M - 1e-9) + 1)
     rows = range(math.floor(south / RASTER_M), math.floor(north / RASTER_M - 1e-9) + 1)
     packer = zstandard.ZstdCompressor(level=1)
     arrays = {"raster_range": np.array([columns[0], rows[0], columns[-1], rows[-1]])}
     keys = [(x, y) for x in columns for y in rows]
-    for done, key in enumerate(keys):
-        left(1.0 - done / len(keys))
+    for key in keys:
         piece = grid.piece(_box(key))
         arrays |= {
             # a copy, because the packer's own bytes hold as much memory as what they were made of

@@ -6,7 +6,6 @@ Only files that SUMO reads go with the copy, and the author's notices; private f
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import tempfile
 from pathlib import Path
@@ -16,10 +15,10 @@ from wcsim.core.reading import FileKind, is_file, opened, read_text
 from wcsim.core.reading import read_bytes as read_plain
 from wcsim.errors import TownError
 from wcsim.towns.checks.validate import validate_net
-from wcsim.towns.importing.folder_texts import check_new, town_toml_text
+from wcsim.towns.importing.folder_texts import check_new, check_words, town_toml_text
 from wcsim.towns.scenario.files import FilteredFiles, check_file, check_inside
 from wcsim.towns.scenario.options import Configuration, Content, Treatment, read_configuration
-from wcsim.towns.scenario.town import NOT_TOWNS, Town, net_middle, open_town
+from wcsim.towns.scenario.town import Town, net_middle, open_town
 from wcsim.towns.sumo.xml_io import MAX_XML_BYTES, content_digest, read_bytes, scan
 
 _MAX_FILES = 500
@@ -76,10 +75,7 @@ def adopt_scenario(
     """
     if not sumocfg.is_file():
         raise TownError(f"{sumocfg}: there is no such file; expected a .sumocfg")
-    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
-        raise TownError(f"town name {name!r}: expected 1 to 64 letters, digits, - or _")
-    if name in NOT_TOWNS:
-        raise TownError(f"a town cannot be named {name!r}: that folder is reserved; choose another name")
+    check_words(name, split)
     check_new(out)
     start = Path(os.path.normpath(sumocfg.absolute()))
     config = read_configuration(start)

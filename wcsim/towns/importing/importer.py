@@ -18,25 +18,12 @@ from xml.etree.ElementTree import Element
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
 from wcsim.errors import SumoError, TownError, check_installed
-from wcsim.towns.importing.demand import (
-    Way,
-    build_ways,
-    check_rates,
-    vtypes_text,
-    without_ways,
-    write_demand,
-)
+from wcsim.towns.importing.demand import Way, build_ways, check_rates, vtypes_text, without_ways, write_demand
 from wcsim.towns.importing.elevation import Heights, lift_net, make_dem
-from wcsim.towns.importing.folder_texts import (
-    check_place,
-    check_words,
-    town_toml_text,
-    write_scenario,
-)
+from wcsim.towns.importing.folder_texts import check_place, check_words, town_toml_text, write_scenario
 from wcsim.towns.importing.map_marks import MapMarks, find_parking, map_marks
 from wcsim.towns.osm.clean import (
     LeftOut,
-    NetWays,
     count_inside,
     cut_bridges,
     filter_osm,
@@ -49,12 +36,7 @@ from wcsim.towns.scenario.town import CYCLE_PATHS, Town, chair_ways, hash_files,
 from wcsim.towns.sumo.net import LaneKind, Net, read_net
 from wcsim.towns.sumo.tools import Limits, ToolRun, by_file, run_tool, sumo_home
 from wcsim.towns.sumo.xml_io import write_gzip, xml_bytes
-from wcsim.towns.walking.islands import (
-    Islands,
-    largest_share,
-    osm_ways_by_edge,
-    walkable_parts,
-)
+from wcsim.towns.walking.islands import Islands, largest_share, osm_ways_by_edge, walkable_parts
 
 log = logging.getLogger("wcsim.towns")
 
@@ -206,7 +188,8 @@ class _BuiltNet:
     net: Net
     share: float
     bridges: tuple[str, ...] = ()  # what they are called that were left out, for they pass over other streets
-    ways: NetWays = field(default_factory=NetWays)
+    drawn: frozenset[str] = frozenset()  # the ways of the map that it has, by their ids without a sign
+    walked: frozenset[str] = frozenset()  # of these, those with lanes for walkers
 
 
 def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
@@ -219,23 +202,16 @@ def _build_net(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
         SumoError: netconvert failed.
     """
     filter_osm(root)
-    before = _ids(root)
     bridges = cut_bridges(root, order.keep_service)
-    cut = before - _ids(root)
     built = _hanging_together(order, root, folder)
     walkable = {edge.id for edge in built.net.edges if any(lane.permits("pedestrian") for lane in edge.lanes)}
     drawn = osm_ways_by_edge(folder / f"{order.name}.net.xml")
-    ways = NetWays(
-        given=_ids(root),
-        bridges=cut,
+    return replace(
+        built,
+        bridges=bridges,
         drawn=frozenset(way for made_of in drawn.values() for way in made_of),
         walked=frozenset(way for edge, made_of in drawn.items() if edge in walkable for way in made_of),
     )
-    return replace(built, bridges=bridges, ways=ways)
-
-
-def _ids(root: Element) -> frozenset[str]:
-    return frozenset(way.get("id", "").lstrip("-") for way in root.iterfind("way"))
 
 
 def _hanging_together(order: ImportOrder, root: Element, folder: Path) -> _BuiltNet:
@@ -340,8 +316,6 @@ def _check(order: ImportOrder) -> None:
     if order.bbox is not None:
         order.bbox.check()
     check_rates(order.per_hour)
-    if not 0.0 <= order.traffic <= 10.0 or not 0.0 <= order.parked <= 1.0:
-        raise TownError(f"traffic {order.traffic}, parked {order.parked}; expected 0 to 10, and 0 to 1")
     if order.relief.dem is not None or order.relief.hill_m:
         check_installed("--dem and --hill need rasterio", "dem", "rasterio", error=TownError)
     check_place(order.out, overwrite=order.overwrite)
@@ -365,7 +339,7 @@ def _build(
     dem = make_dem(order.relief, extract.box, order.seed)
     built = _build_net(order, extract.root, work)
     net_path = work / f"{name}.net.xml"
-    left_out = LeftOut.of(mapped, built.ways)
+    left_out = LeftOut.of(mapped, built.drawn, built.walked)
     stage("adding buildings, trees, parked cars and routes")
     marks = _marks(name, built, work)
     if dem is not None:

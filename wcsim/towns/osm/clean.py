@@ -333,29 +333,7 @@ class _MapWay:
     street: bool
     name: str
     inside_m: float  # how much of it lies in the box; of an area, its outline
-    nodes: frozenset[str] = frozenset()
-    leaves: bool = False  # the box
-    why: str = ""  # it may be missing, by its tags
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NetWays:
-    """What became of the ways of a map, by their ids without a sign."""
-
-    given: frozenset[str] = frozenset()  # to netconvert
-    bridges: frozenset[str] = frozenset()  # over other streets, which were not given
-    drawn: frozenset[str] = frozenset()  # in the net
-    walked: frozenset[str] = frozenset()  # of these, those with lanes for walkers
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _LostWay:
-    """A way on foot that the net has not."""
-
-    id: str
-    name: str
-    inside_m: float
-    why: str
+    why: str  # it may be missing, by its tags
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -367,22 +345,17 @@ class LeftOut:
     streets_left_out_m: float = 0.0
     footways_left_out_m: float = 0.0
     names: tuple[str, ...] = ()  # of streets that are left out, longest first
-    footways: tuple[_LostWay, ...] = ()  # all that are left out, longest first
+    footways: tuple[_MapWay, ...] = ()  # all that are left out, longest first
 
     @classmethod
-    def of(cls, ways: Collection[_MapWay], made: NetWays) -> LeftOut:
-        """What of `ways` is not in the net."""
-        gone = [way for way in ways if way.id not in (made.drawn if way.street else made.walked)]
+    def of(cls, ways: Collection[_MapWay], drawn: Set[str], walked: Set[str]) -> LeftOut:
+        """What of `ways` is not in the net, by the ids of those that it has, and of those with lanes for walkers."""
+        gone = [way for way in ways if way.id not in (drawn if way.street else walked)]
         by_name: dict[str, float] = defaultdict(float)
         for way in gone:
             if way.name and way.street:
                 by_name[way.name] += way.inside_m
-        rest = frozenset(itertools.chain.from_iterable(way.nodes for way in ways if way.id in made.drawn))
-        lost = [
-            _LostWay(id=way.id, name=way.name, inside_m=way.inside_m, why=_why(way, made, rest))
-            for way in gone
-            if not way.street
-        ]
+        lost = [way for way in gone if not way.street]
         return cls(
             streets_m=sum(way.inside_m for way in ways if way.street),
             footways_m=sum(way.inside_m for way in ways if not way.street),
@@ -404,9 +377,7 @@ class LeftOut:
                 "or --keep-service may connect them"
             )
         if lost := self.footways:
-            told = ", ".join(
-                f"{' '.join(filter(None, (w.id, w.name)))} ({w.inside_m:.0f} m, {w.why})" for w in lost[:TOLD_LOST]
-            )
+            told = ", ".join(map(_told, lost[:TOLD_LOST]))
             more_m = sum(way.inside_m for way in lost[TOLD_LOST:])
             more = f", and {len(lost) - TOLD_LOST} more ({more_m:.0f} m)" if len(lost) > TOLD_LOST else ""
             notes.append(
@@ -414,6 +385,10 @@ class LeftOut:
                 f"id: {told}{more}"
             )
         return tuple(notes)
+
+
+def _told(way: _MapWay) -> str:
+    return f"{' '.join(filter(None, (way.id, way.name)))} ({way.inside_m:.0f} m{', ' * bool(way.why)}{way.why})"
 
 
 def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
@@ -430,14 +405,11 @@ def ways_inside(root: Element, box: Box) -> tuple[_MapWay, ...]:
         if not street and not _is_footway(tags):
             continue
         parts = [lines[item.get("id", "")]] if item.tag == "way" else _outline(item, lines)
-        nodes = frozenset(itertools.chain(*parts))
         way = _MapWay(
             id=f"{'relation ' * (item.tag == 'relation')}{item.get('id', '').lstrip('-')}",
             street=street,
             name=tags.get("name", ""),
             inside_m=sum(_inside_m([places[node] for node in part], box) for part in parts),
-            nodes=nodes,
-            leaves=any(not box.holds(places[node]) for node in nodes),
             why=_why_by_tags(tags),
         )
         found.append(way)
@@ -470,18 +442,6 @@ def count_inside(root: Element, box: Box, highway: str) -> int:
     """How many nodes with this value of `highway` the map has in the box; crossings without paint count too."""
     nodes = (node for node in root.iterfind("node") if _read_tags(node).get("highway") == highway)
     return sum(box.holds((float(node.get("lon", "0")), float(node.get("lat", "0")))) for node in nodes)
-
-
-def _why(way: _MapWay, made: NetWays, rest: frozenset[str]) -> str:
-    """Why a way of the map cannot be walked in the net; `rest` are the nodes of all ways of the net."""
-    if way.why or way.id in made.bridges:
-        return way.why or "a bridge over another street"
-    if way.id in made.drawn:
-        return "closed to pedestrians in the net"
-    if way.leaves:
-        return "cut by the edge of the box"
-    joined = way.id in made.given and way.nodes & rest
-    return "part of a junction, or left out by netconvert" if joined else "not connected to the rest in the box"
 
 
 def _inside_m(points: list[tuple[float, float]], box: Box) -> float:

@@ -210,16 +210,6 @@ def read_extract(path: Path, box: Box | None = None) -> Extract:
     return Extract(root=root, box=box, bounded=named is not None)
 
 
-def holds_more(path: Path, box: Box) -> bool:
-    """Whether an extract holds streets that lie outside of a box; one that was cut to that box holds none."""
-    if not path.is_file():
-        return False
-    root = parse_root(_xml_of(path, None), str(path))
-    places = _places(root)
-    inside = {key for key, place in places.items() if box.holds(place)}
-    return any(inside.isdisjoint(nd.get("ref", "") for nd in way.iterfind("nd")) for way in _streets(root))
-
-
 def _xml_of(path: Path, box: Box | None) -> bytes:
     kind = _kind(path)
     if kind == "pbf":

@@ -180,24 +180,22 @@ class Paving:
                 elif way := _way(element, self):
                     self.routes[name] = way
 
-    def find_edits(self, root: Element, *, in_net: bool = False) -> dict[int, dict[str, str]]:
-        """Attributes of a file, or of the net, that get other values: number of the element -> attribute -> value."""
-        found: dict[int, dict[str, str]] = {}
-        number_of = {element: number for number, element in enumerate(root.iter())}
-        for element, number in number_of.items():
-            tag = _tag(element)
+    def edit(self, root: Element, *, in_net: bool = False) -> bool:
+        """Give attributes of a file, or of the net, their new values; whether any was another before."""
+        changed = False
+        for element in root.iter():
+            tag, before = _tag(element), dict(element.attrib)
             if tag == "tlLogic":
-                found |= _program(element, number_of, self, in_net)
-            changes = _placed(element, tag, self) | _travelling(element, tag, self)
-            if changes := {key: value for key, value in changes.items() if value != element.get(key)}:
-                found[number] = changes
-        return found
+                changed |= _program(element, self, in_net)
+            element.attrib |= _placed(element, tag, self) | _travelling(element, tag, self)
+            changed |= element.attrib != before
+        return changed
 
 
 def _first_member(distribution: Element) -> str:
     """The name of the route that a distribution names first; empty where it holds its first route itself."""
     names = distribution.get("routes", "").split()
-    return names[0] if names else next((child.get("refId", "") for child in distribution), "")
+    return names[0] if names else next((child.get("refId", "") for child in distribution if _tag(child)), "")
 
 
 def _placed(element: Element, tag: str, paving: Paving) -> dict[str, str]:
@@ -328,14 +326,13 @@ def _way(element: Element, paving: Paving) -> _Way | None:
     return named or ((start, end) if start or end else None)
 
 
-def _program(
-    logic: Element, number_of: Mapping[Element, int], paving: Paving, in_net: bool
-) -> dict[int, dict[str, str]]:
+def _program(logic: Element, paving: Paving, in_net: bool) -> bool:
+    """Give each phase of a program its letters for the new links; whether it was another one before."""
     signal = logic.get("id", "")
     links = paving.signals.get(signal)
     phases = [child for child in logic if _tag(child) == "phase" and child.get("state")]
     if links is None or not phases:
-        return {}
+        return False
     paving.programs += 1
     if not in_net:
         paving.overridden.add(signal)
@@ -345,11 +342,9 @@ def _program(
     states = _all_red(given, links) if rings else _padded(given, durations_s, links)
     never = [min(links.crossings[link]) for link in links.crossings if all(state[link] == "r" for state in states)]
     paving.never_green += [_NeverGreen(signal=signal, edge=edge, in_net=in_net, rings=rings) for edge in never]
-    return {
-        number_of[phase]: {"state": state}
-        for phase, old, state in zip(phases, given, states, strict=True)
-        if state != old
-    }
+    for phase, state in zip(phases, states, strict=True):
+        phase.set("state", state)
+    return tuple(given) != states
 
 
 def _renamed(value: str, paving: Paving) -> str:
@@ -366,7 +361,8 @@ def _words(value: str) -> Iterable[str]:
 
 
 def _tag(element: Element) -> str:
-    return element.tag.rpartition("}")[2]
+    """The bare name of an element, "" for a comment."""
+    return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
 
 
 def _number(text: str | None) -> float | None:

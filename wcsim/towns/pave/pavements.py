@@ -1,23 +1,18 @@
 """Pavements for a scenario that has none: a copy of it that SUMO runs, with every stop and detector where it lay.
 
-Change attributes of an XML file and leave every other byte as it is.
-
 The author's signal programs that lie in the net itself: netconvert puts phases of its own into them.
 """
 
 from __future__ import annotations
 
-import codecs
 import math
 import os
 import re
 import tempfile
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
-from xml.parsers import expat
-from xml.sax.saxutils import escape
 
 from wcsim.core.files import whole_folder
 from wcsim.core.reading import listed
@@ -30,7 +25,7 @@ from wcsim.towns.scenario.options import read_configuration
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.net import LaneKind, Net, net_of, read_net
 from wcsim.towns.sumo.tools import Limits, by_file, run_tool
-from wcsim.towns.sumo.xml_io import parse_root, read_bytes, without_comments, write_gzip, xml_bytes
+from wcsim.towns.sumo.xml_io import read_bytes, without_comments, write_gzip, xml_bytes
 
 
 def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
@@ -46,9 +41,7 @@ def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     """
     programs = Element("additional")
     programs.extend(logic for logic in before.iterfind("tlLogic") if logic.get("id") in paving.signals)
-    elements = list(programs.iter())
-    for number, changes in paving.find_edits(programs, in_net=True).items():
-        elements[number].attrib.update(changes)
+    paving.edit(programs, in_net=True)
     theirs = {logic.get("id") for logic in programs}
     made = [logic for logic in after.iterfind("tlLogic") if logic.get("id") in theirs]
     if not made:
@@ -60,51 +53,13 @@ def _keep_programs(before: Element, after: Element, paving: Paving) -> bool:
     return True
 
 
-_Edits = Mapping[int, Mapping[str, str]]  # number of the element in the order of the file -> attribute -> value
-_TAG = re.compile(rb"""<(?:[^<>"']|"[^"]*"|'[^']*')*>""")
-_DECLARED = re.compile(rb"""<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)""")
-
-
-def _edited(data: bytes, edits: _Edits, where: str) -> bytes:
-    """XML text in which elements have other values of attributes that they have already.
-
-    Args:
-        data: The text, as `xmlio.parse_root` accepts it.
-        edits: What to change; elements are counted as `Element.iter` gives them.
-        where: What messages call the text.
-
-    Raises:
-        TownError: an attribute is not there.
-    """
-    starts: list[int] = []
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda *_: starts.append(parser.CurrentByteIndex)
-    parser.Parse(data, True)
-    found = _DECLARED.match(data.removeprefix(codecs.BOM_UTF8).lstrip())
-    encoding = found[1].decode("ascii") if found else "utf-8"
-    parts, done = list[bytes](), 0
-    for number in sorted(edits):
-        tag = _TAG.match(data, starts[number])
-        if tag is None:
-            raise TownError(f"{where}: element {number + 1} cannot be changed; write its attributes in quotes")
-        parts += [data[done : tag.start()], _changed(tag[0], edits[number], encoding, where)]
-        done = tag.end()
-    return b"".join((*parts, data[done:]))
-
-
-def _changed(tag: bytes, values: Mapping[str, str], encoding: str, where: str) -> bytes:
-    for name, value in values.items():
-        text = escape(value, {'"': "&quot;"}).encode(encoding, "xmlcharrefreplace")
-        found = re.search(rb"""\s""" + re.escape(name.encode(encoding)) + rb"""\s*=\s*("[^"]*"|'[^']*')""", tag)
-        if found is None:
-            raise TownError(f"{where}: attribute {name} cannot be changed; write it as {name}='...'")
-        tag = tag[: found.start(1)] + b'"' + text + b'"' + tag[found.end(1) :]
-    return tag
-
-
 _SLOWEST_MPS = 1.0  # of streets that get a pavement
 TOLD = 5  # of each kind of thing in a note
 _LIMITS = Limits(wall_s=300.0, cpu_s=280)
+_HEAD = re.compile(
+    rb"""(?s)(?:\xef\xbb\xbf)?\s*(?:<\?xml[^>]*?(?:encoding\s*=\s*["'](?P<encoding>[\w.-]+)["'][^>]*)?\?>)?"""
+    rb"""(?:\s|<!--.*?-->)*"""
+)
 _PACKED = b"\x1f\x8b"
 
 
@@ -244,15 +199,20 @@ def _change(files: tuple[Path, ...], net: Path, paving: Paving) -> None:
     for path in others:
         paving.note_routes(_root(path))
     for path in others:
-        data, root = read_bytes(path), _root(path)
-        if root.tag == "net":
-            continue
+        root = _root(path)
         try:
-            edits = paving.find_edits(root)
+            if root.tag != "net" and paving.edit(root):
+                _write(path, _with_head(read_bytes(path), root))
         except TownError as error:
             raise TownError(f"{path.name}: {error}") from None
-        if edits:
-            _write(path, _edited(data, edits, path.name))
+
+
+def _with_head(before: bytes, root: Element) -> bytes:
+    """A file with the declaration and the comments that it began with before, in its own encoding."""
+    head = _HEAD.match(before)
+    assert head is not None  # noqa: S101 - it may be empty
+    text: str = ElementTree.tostring(root, encoding="unicode")
+    return head[0] + text.encode((head["encoding"] or b"utf-8").decode("ascii"), "xmlcharrefreplace") + b"\n"
 
 
 def _notes(paving: Paving, net: Path) -> tuple[str, ...]:
@@ -301,4 +261,6 @@ def _is_xml(path: Path) -> bool:
 
 
 def _root(path: Path) -> Element:
-    return parse_root(read_bytes(path), path.name)
+    """The root of a copy, with the comments inside it: the original was looked through when it was copied."""
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))  # noqa: S314 - no DTD gets here
+    return ElementTree.fromstring(read_bytes(path), parser)  # noqa: S314 - nor here

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from wcsim.config import RunConfig
+from wcsim.config import WorldConfig
 from wcsim.towns.scenario.options import Configuration, Treatment, sumo_options
 from wcsim.towns.sumo.xml_io import is_true
 
@@ -25,23 +25,8 @@ class Override:
 class Settings:
     """What a world decides about a scenario."""
 
-    step_s: float
-    seed: int
-    demand_scale: float = 1.0  # times the author's own
-    jam_teleport_s: float | None = None  # None keeps the author's
-    action_step_s: float | None = None  # how often drivers decide; None keeps the author's
-
-
-def settings_of(config: RunConfig, seed: int) -> Settings:
-    """What a run decides about a scenario; `seed` is SUMO's own."""
-    world = config.world
-    return Settings(
-        step_s=world.tick_s,
-        seed=seed,
-        demand_scale=world.demand_scale,
-        jam_teleport_s=world.jam_teleport_s,
-        action_step_s=world.action_step_s,
-    )
+    world: WorldConfig = field(default_factory=WorldConfig)
+    seed: int  # SUMO's own
 
 
 class _Rule(NamedTuple):
@@ -103,13 +88,14 @@ UNASKED_WHY = {
 
 def forced(settings: Settings, author_scale: float = 1.0) -> tuple[tuple[str, str], ...]:
     """Option and value of everything that a world sets, in a fixed order."""
-    set_here = [("step-length", repr(settings.step_s)), ("seed", str(settings.seed))]
-    if settings.demand_scale != 1.0:
-        set_here.append(("scale", repr(author_scale * settings.demand_scale)))
-    if settings.jam_teleport_s is not None:
-        set_here.append(("time-to-teleport", repr(settings.jam_teleport_s)))
-    if settings.action_step_s is not None:
-        set_here.append((_ACTION_STEP, repr(settings.action_step_s)))
+    world = settings.world
+    set_here = [("step-length", repr(world.tick_s)), ("seed", str(settings.seed))]
+    if world.demand_scale != 1.0:
+        set_here.append(("scale", repr(author_scale * world.demand_scale)))
+    if world.jam_teleport_s is not None:
+        set_here.append(("time-to-teleport", repr(world.jam_teleport_s)))
+    if world.action_step_s is not None:
+        set_here.append((_ACTION_STEP, repr(world.action_step_s)))
     return (*set_here, *_FIXED)
 
 
@@ -157,8 +143,8 @@ def _idle_rows(config: Configuration) -> Iterator[Override]:
 
 def _faster(author: str, config: Configuration, settings: Settings) -> str:
     """What shorter steps than the author's do to the traffic, unless the drivers' decision interval is set."""
-    chosen = settings.action_step_s is not None or config.value(_ACTION_STEP) is not None
-    return _FASTER if _seconds(author) > settings.step_s and not chosen else ""
+    chosen = settings.world.action_step_s is not None or config.value(_ACTION_STEP) is not None
+    return _FASTER if _seconds(author) > settings.world.tick_s and not chosen else ""
 
 
 def _seconds(text: str) -> float:

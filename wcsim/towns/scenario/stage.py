@@ -20,15 +20,7 @@ from wcsim.towns.scenario.options import (
     read_configuration,
     sumo_options,
 )
-from wcsim.towns.scenario.overrides import (
-    AGGREGATED,
-    JUMPING,
-    Override,
-    Settings,
-    forced,
-    overrides_of,
-    settings_of,
-)
+from wcsim.towns.scenario.overrides import AGGREGATED, JUMPING, Override, Settings, forced, overrides_of
 from wcsim.towns.scenario.town import Town
 from wcsim.towns.sumo.xml_io import is_true
 
@@ -102,7 +94,7 @@ def files_of(town: Town, config: RunConfig) -> tuple[Path, ...]:
         TownError: as `stage_scenario`: one is not there, or cannot be read. SUMO opens none of them.
     """
     with tempfile.TemporaryDirectory(prefix="wcsim-files-", ignore_cleanup_errors=True) as folder:
-        inputs = stage_scenario(town, settings_of(config, 1), Path(folder)).inputs
+        inputs = stage_scenario(town, Settings(world=config.world, seed=1), Path(folder)).inputs
     known = town.folder.absolute() / "town.toml"
     return tuple(dict.fromkeys((town.sumocfg.absolute(), *inputs, *((known,) if known.is_file() else ()))))
 

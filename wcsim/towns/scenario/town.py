@@ -15,7 +15,7 @@ from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_bytes
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
-from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
+from wcsim.towns.sumo.xml_io import content_digest, read_head
 
 log = logging.getLogger("wcsim.towns")
 
@@ -85,11 +85,10 @@ def find_town(name_or_path: str, *, outside: bool = False) -> Town:
 def _unknown_town(name_or_path: str) -> TownError:
     named = escaped(name_or_path, 160)
     if name_or_path.endswith(".sumocfg") or "/" in name_or_path:
-        what, wanted = "folder", "one with a .sumocfg"
-        if name_or_path.endswith(".sumocfg"):
-            what, wanted = "file", "the path of a .sumocfg, a folder with one"
+        what = "file" if name_or_path.endswith(".sumocfg") else "folder"
         return TownError(
-            f"{named}: there is no such {what}, seen from {Path.cwd()}; expected {wanted}, or a town: {_known()}"
+            f"{named}: there is no such {what}, seen from {Path.cwd()}; expected a folder with a .sumocfg, the path of "
+            f"one, or a town: {_known()}"
         )
     return TownError(
         f"unknown town {named!r}; expected one of: {_known()}, or a path to a folder with a .sumocfg"
@@ -208,24 +207,15 @@ def net_middle(net: Path) -> tuple[int, int]:
     """The middle of a net in its own coordinates, in whole metres; (0, 0) where it does not say how far it reaches.
 
     Raises:
-        TownError: the file cannot be read, or is no XML.
+        TownError: the file cannot be read.
     """
     found = _BOUNDARY.search(read_head(net, _LOCATION_BYTES))
     try:
         bounds_m = [float(part) for part in found.group(1).decode().split(",")] if found else []
-        west_m, south_m, east_m, north_m = bounds_m or _junction_bounds(net)
+        west_m, south_m, east_m, north_m = bounds_m
         return round((west_m + east_m) / 2), round((south_m + north_m) / 2)
     except (ValueError, OverflowError):  # the reader of the net reports what is wrong with it
         return 0, 0
-
-
-def _junction_bounds(net: Path) -> tuple[float, float, float, float]:
-    places = [
-        (float(junction.get("x", "0")), float(junction.get("y", "0")))
-        for junction in read_root(net).iterfind("junction")
-    ]
-    xs, ys = zip(*places, strict=True) if places else ((0.0,), (0.0,))
-    return min(xs), min(ys), max(xs), max(ys)
 
 
 def content_hash(town: Town) -> str:
