@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
+from wcsim.errors import ConfigError
 from wcsim.physics.buffers import Images
 from wcsim.physics.renderer.instances import Instances
 from wcsim.types import F64, Bool
@@ -31,6 +35,29 @@ class Renderer(Protocol):
             camera: the camera; `out` must have its size.
             T_CW: (3, 4) world to camera frame, x right, y down, z forward.
             instances: the actors and wheelchairs to draw with the street.
-            out: the buffers, written in place, of the camera's size, as `new_images` makes them.
+            out: the buffers, written in place.
             shown: (n,) which of the instances are there for this camera; all of them when None.
+
+        Raises:
+            ConfigError: when a buffer has another size or type, or cannot be written.
         """
+
+
+def check_images(camera: Pinhole, out: Images) -> None:
+    """Raise ConfigError when `out` cannot take the images of `camera`."""
+    shape = (camera.height_px, camera.width_px)
+    _check("depth_m", out.depth_m, shape, np.dtype(np.float32))
+    _check("class_id", out.class_id, shape, np.dtype(np.uint8))
+    if out.rgb is not None:
+        _check("rgb", out.rgb, (*shape, 3), np.dtype(np.uint8))
+    if out.instance is not None:
+        _check("instance", out.instance, shape, np.dtype(np.int32))
+
+
+def _check(name: str, array: npt.NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    usable = bool(array.flags.carray)
+    if array.shape != shape or array.dtype != dtype or not usable:
+        raise ConfigError(
+            f"image buffer {name} is {array.dtype} {array.shape}, writable and C-contiguous: {usable}; "
+            f"expected a writable C-contiguous {dtype} {shape}: make it with new_images()"
+        )

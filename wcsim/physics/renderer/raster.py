@@ -11,7 +11,7 @@ import numpy as np
 from wcsim.core.jit import kernel
 from wcsim.physics.buffers import Images, new_images
 from wcsim.physics.renderer import kernels
-from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances, actor_instances
 from wcsim.physics.renderer.kernels import (
@@ -49,6 +49,7 @@ class RasterRenderer:
 
     def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out`; see `Renderer.render`."""
+        check_images(camera, out)
         wordless = out.rgb is None and out.instance is None
         words = np.empty((0, 0) if wordless else out.class_id.shape, np.uint32)
         target, view = kernels.Target(out.depth_m, out.class_id, words), self._view(camera, T_CW)

@@ -18,7 +18,7 @@ from wcsim.core.frames import Quat, quaternion
 from wcsim.errors import PhysicsError
 from wcsim.physics.buffers import Images
 from wcsim.physics.bullet import Bullet, pybullet
-from wcsim.physics.renderer.base import Pinhole
+from wcsim.physics.renderer.base import Pinhole, check_images
 from wcsim.physics.renderer.geometry import GeometryStore
 from wcsim.physics.renderer.instances import Instances
 from wcsim.physics.renderer.models.catalog import actor_templates
@@ -62,6 +62,7 @@ class TinyRenderer(Closing):
 
     def render(self, camera: Pinhole, T_CW: F64, instances: Instances, out: Images, shown: Bool | None = None) -> None:
         """Draw into `out`; see `Renderer.render`, and the module on where pixels are sampled."""
+        check_images(camera, out)
         self._place(instances, range(len(instances)) if shown is None else np.flatnonzero(shown).tolist())
         width, height = camera.width_px, camera.height_px
         _, _, rgba, depth, body = self._bullet.getCameraImage(
