@@ -60,22 +60,8 @@ def tiny(wcsim, folder, imported) -> Path:
     assert made.code == 0
     assert [line.split()[0] for line in made.err.splitlines()] == STAGES
     assert "sumo-gui -c towns/tiny/tiny.sumocfg" in made.out
-    _assert_costs_sum_up(made.out)
     shutil.copytree(town, imported)
     return town
-
-
-def _assert_costs_sum_up(told: str) -> None:
-    """The table of CPU time has each stage, and sums it up."""
-    table = told.partition("CPU time")[2]
-    assert fits(table)
-    rows = [line.rsplit(maxsplit=2) for line in table.splitlines()[2:]]
-    costs = [(name.split()[0], float(own), float(tools)) for name, own, tools in (row for row in rows if len(row) == 3)
-             if re.fullmatch(r"[\d.]+", own)]  # fmt: skip
-    assert [name for name, _, _ in costs] == ["starting", *STAGES, "all"]
-    assert costs[2][2] > 0.0  # netconvert's
-    for column in (1, 2):
-        assert sum(row[column] for row in costs[:-1]) == pytest.approx(costs[-1][column], abs=0.04)
 
 
 def test_town_list_shows_the_shipped_towns_and_ones_own(wcsim, folder, corner):

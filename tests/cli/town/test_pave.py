@@ -50,7 +50,7 @@ def test_a_scenario_with_pavements_alone_is_told_what_it_has_and_what_was_added(
     checked = wcsim("town", "check", theirs.sumocfg)
     assert checked.code == 1
     assert "has pavements beside 24 streets, but no walking areas to join them, so pedestrians" in checked.out
-    assert "; first add crossings and walking areas: wcsim town pave /" in checked.out
+    assert "; add crossings and walking areas: wcsim town pave /" in checked.out
     paved = wcsim("town", "pave", theirs.sumocfg, "--out", "ours", "--json", "paved.json")
     told = json.loads(Path("paved.json").read_text())
     added = f"added {told['crossings']} crossings and {told['walkingareas']} walking areas"

@@ -55,7 +55,7 @@ def test_every_file_that_is_no_code_is_inside(unpacked):
 
 def test_a_shipped_town_opens(unpacked, tmp_path):
     load_street(find_town("manhattan"))  # once, so that no command has to
-    assert "ground errors" in run(unpacked, tmp_path, "town", "check", "manhattan")
+    assert "trips without a route" in run(unpacked, tmp_path, "town", "check", "manhattan")
 
 
 def test_a_shipped_policy_goes_into_the_wheel(tmp_path):

@@ -119,9 +119,10 @@ def _fit(options: _FitOptions) -> int:
     if not options.drives:
         raise ConfigError("users fit got no file; expected one or more recorded drives")
     from wcsim.log.drive import read_drive
-    from wcsim.users.fitting.fit_user import fit_user, is_told
 
     drives = [read_drive(path) for path in options.drives]
+    from wcsim.users.fitting.fit_user import fit_user, is_told  # its kernels load after what may be refused
+
     known = all(drive.knows_intents for drive in drives) and not options.without_intents
     fit = fit_user(drives, base) if known else _reconstructed(drives, base)
     fit = replace(fit, profile=replace(fit.profile, name=_base_name(options.out)))

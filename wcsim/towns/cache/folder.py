@@ -106,6 +106,7 @@ def _made() -> dict[Path, tuple[str, int]]:
         with suppress(OSError):
             status = path.lstat()
             begun = kind == "unfinished" or path.name.startswith(".")
-            if kind and not stat.S_ISLNK(status.st_mode) and not (begun and time.time() - status.st_mtime < WRITTEN_S):
+            is_ours = stat.S_ISDIR if kind == "driven" or path.name.startswith(".") else stat.S_ISREG
+            if kind and is_ours(status.st_mode) and not (begun and time.time() - status.st_mtime < WRITTEN_S):
                 found[path] = kind, folder_bytes(path) if stat.S_ISDIR(status.st_mode) else status.st_size
     return found

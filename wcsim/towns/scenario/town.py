@@ -15,7 +15,7 @@ from wcsim.core.reading import FileKind, escaped, is_file, is_folder, read_bytes
 from wcsim.errors import ConfigError, TownError, meant
 from wcsim.towns.scenario.files import check_file, check_inside, with_included
 from wcsim.towns.scenario.options import Configuration, read_configuration
-from wcsim.towns.sumo.xml_io import content_digest, read_head
+from wcsim.towns.sumo.xml_io import content_digest, read_head, read_root
 
 log = logging.getLogger("wcsim.towns")
 
@@ -207,15 +207,24 @@ def net_middle(net: Path) -> tuple[int, int]:
     """The middle of a net in its own coordinates, in whole metres; (0, 0) where it does not say how far it reaches.
 
     Raises:
-        TownError: the file cannot be read.
+        TownError: the file cannot be read, or is no XML.
     """
     found = _BOUNDARY.search(read_head(net, _LOCATION_BYTES))
     try:
         bounds_m = [float(part) for part in found.group(1).decode().split(",")] if found else []
-        west_m, south_m, east_m, north_m = bounds_m
+        west_m, south_m, east_m, north_m = bounds_m or _junction_bounds(net)
         return round((west_m + east_m) / 2), round((south_m + north_m) / 2)
     except (ValueError, OverflowError):  # the reader of the net reports what is wrong with it
         return 0, 0
+
+
+def _junction_bounds(net: Path) -> tuple[float, float, float, float]:
+    places = [
+        (float(junction.get("x", "0")), float(junction.get("y", "0")))
+        for junction in read_root(net).iterfind("junction")
+    ]
+    xs, ys = zip(*places, strict=True) if places else ((0.0,), (0.0,))
+    return min(xs), min(ys), max(xs), max(ys)
 
 
 def content_hash(town: Town) -> str:
