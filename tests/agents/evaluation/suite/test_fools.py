@@ -29,7 +29,8 @@ def test_every_fool_is_caught_by_its_column(tmp_path: Path) -> None:
         whole[name], parts[name] = row.to_json(), {item.part: item.to_json() for item in rows}
     sane, follow = whole["oracle"], whole[UNAIDED]
 
-    assert follow["crashes_own"] >= 5 * max(1, sane["crashes_own"]) and follow["missed"] == follow["crashes_own"]
+    # 9 and 3 own crashes in these blocks since wheels fall off kerbs; 10 and 1 before.
+    assert follow["crashes_own"] >= 3 * max(1, sane["crashes_own"]) and follow["missed"] == follow["crashes_own"]
     assert parts[UNAIDED]["hazard"]["alive_at_end"] < 0.3 < parts["oracle"]["hazard"]["alive_at_end"]
 
     stands = whole["Stands"]
