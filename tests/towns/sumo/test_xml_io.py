@@ -132,7 +132,8 @@ def test_what_is_looked_for_in_a_file_takes_a_time_in_proportion_to_its_length(t
         for _ in range(3):
             begun_s = time.process_time()
             without_comments(b"<!--" * size)
-            assert net_middle(net) == (0, 0)
+            with pytest.raises(TownError):
+                net_middle(net)
             costs_s.append(time.process_time() - begun_s)
         return min(costs_s)
 
